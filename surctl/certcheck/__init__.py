@@ -1,12 +1,13 @@
-"""The independent checker of certificates: shares no code with the provers and knows nothing of CasADi.
+"""The independent checker of certificates: it imports none of the provers' code and does not use CasADi.
 
-A certificate is one JSON file: `format`, `version`, `kind`, `claim`, the kind's own keys, and `sha256`, the hash of
-the canonical JSON (sorted keys, no spaces, UTF-8, floats as `repr`) without that key. Each kind is a module of this
-package with `check(document) -> None`, which raises `Rejected(reason)`.
+A certificate is one JSON file with the keys `format`, `version`, `kind`, `claim`, the keys of its kind, and `sha256`.
+That hash covers the canonical JSON (sorted keys, no spaces, UTF-8, floats as `repr`) of all other keys. Each kind is a
+module of this package with a function `check(document) -> None`, which raises `Rejected(reason)`.
 
-A certificate that was altered is rejected by its hash. With the hash mended it is another certificate, of another
-claim: it is rejected unless the mathematics proves that claim. A false claim is never accepted; one that is altered
-and still true may be. What a file holds costs at most `PATIENCE` seconds and some 400 MB.
+The hash reveals an altered certificate, which is rejected. If the hash is recomputed as well, the file is a certificate
+of another claim, and it is rejected unless its content proves that claim. A false claim is never accepted; an altered
+claim that is still true may be accepted. Checking a file takes at most `PATIENCE` seconds of processor time and about
+400 MB of memory.
 """
 
 from __future__ import annotations
@@ -29,26 +30,27 @@ from surctl.certcheck.patience import PATIENCE, patient
 __all__ = ["KINDS", "PATIENCE", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
 
 KINDS = ("braking", "heading", "interval", "region")
-"""Kinds of certificate, each a module of this package."""
+"""The kinds of certificate; each kind is a module of this package."""
 
 _MALFORMED = (
     KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, MemoryError,
 )  # fmt: skip
-_LONGEST = 400  # characters of a reason
+_LONGEST = 400  # most characters of a reason
 
 
 @dataclass(frozen=True)
 class Checked:
-    """What the checker says of one certificate.
+    """The checker's result for one certificate.
 
     Attributes:
         accepted: whether the certificate proves its claim.
-        reason: why not; empty when accepted.
-        kind: its kind; empty when even that cannot be read.
+        reason: why the certificate is rejected; empty if it is accepted.
+        kind: kind of the certificate; empty if it cannot be read.
         claim: the claim as plain data.
-        seconds: time it took [s].
-        proves: what an accepted inequality amounts to, in words; empty for other kinds, and when rejected.
-        slack: how far left may exceed right of an inequality, in the claim's unit; 0 for other kinds.
+        seconds: duration of the check [s].
+        proves: what an accepted inequality proves, in words; empty for other kinds and for a rejected certificate.
+        slack: by how much the left side of an inequality may exceed the right side, in the claim's unit; 0 for other
+            kinds.
     """
 
     accepted: bool
@@ -60,7 +62,7 @@ class Checked:
     slack: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the result as plain data for JSON."""
         return {
             "accepted": self.accepted, "reason": self.reason, "kind": self.kind,
             "claim": dict(self.claim), "seconds": self.seconds, "proves": self.proves, "slack": self.slack,
@@ -68,14 +70,14 @@ class Checked:
 
 
 def check_file(path: str | Path, *, time_limit: float = PATIENCE) -> Checked:
-    """Check one certificate: format and hash first, then the mathematics.
+    """Check a certificate file: first its format and hash, then its proof.
 
     Args:
-        path: the file.
-        time_limit: processor time [s] after which it is rejected.
+        path: the certificate file.
+        time_limit: processor time [s] after which the certificate is rejected.
 
     Raises:
-        InputError: the file cannot be read, or is no certificate at all.
+        InputError: the file cannot be read or is not a certificate.
 
     Example:
         >>> import json
@@ -97,9 +99,13 @@ def check_file(path: str | Path, *, time_limit: float = PATIENCE) -> Checked:
 
 
 def check_document(document: Mapping[str, Any], *, began: float | None = None, time_limit: float = math.inf) -> Checked:
-    """As `check_file`, of a document in memory; `seconds` counts from `began`, a reading of perf_counter.
+    """Check a certificate in memory as `check_file` checks a file.
 
-    There is no limit of time [s] unless one is given: it is meant for what the caller has proved.
+    Args:
+        document: the certificate.
+        began: reading of `time.perf_counter` from which the duration counts; None stands for the present time.
+        time_limit: processor time [s] after which the certificate is rejected; by default there is no limit, because
+            the document usually comes from the caller's own proof.
 
     Example:
         >>> from surctl.certcheck import check_document
@@ -109,14 +115,14 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
         >>> check_document(certificate).accepted
         True
         >>> check_document(certificate | {"claim": {}}).reason
-        'the hash is not that of the content: the file was altered'
+        'the hash does not match the content: the file was altered'
     """
     began = time.perf_counter() if began is None else began
     kind, claim = document.get("kind"), document.get("claim")
     kind = kind if isinstance(kind, str) else ""
     claim = claim if isinstance(claim, dict) else {}
     try:
-        with patient(time_limit), np.errstate(all="ignore"):  # what is no number proves nothing
+        with patient(time_limit), np.errstate(all="ignore"):  # a comparison with NaN is false: it proves nothing
             verify_frame(document)
             _checker(kind)(document)
     except Rejected as rejected:
@@ -131,21 +137,21 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
 
 
 def _proves(kind: str, claim: Mapping[str, Any]) -> str:
-    """What was shown; words of a file are not part of it."""
+    """Return what an accepted inequality proves, in words that do not come from the file."""
     if kind != "interval":
         return ""
     if not claim["slack"]:
         return "left <= right on the whole domain, exactly"
     slack = f"{claim['slack']:g} {claim['unit']}"
     return (
-        f"left <= right + {slack} on the whole domain, not left <= right: proved to within {slack}; "
+        f"left <= right + {slack} on the whole domain: left <= right is proved to within {slack}; "
         "a rate that may be positive by that much is no proof of asymptotic stability"
     )
 
 
 def _checker(kind: str) -> Any:
     name = f"{__name__}.{kind}"
-    # the name comes from a file: only what is listed is ever imported
+    # the kind comes from a file: import listed modules only
     if kind not in KINDS or not re.fullmatch(r"[a-z_]+", kind) or importlib.util.find_spec(name) is None:
-        raise Rejected(f"kind {kind!r} is not one that this checker knows")
+        raise Rejected(f"the kind {kind!r} is not known to this checker")
     return importlib.import_module(name).check

@@ -1,9 +1,9 @@
-"""Sine, cosine and angles whose ends are proved: whole numbers whose error is counted, rounded outward.
+"""Proved intervals of sines, cosines and angles: fixed-point numbers with a counted error, rounded outward.
 
-A fixed-point number is a whole number of units of 2^-128. Every sum here is of at most 40 terms, each off by less than
-3 units, because a product or quotient that is cut off loses less than one unit and what it was made of less than two.
-What is taken as the error of a result (`_OFF` = 2^11 units) is more than twice what each docstring counts.
-Ends are raw numbers of mpmath, of which only +, -, ×, ÷ and comparison are used.
+A fixed-point number is an integer number of units of 2^-128. Every sum here has at most 40 terms, each off by less than
+3 units: a truncated product or quotient loses less than one unit, and its operands lose less than two.
+Each result is given an error of `_OFF` = 2^11 units, more than twice the error that its docstring derives.
+Interval ends are raw numbers of mpmath; the only arithmetic used on them is +, -, ×, ÷, square root and comparison.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from mpmath import libmp
 __all__ = ["BITS", "Interval", "angle", "arccos", "circle", "pi"]
 
 Interval = Any
-"""(lower, upper), raw numbers of mpmath."""
+"""(lower, upper) as raw numbers of mpmath."""
 Raw = Any
 
 BITS = 60
-"""Bits of the ends of an interval."""
+"""Precision of the ends of an interval [bits]."""
 
 _W = 128
 _UNIT = 1 << _W
 _OFF = 1 << 11
-_FAR, _NEAR = 1100, -40  # beyond 2^_FAR a sine is anything; below 2^_NEAR it is nearly its argument
+_FAR, _NEAR = 1100, -40  # above 2^_FAR a sine is bounded by ±1 only; below 2^_NEAR it is nearly its argument
 _LESS = libmp.mpf_sub(libmp.fone, libmp.mpf_shift(libmp.fone, 2 * _NEAR))  # 1 − 2^-80
 _LINE_OF_ONE = (libmp.fnone, libmp.fone)
 
 
 def _arccot(n: int, bits: int) -> int:
-    """Arctan(1/n) in units of 2^-bits for n > 1, off by less than 2 units a term, and fewer terms than bits."""
+    """Return arctan(1/n) in units of 2^-bits for n > 1; each of its fewer than `bits` terms is off by less than 2."""
     power, total, k = (1 << bits) // n, 0, 1
     while power:
         total += -(power // k) if k & 2 else power // k
@@ -42,24 +42,24 @@ def _arccot(n: int, bits: int) -> int:
 
 
 _LONG = _FAR + _W + 64
-# Machin: π/2 = 8 arctan 1/5 − 2 arctan 1/239, off by less than 20 times twice _LONG units, before 64 bits are cut off
+# Machin: π/2 = 8 arctan 1/5 − 2 arctan 1/239, off by less than 20 times twice _LONG units, before truncation by 64 bits
 _HALF_PI = (8 * _arccot(5, _LONG + 64) - 2 * _arccot(239, _LONG + 64)) >> 64
 
 
 @lru_cache(2048)
 def _half_pi(bits: int) -> int:
-    """π/2 in units of 2^-bits, off by less than 2 units; bits ≤ _LONG."""
+    """Return π/2 in units of 2^-bits, off by less than 2 units; bits ≤ _LONG."""
     return _HALF_PI >> (_LONG - bits)
 
 
 def _ends(value: int) -> Interval:
-    """The interval about a fixed-point number that is off by less than _OFF units."""
+    """Return an interval around a fixed-point number that is off by less than _OFF units."""
     low, high = (libmp.from_man_exp(value + off, -_W, BITS, rounding) for off, rounding in ((-_OFF, "f"), (_OFF, "c")))
     return low, high
 
 
 def pi() -> Interval:
-    """The interval about π."""
+    """Return a narrow interval that contains π."""
     return _PI
 
 
@@ -67,16 +67,16 @@ _PI = _ends(2 * _half_pi(_W))
 
 
 def _magnitude(x: Raw) -> int:
-    """N with 2^(n−1) ≤ |x| < 2^n, x ≠ 0."""
+    """Return n with 2^(n−1) ≤ |x| < 2^n, for x ≠ 0."""
     return int(x[2] + x[3])
 
 
 def _taylor(r: int) -> tuple[int, int]:
-    """Cosine and sine of r units, −4 units ≤ r ≤ (π/4 and 4 units).
+    """Return cosine and sine of r units, for −4 units ≤ r ≤ π/4 + 4 units.
 
-    Terms r^n/n! are below one unit at n = 36 at the latest, so that there are at most 18 of each. Each comes from the
-    one before it by a product cut off (1 unit), with r² that is cut off (1 unit), and a quotient that is: it is off by
-    less than 3 units. What is left out is less than 4 units: together less than 60.
+    The terms r^n/n! fall below one unit at n = 36 at the latest, so that each series has at most 18 terms. A term
+    follows from the term before it by a truncated product (1 unit), with a truncated r² (1 unit), and by a truncated
+    quotient: it is off by less than 3 units. The rest of the series is less than 4 units: together less than 60.
     """
     square, cosine, sine = r * r >> _W, _UNIT, r
     a, b, n = _UNIT, r, 1
@@ -93,11 +93,12 @@ def _taylor(r: int) -> tuple[int, int]:
 
 @lru_cache(8192)
 def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
-    """(quarter k, rest r in units, cos x, sin x) of one number with |x| < 2^_FAR.
+    """Return (quarter k, rest r in units, cos x, sin x) of one number with |x| < 2^_FAR.
 
-    With m bits before the point, x and π/2 are taken to 2^-(128 + m) units: x is cut off by less than one, and k ≤ 2^m
-    times π/2 by less than 2^(m+1): x − kπ/2 is r, off by less than 3 units and one for what is cut off; by less than 6
-    where π/2 − r is taken instead. Slopes are at most 1: with `_taylor` less than 70.
+    If x has m bits before the point, x and π/2 are computed in units of 2^-(128 + m). Truncation changes x by less than
+    one such unit, and k π/2 with k ≤ 2^m by less than 2^(m+1). So r = x − kπ/2 is off by less than 3 units of 2^-128,
+    plus one unit for its own truncation; π/2 − r, where it is used, is off by less than 6 units. Slopes are at most 1:
+    with `_taylor` the error is less than 70 units.
     """
     if x == libmp.fzero:
         return 0, 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
@@ -117,22 +118,22 @@ def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
 
 
 def _nearly(x: Raw) -> Interval:
-    """x − x³/3 ≤ sin x, arctan x ≤ x for 0 ≤ x ≤ 2^-40, and mirrored: the left side is at least x (1 − 2^-80)."""
+    """Return bounds on sin x and arctan x for |x| ≤ 2^-40: for x ≥ 0 both lie between x (1 − 2^-80) and x."""
     less, more = libmp.mpf_mul(x, _LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u")
     return (more, less) if x[0] else (less, more)
 
 
 def _within(a: Interval) -> Interval:
-    """Its part in [−1, 1], where the number is."""
+    """Return the part of an interval in [−1, 1], where a sine or cosine must lie."""
     low = libmp.fnone if libmp.mpf_lt(a[0], libmp.fnone) else a[0]
     return low, libmp.fone if libmp.mpf_gt(a[1], libmp.fone) else a[1]
 
 
 def circle(a: Interval) -> tuple[Interval, Interval]:
-    """Ranges of cosine and sine on an interval.
+    """Return the ranges of cosine and sine on an interval.
 
-    Between multiples of π/2 both are monotone: the ends decide, and the values 0, ±1 at the multiples inside. One that
-    may lie inside, because the rest is within 16 units of it, counts as inside.
+    Both are monotone between multiples of π/2, so that the values at the ends and the values 0, ±1 at the multiples
+    inside give the ranges. A multiple within 16 units of an end counts as inside.
     """
     low, high = a
     if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
@@ -161,12 +162,12 @@ def _hull(a: Interval, b: Interval) -> Interval:
 
 
 def _arctan(t: int) -> int:
-    """Arctan of t units, 0 ≤ t ≤ 1, t off by less than one unit.
+    """Return arctan of t units, for 0 ≤ t ≤ 1; t itself is off by less than one unit.
 
-    Three times arctan t = 2 arctan(t/(1 + √(1 + t²))), of slope at most 1/2: root and quotient cut off less than 2
-    units, so that t is off by less than 4 and at most tan(π/32) < 0.0985. Its terms are below one unit after 20, each
-    off by less than 3 units, and what is left out by less than 2: with the argument less than 66, times 8 less than
-    530.
+    The rule arctan t = 2 arctan(t/(1 + √(1 + t²))) is applied three times. Its slope is at most 1/2, and truncation of
+    root and quotient costs less than 2 units, so that t is then off by less than 4 units and at most tan(π/32) <
+    0.0985. After 20 terms the series is below one unit; each term is off by less than 3 units, and the rest is less
+    than 2. Together with the argument the error is less than 66 units, times 8 less than 530.
     """
     for _ in range(3):
         t = (t << _W) // (_UNIT + isqrt((_UNIT << _W) + t * t))
@@ -180,7 +181,7 @@ def _arctan(t: int) -> int:
 
 @lru_cache(8192)
 def _angle_of(y: Raw, x: Raw) -> Interval:
-    """atan2(y, x) of two numbers, not both 0: the arctan of the smaller over the larger, turned; less than 600 off."""
+    """Return atan2(y, x) of two numbers, not both 0, from arctan(smaller/larger); off by less than 600 units."""
     up, ahead = libmp.mpf_abs(y), libmp.mpf_abs(x)
     steep = bool(libmp.mpf_gt(up, ahead))
     small, large = (ahead, up) if steep else (up, ahead)
@@ -199,7 +200,7 @@ def _angle_of(y: Raw, x: Raw) -> Interval:
 
 
 def _ratio(small: Raw, large: Raw) -> int:
-    """small/large in units, cut off; 0 ≤ small ≤ large."""
+    """Return small/large in units, truncated, for 0 ≤ small ≤ large."""
     shift = small[2] - large[2] + _W
     if small == libmp.fzero or _magnitude(small) - _magnitude(large) < -_W - 1:
         return 0
@@ -207,10 +208,11 @@ def _ratio(small: Raw, large: Raw) -> int:
 
 
 def angle(y: Interval, x: Interval) -> Interval:
-    """Range of atan2 on a box without (0, 0) that does not meet the cut: y ≥ 0, y < 0 or x > 0 on all of it.
+    """Return the range of atan2 on a box without (0, 0) and without its jump: y ≥ 0, y < 0 or x > 0 on the whole box.
 
-    There it is smooth. Where y keeps its sign it is monotone in x, and at either end of x in y; where it does not,
-    x > 0, it is monotone in y, and at either end of y in x: corners decide.
+    On such a box atan2 is smooth. If y keeps its sign, atan2 is monotone in x, and monotone in y at each end of x. If y
+    changes its sign, x is positive: atan2 is monotone in y, and monotone in x at each end of y. In both cases the
+    corners of the box give the range.
     """
     first, *others = {(a, b) for a in y for b in x}
     total = _angle_of(*first)
@@ -220,13 +222,13 @@ def angle(y: Interval, x: Interval) -> Interval:
 
 
 def arccos(x: Interval) -> Interval:
-    """Range of arccos on an interval within [−1, 1]: it falls, and is the angle of (x, √(1 − x²))."""
+    """Return the range of arccos on an interval within [−1, 1]; arccos falls, so that the ends give the range."""
     return _arccos_of(x[1])[0], _arccos_of(x[0])[1]
 
 
 @lru_cache(8192)
 def _arccos_of(x: Raw) -> Interval:
-    """Of one number: (1 − x)(1 + x) and its root are rounded either way, and the angle is monotone in the root."""
+    """Return the interval of arccos x = atan2(√((1 − x)(1 + x)), x), with the root rounded down and up."""
     ends = []
     for rounding in "fc":
         factors = (step(libmp.fone, x, 2 * BITS, rounding) for step in (libmp.mpf_sub, libmp.mpf_add))

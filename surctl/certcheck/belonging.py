@@ -1,9 +1,9 @@
-"""Whether a certificate that was accepted is about an exported controller: every number of it against the manifest's.
+"""Whether an accepted certificate is about an exported controller: each of its numbers is compared with the manifest.
 
-Nothing is taken from a hash alone. A vehicle's number must lie in the range that is certified, a gain must be the one
-that is certified, a bound must hold for what is exported; a number that the manifest does not name is not known, and
-what is not known does not belong. Where the vehicle's file says that a number may be further off than is certified, or
-the certificate leaves something out, it belongs, and what is not covered is named.
+An equal hash alone is not enough. A vehicle parameter must lie in the certified range, a gain must equal the certified
+gain, and a certified bound must hold for the exported controller. If the manifest does not state one of these numbers,
+the certificate does not belong to the controller. If the vehicle file gives a wider range than the certificate, or the
+certificate leaves something out, the certificate belongs to the controller, and `excludes` names what is not covered.
 """
 
 from __future__ import annotations
@@ -19,19 +19,22 @@ from surctl.certcheck.region_claim import read_claim as read_region
 
 __all__ = ["Belonging", "compare"]
 
-_ROUNDING = "rounding: what is proved holds for real numbers, the bundle computes in {}"
+_ROUNDING = "rounding: the proof holds for exact real numbers; the bundle computes in {}"
 _GROUND_TRUTH = (
-    "perception: the certificate covers the law with true positions as input; the bundle perceives for itself"
+    "perception: the certificate covers the law with true positions as input; the exported law uses its own perception"
 )
-_KINEMATIC = "dynamics, sampling and sensing: it is an inequality about the loop of its variables, in their ranges"
-_RULE = "law: it is about a rule that brakes in time, which the exported law does not follow"
+_KINEMATIC = (
+    "dynamics, sampling and sensing: the certificate proves one inequality for its variables within their ranges, "
+    "and nothing about the rest of the loop"
+)
+_RULE = "law: the certificate is about a braking rule that is not part of the exported law"
 _ALIKE = (
     ("mass", "mass_kg", ("m11", "m22")),
     ("linear drag", "linear_drag", ("Xu", "Yv")),
     ("quadratic drag", "quadratic_drag", ("Xuu", "Yvv")),
 )
 _VARIABLES = {"m": ("m11", "m22"), "X": ("Xu", "Yv"), "X2": ("Xuu", "Yvv")}
-"""Variables of the inequalities about braking that are numbers of the vehicle."""
+"""Vehicle parameters that a variable of the inequalities about braking stands for."""
 _GUARDED = (
     ("margin", "margin_m"), ("reaction", "reaction_s"), ("brake", "brake"), ("k_v", "k_v_per_s"), ("k_i", "k_i_per_s2"),
 )  # fmt: skip
@@ -41,11 +44,11 @@ _LIMITS = ("Fu_max", "Fv_max")
 
 @dataclass(frozen=True)
 class Belonging:
-    """Whether a certificate is about this controller.
+    """Whether a certificate is about an exported controller.
 
     Attributes:
-        differs: what is not the same; empty when it belongs.
-        excludes: what the certificate leaves out of the controller that flies.
+        differs: one message for each mismatch; empty if the certificate belongs to the controller.
+        excludes: one message for each part of the exported controller that the certificate does not cover.
     """
 
     differs: tuple[str, ...]
@@ -53,20 +56,20 @@ class Belonging:
 
     @property
     def belongs(self) -> bool:
-        """Whether nothing differs."""
+        """Whether the certificate belongs to the controller: `differs` is empty."""
         return not self.differs
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the result as plain data for JSON."""
         return {"belongs": self.belongs, "differs": list(self.differs), "excludes": list(self.excludes)}
 
 
 def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
-    """Whether a certificate that was accepted is about the controller of a manifest.
+    """Compare an accepted certificate with the manifest of an exported controller.
 
     Args:
         document: the certificate.
-        manifest: of the bundle.
+        manifest: the manifest of the bundle.
     """
     comparison = _Comparison(document["claim"], manifest)
     {"region": comparison.region, "braking": comparison.braking, "heading": comparison.heading}.get(
@@ -90,7 +93,7 @@ class _Comparison:
         if expected is None:
             self.differs.append(f"claim {name!r} does not concern the exported law, so it is not bound to the bundle")
         elif expected != stated_sha256(self.claim):
-            self.differs.append(f"claim {name!r} for the bundle's gains, vehicle and cruise is another one")
+            self.differs.append(f"claim {name!r} is not the one for the bundle's gains, vehicle and cruise speed")
         elif name.startswith("braking-"):
             for variable in self.claim["variables"]:
                 if variable["name"] in _VARIABLES:
@@ -98,10 +101,12 @@ class _Comparison:
                     self._within(variable["name"], ends, _VARIABLES[variable["name"]])
 
     def heading(self) -> None:
-        self.differs.append("law: it is about the paper's law, steered by heading; what is exported steers by velocity")
+        self.differs.append(
+            "law: the certificate covers the paper's law, which steers by heading; the exported law steers by velocity"
+        )
 
     def region(self) -> None:
-        read_region(self.claim)  # every number is one
+        read_region(self.claim)  # raises Rejected unless every number is valid
         vehicle, law = self.claim["vehicle"], self.claim["law"]
         self._hashes()
         self.excludes += [*self.claim["excludes"], _ROUNDING.format(self.manifest.real)]
@@ -115,7 +120,7 @@ class _Comparison:
         self._lower_ends("thrust", vehicle["thrust_n"], "N")
         self._period(law["period_s"])
         if vehicle["lag_s"] == [0, 0]:
-            self.excludes.append("lag of the thrusters")
+            self.excludes.append("thrust lag: the certificate assumes thrust without lag")
         else:
             self._within("thrust_lag", vehicle["lag_s"], ("thrust_lag",))
         self._perception()
@@ -131,7 +136,8 @@ class _Comparison:
         self._lower_ends("thrust", vehicle["brake_n"], "N")
         self._at_most("thrust", vehicle["most_n"], "N", limits)
         if len(limits) == 4 and (both := hypot(*limits[:2])) > vehicle["most_n"]:
-            self.excludes.append(f"thrust of both axes together: up to {both:.3g} N, {vehicle['most_n']!r} N certified")
+            text = f"up to {both:.3g} N possible, up to {vehicle['most_n']!r} N certified"
+            self.excludes.append(f"thrust of both axes together: {text}")
         self._at_most("thrust_lag", vehicle["lag_s"], "s", self._numbers("thrust_lag"))
         self._at_most("yaw rate", met["turn_rad_per_s"], "rad/s", self._gains("spin"))
         if met["turn_rad_per_s"]:
@@ -139,7 +145,7 @@ class _Comparison:
         cap = self._gains("cap")
         self._at_most("speed", met["fastest_m_per_s"], "m/s", cap)
         if cap and cap[0] > met["sideways_m_per_s"]:
-            text = f"more than {met['sideways_m_per_s']!r} m/s, of {cap[0]!r} m/s that may be asked for"
+            text = f"up to {met['sideways_m_per_s']!r} m/s certified, up to {cap[0]!r} m/s may be commanded"
             self.excludes.append(f"speed across the direction of the obstacle: {text}")
         self._period(self.claim["watch"]["period_s"])
         if law is None:
@@ -163,11 +169,11 @@ class _Comparison:
         return [self.manifest.values[name] for name in names if name in self.manifest.values]
 
     def _limits(self) -> list[float]:
-        """Thrust limits of the law, then of the vehicle; not all of them where one is not known."""
+        """Thrust limits of the law, then of the vehicle [N]; a limit that the manifest does not state is left out."""
         return [*self._gains("thrust_limit")[:2], *self._numbers(*_LIMITS)]
 
     def _unknown(self, what: str) -> None:
-        self.differs.append(f"{what}: not known of this bundle; export the controller again")
+        self.differs.append(f"{what}: the bundle does not state it; export the controller again")
 
     def _gain(self, name: str, certified: float, at: int = 0) -> None:
         have = self._gains(name)
@@ -177,7 +183,7 @@ class _Comparison:
             self.differs.append(f"{name}[{at}]: {certified!r} certified, {have[at]!r} exported")
 
     def _believed(self, law: Mapping[str, Any]) -> None:
-        """What the law believes of surge and of sway."""
+        """Compare mass and drag of surge and sway in the law's model."""
         for port, key in (("mass", "mass_kg"), ("linear_drag", "linear_drag"), ("quadratic_drag", "quadratic_drag")):
             for axis in (0, 1):
                 self._gain(port, law[key], axis)
@@ -195,7 +201,7 @@ class _Comparison:
             self.differs.append(f"{what}: at most {certified!r} {unit} certified, {max(have)!r} exported")
 
     def _within(self, what: str, ends: Sequence[float], names: Sequence[str]) -> None:
-        """The vehicle's numbers lie in what is certified; where its file gives wider ranges, that is not covered."""
+        """Compare the vehicle's parameters with a certified range; exclude what its file allows beyond that range."""
         low, high = ends
         for name in names:
             if name not in self.manifest.values:
@@ -206,25 +212,26 @@ class _Comparison:
                 self.differs.append(f"{what}: {low!r} to {high!r} certified, the vehicle's {name} is {value!r}")
         stated = [self.ranges[name] for name in names if name in self.ranges]
         if stated and (min(a for a, _ in stated) < low or max(b for _, b in stated) > high):
-            text = f"{min(a for a, _ in stated)!r} to {max(b for _, b in stated)!r} by the vehicle's file"
+            text = f"{min(a for a, _ in stated)!r} to {max(b for _, b in stated)!r} in the vehicle file"
             self.excludes.append(f"{what}: {text}, {low!r} to {high!r} certified")
 
     def _lower_ends(self, what: str, certified: float, unit: str) -> None:
-        """What the vehicle's file leaves of a limit."""
+        """Add an exclusion if the vehicle file allows a thrust limit below the certified one."""
         least = [self.ranges[name][0] for name in _LIMITS if name in self.ranges]
         if least and min(least) < certified:
-            self.excludes.append(f"{what}: {min(least)!r} {unit} by the vehicle's file, {certified!r} certified")
+            self.excludes.append(f"{what}: {min(least)!r} {unit} in the vehicle file, {certified!r} {unit} certified")
 
     # ---- what all share
 
     def _hashes(self, *, lawless: bool = False) -> None:
         laws, vehicle = self.manifest.laws, self.manifest.vehicle
         if not lawless and self.claim["sha256_law"] not in laws:
-            self.differs.append(f"law: {self.claim['sha256_law'][:12]} certified, {laws[0][:12]} exported")
+            self.differs.append(f"law: SHA-256 {self.claim['sha256_law'][:12]} certified, {laws[0][:12]} exported")
         if not vehicle:
-            self.differs.append("vehicle: the bundle names none")
+            self.differs.append("vehicle: the bundle does not name a vehicle")
         elif self.claim["sha256_vehicle"] != vehicle:
-            self.differs.append(f"vehicle: {self.claim['sha256_vehicle'][:12]} certified, {vehicle[:12]} exported")
+            certified = self.claim["sha256_vehicle"][:12]
+            self.differs.append(f"vehicle: SHA-256 {certified} certified, {vehicle[:12]} exported")
         if self.manifest.ranges is None:
             self._unknown("ranges of the vehicle")
 
@@ -233,19 +240,21 @@ class _Comparison:
             self._within(what, vehicle[key], names)
         masses = self._numbers("m11", "m22")
         if len(set(masses)) > 1:
-            self.differs.append(f"mass: one of surge and sway certified, {masses[0]!r} and {masses[1]!r} exported")
+            text = f"{masses[0]!r} kg and {masses[1]!r} kg exported"
+            self.differs.append(f"mass: equal for surge and sway certified, {text}")
 
     def _alike(self, asymmetry: float) -> None:
         for what, _, names in _ALIKE[1:]:
             pair = self._numbers(*names)
             if len(pair) == 2 and abs(pair[0] - pair[1]) > asymmetry * (pair[0] + pair[1]) / 2:
                 self.differs.append(
-                    f"{what}: surge and sway alike to {asymmetry!r} certified, {pair[0]!r} and {pair[1]!r} exported"
+                    f"{what}: surge and sway may differ by a share of {asymmetry!r}, "
+                    f"but {pair[0]!r} and {pair[1]!r} are exported"
                 )
 
     def _period(self, certified: float) -> None:
         if certified == 0:
-            self.excludes.append("sampling: commands that are held for a period")
+            self.excludes.append("sampling: the certificate does not cover commands that are held for a control period")
         elif certified != self.manifest.period:
             self.differs.append(f"period: {certified!r} s certified, {self.manifest.period!r} s exported")
 

@@ -1,12 +1,13 @@
-"""Check of a braking certificate: a vehicle with inertia, lag and sampling never touches what it brakes for.
+"""Check of a braking certificate: a vehicle with inertia, lag and sampling never touches the obstacle it brakes for.
 
-The claim: under its assumptions, clearance ≥ m G(z) ≥ 0 for ever once it was so, z = s + (what the lag leaves)/m; the
-proof is that of `surctl.guidance.braking`, and here each of its inequalities is checked for the numbers at hand, in
-exact rational numbers, every figure rounded to the safe side:
+The claim: under its assumptions, if clearance ≥ m G(z) ≥ 0 holds once, it holds for ever. Here z = s + q/m, s is the
+closing speed, and q is the impulse that the thrust lag still delivers. The proof is that of `surctl.guidance.braking`.
+This module checks each of its inequalities for the numbers of the certificate, in exact rational numbers, with every
+figure rounded to the safe side:
 
-- the table of G is a convex super-solution, before every obstacle of the claim, in retreat too;
-- the range needed, at the speeds of the claim's table, is what the table says;
-- with a law: wherever its bound does not make it brake with the force that is counted on, the range needed is there.
+- the table of G is a convex super-solution for every obstacle of the claim, also while the vehicle retreats;
+- the claim's table states the range needed at each of its speeds correctly;
+- with a law: wherever its speed bound does not make it brake with the guaranteed force, the range needed is available.
 """
 
 from __future__ import annotations
@@ -32,20 +33,20 @@ from surctl.certcheck.region_claim import record
 __all__ = ["check"]
 
 _FIGURE = 10**4  # figures of the table are rounded up to 0.1 mm
-_FIRST, _FINEST = Fraction(1, 100), Fraction(1, 10**6)  # [m/s] cells of the law's bound
+_FIRST, _FINEST = Fraction(1, 100), Fraction(1, 10**6)  # [m/s] first and least width of a cell of the law's bound
 
 
 def check(document: Mapping[str, Any]) -> None:
-    """Check a braking certificate whose format and hash are in order.
+    """Check a braking certificate whose format and hash are verified.
 
     Raises:
-        Rejected: with the first thing that is not proved.
+        Rejected: the certificate does not prove its claim; the message names the first failure.
     """
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
     tables = record(document.get("proof"), ("distances",), "proof")["distances"]
     if not isinstance(tables, list) or len(tables) != len(claim.obstacles):
-        raise Rejected("proof.distances must have a table for each obstacle")
+        raise Rejected("proof.distances must have one table for each obstacle")
     _check_steady(claim)
     _check_limit(claim)
     for column, obstacle in enumerate(claim.obstacles):
@@ -57,32 +58,33 @@ def check(document: Mapping[str, Any]) -> None:
 
 
 def _check_steady(claim: BrakingClaim) -> None:
-    """Over one period a higher speed at its start stays the higher one, so that the range needed rises with it."""
+    """Check that the period is short enough for the range needed to rise with the speed at the start of a period."""
     fastest = claim.fastest + claim.speed_error + claim.current
     steepest = claim.linear[1] + 2 * claim.quadratic[1] * (fastest + claim.sideways)
     if claim.period * steepest > claim.mass[0]:
-        raise Rejected("the period is too long for so light a vehicle")
+        raise Rejected("the control period is too long for the mass and drag of the vehicle")
 
 
 def _check_limit(claim: BrakingClaim) -> None:
-    """The braking force is used up by the largest drag at the stated speed, to 0.1 mm/s."""
+    """Check that disturbance and drag use up the braking force at the stated limit speed, to 0.1 mm/s."""
 
     def left(obstacle: Fraction) -> Fraction:
         through = obstacle + claim.current
         return claim.brake - largest_disturbance(claim, through) - drag(claim, through)
 
     if not left(claim.limit + Fraction(1, _FIGURE)) < 0 <= left(claim.limit):
-        raise Rejected("the limit speed of an obstacle is another one")
+        raise Rejected("claim.limit_obstacle_m_per_s is not the obstacle speed that uses up the braking force")
 
 
 def needed(
     claim: BrakingClaim, at: Forces, distance: BrakingDistance, low: Fraction, high: Fraction, since: Fraction
 ) -> Fraction:
-    """Range [m] that is enough for a period without braking at any measured speed from low to high [m/s].
+    """Return a range [m] that is enough for a period without braking, at any measured speed from low to high [m/s].
 
-    `since` is the largest speed since the echo, as measured.
+    `since` is the largest measured speed since the echo [m/s].
 
-    Going back faster than the obstacle comes on, drag pushes more, and what it gains meanwhile counts.
+    While the vehicle retreats faster than the obstacle approaches, drag accelerates it towards the obstacle; the speed
+    gained in this way is included.
     """
     closing, period = high + claim.speed_error + at.obstacle, claim.period
     astern = max(at.through, claim.current + claim.speed_error - low)
@@ -92,12 +94,12 @@ def needed(
 
 
 def _stale(claim: BrakingClaim, at: Forces, since: Fraction) -> Fraction:
-    """By how much the clearance may be less than the range that was read [m]."""
+    """Return by how much the measured range may exceed the clearance [m], because of its error and its age."""
     return claim.range_error + max(since + claim.speed_error + at.obstacle, Fraction(0)) * claim.age
 
 
 def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, column: int) -> None:
-    """The table: closed form without the help of drag, way with it, range needed."""
+    """Check the claim's table: closed-form braking distance without drag's help, distance with it, range needed."""
     left = claim.brake - at.disturbance - drag(claim, at.through)
     for row, speed in enumerate(claim.speeds):
         closing = speed + at.obstacle
@@ -110,21 +112,21 @@ def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, c
             up = Fraction(-(-computed.numerator * _FIGURE // computed.denominator), _FIGURE)
             if stated[row][column] != up:
                 raise Rejected(
-                    f"table.{name} at {float(speed):g} m/s before {float(at.obstacle):g} m/s is {float(up):g}, "
-                    f"not {float(stated[row][column]):g}"
+                    f"table.{name} at {float(speed):g} m/s towards an obstacle of {float(at.obstacle):g} m/s must be "
+                    f"{float(up):g} m, not {float(stated[row][column]):g} m"
                 )
 
 
 def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: BrakingDistance) -> None:
-    """margin + K(b) ≥ range needed at b + x(b), for every bound b: where the law does not brake, the range is there.
+    """Check margin + K(b) ≥ range needed at b + x(b) for every bound b: without braking, the range is sufficient.
 
-    K(b) is the distance at which the law's bound is b, and x the excess over it at which the velocity loop asks for
-    F_b. K rises, and so do the range needed and x: cells of b, halved as far as need be, from where the range that is
-    read would be of a negative clearance.
+    K(b) is the distance at which the law's speed bound is b, and x is the excess over the bound at which the velocity
+    loop commands F_b. K, x and the range needed rise with b. So the inequality is checked on cells of b, which are
+    halved where necessary, starting at a bound that belongs to a negative clearance.
     """
     if claim.brake > law.limit:
-        raise Rejected("the law's thrust limit is below the force that is counted on")
-    top = claim.fastest  # the vehicle is never faster: above, the bound is out of reach
+        raise Rejected("the law's thrust limit is below brake_n, the guaranteed braking force")
+    top = claim.fastest  # the vehicle is never faster, so it never exceeds a higher bound
     start = _no_clearance(law, at, claim)
     cells, least = [(start, start + _FIRST)], _stale(claim, at, claim.fastest)
     while cells:
@@ -136,8 +138,8 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
         if held < enough:
             if high - low < _FINEST:
                 raise Rejected(
-                    f"the law's margin is too small: bound to {float(low):.4f} m/s before an obstacle of "
-                    f"{float(at.obstacle):g} m/s it keeps {float(held):.4f} m, and {float(enough):.4f} m are needed"
+                    f"the law's margin is too small: at a speed bound of {float(low):.4f} m/s towards an obstacle of "
+                    f"{float(at.obstacle):g} m/s it keeps {float(held):.4f} m, but {float(enough):.4f} m are needed"
                 )
             middle = (low + high) / 2
             cells += [(middle, high), (low, middle)]
@@ -147,7 +149,11 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
 
 
 def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
-    """x [m/s]: the loop asks for drag(v_d) + m k_v (v_d − v), v_d = b − gain x at most, drag by axis, sideways too."""
+    """Return x [m/s], the excess over the bound b at which the velocity loop commands the braking force F_b.
+
+    The loop commands drag(v_d) + m k_v (v_d − v) with v_d ≤ b − gain x; its drag model is axis by axis and includes the
+    sideways speed.
+    """
     v, w = max(bound, Fraction(0)), claim.sideways
     square = v**2 + Fraction(385, 1000) * v * w + Fraction(7072, 10**4) * w**2
     forward = law.linear * v + law.quadratic * square
@@ -155,7 +161,7 @@ def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
 
 
 def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
-    """K(b) [m]: the inverse of the law's bound, which goes on with its slope where that asks for a retreat."""
+    """Return K(b) [m], the inverse of the law's speed bound; for a fast retreat, K is linear in b."""
     force = law.brake * law.limit
     if law.barrier == "simple":
         c, t = bound + at.obstacle, law.reaction
@@ -164,7 +170,7 @@ def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fracti
     dragged = linear * at.obstacle + quadratic * at.obstacle**2
     left = force - dragged
     if left * 50 < force:
-        raise Rejected("the law's own bound counts on too little before that obstacle")
+        raise Rejected("the law's own bound has too little braking force left at the speed of the obstacle")
     gain, swing = (most + dragged) / lightest, lag * (most + force)
     c = bound + at.obstacle + gain * period
     distances = []
@@ -177,10 +183,10 @@ def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fracti
 
 
 def _no_clearance(law: GuardedLaw, at: Forces, claim: BrakingClaim) -> Fraction:
-    """A bound [m/s] that no range that can be read asks for: margin + K below 0 by the error of a range."""
+    """Return a bound [m/s] that is below every bound of a measured range: margin + K(bound) ≤ −range error."""
     bound = -at.obstacle
     for _ in range(10_000):
         if law.margin + _bound_distance(law, at, claim.period, bound) <= -claim.range_error:
             return bound
         bound -= _FINEST * 1000
-    raise Rejected("the law's bound does not reach the obstacle")
+    raise Rejected("the law's bound does not fall enough where the clearance is 0")

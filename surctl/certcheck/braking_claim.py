@@ -1,4 +1,4 @@
-"""What a braking certificate claims, read strictly: every number a plain decimal, nothing missing, nothing more."""
+"""The claim of a braking certificate, read strictly: every number is a plain decimal, no key is missing or unknown."""
 
 from __future__ import annotations
 
@@ -14,29 +14,34 @@ from surctl.certcheck.region_claim import number, record
 __all__ = ["ASSUMES", "DRAGS", "LEMMAS", "BrakingClaim", "GuardedLaw", "read_claim"]
 
 ASSUMES = (
-    "one obstacle or wall at a time, convex, that comes on no faster than stated, for ever, and does not turn",
-    "surge and sway have one mass; drag is along the velocity, or axis by axis at any heading, as stated",
-    "thrust follows its command with a first-order lag of at most lag_s, and never exceeds most_n",
-    "what is asked against the motion is delivered up to brake_n, along the direction latched at the last decision "
-    "that did not brake; meanwhile the hull turns no faster than stated and nothing is asked across",
-    "range and own speed are known with the age and the errors stated; a decision holds for one period",
-    "own speed is at most fastest_m_per_s; across the direction, flown or asked for, at most sideways_m_per_s",
-    "law: it is told that obstacles approach as fast as stated; the velocity bounds are consistent; no thruster "
-    "saturates, so that no axis is scaled in favour of another; the retreat speed is not reduced, as it is from a "
-    "sonar's mark",
-    "at the start the clearance is at least the braking way",
+    "there is one obstacle or wall at a time; it is convex, does not rotate and never approaches faster than stated",
+    "surge and sway have the same mass; drag acts along the velocity, or axis by axis at any heading, as stated",
+    "thrust follows its command with a first-order lag of at most lag_s and never exceeds most_n",
+    "while the vehicle brakes, the commanded thrust is delivered up to brake_n against the direction that was latched "
+    "at the last decision without braking; no thrust across that direction is commanded, and the hull turns no faster "
+    "than stated",
+    "range and own speed are measured with no more than the stated age and errors; a decision holds for one period",
+    "own speed is at most fastest_m_per_s; across the latched direction, the true and the commanded speed are at most "
+    "sideways_m_per_s",
+    "law: its input gives the stated approach speed of the obstacles; its velocity bounds are consistent; no thruster "
+    "saturates, so that no axis is scaled in favour of another; its retreat speed is not limited (it is limited before "
+    "marks of the sonar map)",
+    "at the start the clearance is at least the braking distance",
 )
-"""What the claim rests on, word for word."""
+"""Assumptions of the claim; a certificate repeats them word for word."""
 
 LEMMAS = (
-    "way: G' >= z/(F_b - f + D(z - v_o)), rising: while it brakes, clearance - m G(z) does not fall",
-    "retreat: the same where it goes back faster than the obstacle comes on",
-    "mass: m G(s + q/m) is convex in m, so that the ends of the range are the worst",
-    "period: whatever the thrust does for a period, the range needed is enough for it and the way after it",
+    "distance: G' >= z/(F_b - f + D(z - v_o)) and G' rises; so clearance - m G(z) does not fall while the vehicle "
+    "brakes",
+    "retreat: the same holds while the vehicle retreats faster than the obstacle approaches",
+    "mass: m G(s + q/m) is convex in m, so that one end of the mass range is the worst case",
+    "period: with any thrust during one period, the range needed is enough for the period and the braking distance "
+    "after it",
     "law: wherever the law does not brake with brake_n, the clearance is at least the range needed",
-    "plane: distance to a convex body is convex in the place, so that the latched direction decides",
+    "plane: the distance to a convex body is convex in the position, so that it is enough to consider the latched "
+    "direction",
 )
-"""What the claim is put together of, word for word; the proofs stand in `surctl.guidance.braking`."""
+"""Lemmas from which the claim follows; a certificate repeats them word for word (proofs: `surctl.guidance.braking`)."""
 
 DRAGS = ("along", "axes")
 _BARRIERS = ("inertia", "simple")
@@ -46,15 +51,15 @@ Pair = tuple[Fraction, Fraction]
 
 @dataclass(frozen=True)
 class GuardedLaw:
-    """The law's own bound, and how its velocity loop answers when it is exceeded; SI units.
+    """The law's speed bound, and the response of its velocity loop to a speed above the bound; SI units.
 
     Attributes:
         barrier: `inertia` or `simple`.
-        margin, reaction: [m, s].
-        brake, limit: share of the thrust limit [N] that the bound counts on.
-        k_v, gain: bandwidth [1/s], and times the excess that is taken off the command.
-        mass, linear, quadratic: of surge and of sway, as the law believes.
-        stopping: lightest, heaviest, most, lag, linear, quadratic of the bound `inertia`.
+        margin, reaction: the gains of these names [m, s].
+        brake, limit: share of the thrust limit that the bound relies on, and the thrust limit [N].
+        k_v, gain: bandwidth of the velocity loop [1/s], and multiple of the excess that is subtracted from the command.
+        mass, linear, quadratic: mass and drag of surge and of sway in the law's model.
+        stopping: lightest and heaviest mass, largest thrust, lag, linear and quadratic drag of the bound `inertia`.
     """
 
     barrier: str
@@ -72,21 +77,21 @@ class GuardedLaw:
 
 @dataclass(frozen=True)
 class BrakingClaim:
-    """The claim; SI units, pairs are (least, largest).
+    """A claim about braking; SI units, pairs are (least, largest).
 
     Attributes:
         mass, linear, quadratic: true mass and drag.
-        drag: `along` the velocity, or by `axes`.
-        brake, most, side: F_b; largest thrust towards the obstacle, and across it.
-        lag: largest τ.
-        obstacles: v_o, rising.
-        current, disturbance: of the water, and other force, towards the obstacle.
-        sideways, turn, fastest: largest sideways speed, yaw rate while it brakes, own speed.
-        period, age, range_error, speed_error: of the watch.
-        law: None for the bare rule: brake, unless the range needed is there.
-        speeds: rows of the table.
-        closed, distance, needed: figures by speed and obstacle [m].
-        limit: speed of an obstacle up to which braking guarantees anything.
+        drag: `along` for drag along the velocity, `axes` for drag axis by axis.
+        brake, most, side: guaranteed braking force F_b; largest thrust towards the obstacle; largest thrust across it.
+        lag: largest time constant τ of the thrust.
+        obstacles: approach speeds v_o of the obstacles, rising.
+        current, disturbance: largest current and largest other force towards the obstacle.
+        sideways, turn, fastest: largest sideways speed, largest yaw rate while braking, largest own speed.
+        period, age, range_error, speed_error: control period, age of a range, and errors of range and own speed.
+        law: the law; None for the bare rule, which brakes unless the range needed is available.
+        speeds: own speed of each row of the table.
+        closed, distance, needed: entries of the table by own speed and obstacle [m].
+        limit: largest obstacle speed at which the braking force still exceeds drag and disturbance.
     """
 
     mass: Pair
@@ -116,10 +121,10 @@ class BrakingClaim:
 
 
 def read_claim(claim: Any) -> BrakingClaim:
-    """The claim of a certificate.
+    """Return the claim of a certificate.
 
     Raises:
-        Rejected: a key is missing or unknown, a number is of the wrong kind or sign, or the words differ.
+        Rejected: a key is missing or unknown, a number has the wrong type or sign, or assumptions or lemmas differ.
     """
     keys = ("system", "assumes", "lemmas", "vehicle", "encounter", "watch", "law", "table", "limit_obstacle_m_per_s",
             "sha256_vehicle", "sha256_law")  # fmt: skip
@@ -127,10 +132,10 @@ def read_claim(claim: Any) -> BrakingClaim:
     if top["system"] != "braking":
         raise Rejected(f"claim.system {top['system']!r} is not known; known: braking")
     if top["assumes"] != list(ASSUMES) or top["lemmas"] != list(LEMMAS):
-        raise Rejected("claim.assumes or claim.lemmas is not what this claim rests on")
+        raise Rejected("claim.assumes or claim.lemmas differs from the text that this checker expects")
     for key in ("sha256_vehicle", "sha256_law"):
         if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
-            raise Rejected(f"claim.{key} is no SHA-256")
+            raise Rejected(f"claim.{key} is not a SHA-256")
     names = ("mass_kg", "linear_drag", "quadratic_drag", "drag", "brake_n", "most_n", "side_n", "lag_s")
     vehicle = record(top["vehicle"], names, "claim.vehicle")
     if vehicle["drag"] not in DRAGS:
@@ -151,15 +156,15 @@ def read_claim(claim: Any) -> BrakingClaim:
     table = record(top["table"], ("speeds_m_per_s", "closed_m", "distance_m", "needed_m"), "claim.table")
     obstacles, speeds = _row(met["obstacles_m_per_s"], "obstacles"), _row(table["speeds_m_per_s"], "speeds")
     if list(obstacles) != sorted(set(obstacles)):
-        raise Rejected("the obstacles' speeds do not rise")
+        raise Rejected("claim.encounter.obstacles_m_per_s must rise")
 
     def grid(name: str) -> tuple[tuple[Fraction, ...], ...]:
         rows = table[name]
         if not isinstance(rows, list) or len(rows) != len(speeds):
-            raise Rejected(f"claim.table.{name} must have a row for each speed")
+            raise Rejected(f"claim.table.{name} must have one row for each speed")
         values = tuple(_row(row, name) for row in rows)
         if any(len(row) != len(obstacles) for row in values):
-            raise Rejected(f"claim.table.{name} must have a column for each obstacle")
+            raise Rejected(f"claim.table.{name} must have one column for each obstacle")
         return values
 
     def plain(part: Mapping[str, Any], name: str, *, above: bool = False) -> Fraction:
@@ -201,7 +206,7 @@ def _law(value: Any) -> GuardedLaw:
         "claim.law",
     )  # fmt: skip
     if number(law["k_i_per_s2"], "claim.law.k_i_per_s2"):
-        raise Rejected("claim.law.k_i_per_s2: integral action is not part of the loop that is certified")
+        raise Rejected("claim.law.k_i_per_s2 must be 0: the certified loop has no integral action")
     if law["barrier"] not in _BARRIERS:
         raise Rejected(f"claim.law.barrier must be one of {', '.join(_BARRIERS)}")
     names = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
@@ -212,7 +217,7 @@ def _law(value: Any) -> GuardedLaw:
 
     bound = tuple(number(stopping[n], f"claim.law.stopping.{n}", above=n.endswith("_kg")) for n in names)
     if bound[0] > bound[1]:
-        raise Rejected("claim.law.stopping: the lightest exceeds the heaviest")
+        raise Rejected("claim.law.stopping: lightest_kg exceeds heaviest_kg")
     return GuardedLaw(
         law["barrier"],
         number(law["margin_m"], "claim.law.margin_m"),
@@ -239,5 +244,5 @@ def _pair(value: Any, where: str, *, above: bool = False) -> Pair:
         raise Rejected(f"claim: {where} must be [least, largest]")
     low, high = (number(entry, f"claim: {where}", above=above) for entry in value)
     if low > high:
-        raise Rejected(f"claim: {where}: the least exceeds the largest")
+        raise Rejected(f"claim: {where}: the least value exceeds the largest")
     return low, high

@@ -1,9 +1,9 @@
-"""The braking way as a table: a convex G with G' ≥ z/(force that brakes), every step of it checked in exact numbers.
+"""The braking distance as a table: a convex G with G' ≥ z/(braking force), checked cell by cell in exact numbers.
 
-z = s + q/m, s = v + v_o the closing speed and q what lag (and a turning hull) leave of the thrust that pushes.
-On knots z_0 = 0 < z_1 < …, G' is continuous and linear between the values g_j; G(0) = 0. The force left at own speed
-v = z − v_o is F_b − f + D(v + … ), D the least drag ahead and the largest astern; a bound on G' by a polynomial in
-Bernstein form settles a whole cell.
+Here z = s + q/m, s = v + v_o is the closing speed, and q is the impulse towards the obstacle that lag and a turning
+hull still deliver. On knots z_0 = 0 < z_1 < …, G' is continuous and linear between the values g_j, and G(0) = 0. The
+braking force left at own speed v = z − v_o is F_b − f + D(v − c), with the least drag D ahead and the largest drag
+astern. On one cell the inequality is a cubic polynomial in z; it holds if no Bernstein coefficient is negative.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ _CELLS = 64
 
 ROOT2 = (Fraction(141421356, 10**8), Fraction(141421357, 10**8))
 HALF_ROOT2 = Fraction(70710678, 10**8)
-"""Below 1/√2: the least share of quadratic drag by axis that is along the motion, at 45°."""
+"""Just below 1/√2, the least share of axis-by-axis quadratic drag that acts along the motion (at 45°)."""
 ROOT27 = Fraction(19245009, 10**8)
-"""Above 1/(3√3)."""
+"""Just above 1/(3√3)."""
 
 
 def rounded(value: Fraction) -> Fraction:
-    """Rounded up to 12 decimals."""
+    """Return the value rounded up to 12 decimals."""
     return Fraction(-(-value.numerator * _DIGITS // value.denominator), _DIGITS)
 
 
 def drag(claim: BrakingClaim, speed: Fraction) -> Fraction:
-    """Largest D(v), v ≥ 0 [N]."""
+    """Return the largest drag D(v) [N] at a speed v ≥ 0 [m/s]."""
     return claim.linear[1] * speed + claim.quadratic[1] * speed**2
 
 
 @dataclass(frozen=True)
 class Forces:
-    """Before one obstacle.
+    """Speeds and forces in the encounter with one obstacle.
 
     Attributes:
-        obstacle: v_o [m/s].
-        through: v_o + c: speed through the water at which it is met at rest [m/s].
-        disturbance: f, all that pushes beside drag along the direction, at closing speed ≥ 0 [N].
-        swing: q, see above, from the largest thrust [N s].
+        obstacle: approach speed v_o [m/s].
+        through: v_o + c, the speed astern through the water at which the closing speed is 0 [m/s].
+        disturbance: f, the largest force towards the obstacle apart from drag, at closing speed ≥ 0 [N].
+        swing: q, the impulse that the largest thrust still delivers because of the lag [N s].
     """
 
     obstacle: Fraction
@@ -59,12 +59,12 @@ class Forces:
 
 
 def largest_disturbance(claim: BrakingClaim, through: Fraction) -> Fraction:
-    """f [N] where the vehicle goes back through the water at up to `through` [m/s].
+    """Return f [N] for a vehicle that moves astern through the water at up to `through` [m/s].
 
-    What drag pushes beyond D(through) because of a sideways speed, and what a turning hull takes from the brake.
+    f includes the drag beyond D(through) that a sideways speed causes, and the braking force that a turning hull loses.
     """
     w, (low, high), (low2, high2) = claim.sideways, claim.linear, claim.quadratic
-    if claim.drag == "along":  # (X + X2 √(a² + w²)) a exceeds D(a) by at most X2 a w, and X2 w²/2
+    if claim.drag == "along":  # (X + X2 √(a² + w²)) a exceeds D(a) by at most X2 a w and X2 w²/2
         side = high2 * min(through * w, w**2 / 2)
     else:
         side = (high - low) * w / 2 + ROOT2[1] * high2 * through * w + (2 * high2 - low2) * w**2 * ROOT27
@@ -73,29 +73,29 @@ def largest_disturbance(claim: BrakingClaim, through: Fraction) -> Fraction:
 
 
 def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
-    """What acts before an obstacle of that speed.
+    """Return the speeds and forces for an obstacle of that approach speed [m/s].
 
     Raises:
-        Rejected: nothing is left of the braking force.
+        Rejected: drag and disturbance use up the braking force.
     """
     through = obstacle + claim.current
     disturbance = largest_disturbance(claim, through)
     if claim.brake - disturbance - drag(claim, through) <= 0:
-        raise Rejected(f"braking guarantees nothing before an obstacle of {float(obstacle):g} m/s")
+        raise Rejected(f"braking guarantees nothing for an obstacle that approaches at {float(obstacle):g} m/s")
     swing = claim.lag * (claim.most + claim.brake) + claim.turn * claim.lag**2 * claim.side
     return Forces(obstacle, through, disturbance, swing)
 
 
 @dataclass(frozen=True)
 class BrakingDistance:
-    """G by its knots z_j, the slopes g_j there, and its values there."""
+    """The function G, given by its knots z_j and by its slopes g_j and values at the knots."""
 
     knots: tuple[Fraction, ...]
     slopes: tuple[Fraction, ...]
     values: tuple[Fraction, ...]
 
     def __call__(self, z: Fraction) -> Fraction:
-        """An upper bound on G(z⁺); Rejected beyond the table."""
+        """Return an upper bound on G(max(z, 0)); raise Rejected for z beyond the table."""
         if z <= 0:
             return Fraction(0)
         k = self._cell(z)
@@ -104,7 +104,7 @@ class BrakingDistance:
         return self.values[k] + self.slopes[k] * t + rise * t * t / 2
 
     def slope(self, z: Fraction) -> Fraction:
-        """G'(z⁺)."""
+        """Return G'(max(z, 0)); raise Rejected for z beyond the table."""
         if z <= 0:
             return self.slopes[0]
         k = self._cell(z)
@@ -113,29 +113,29 @@ class BrakingDistance:
 
     def _cell(self, z: Fraction) -> int:
         if z > self.knots[-1]:
-            raise Rejected("the table of the way is too short")
+            raise Rejected("the table of the braking distance ends at too low a speed")
         return min(bisect_right(self.knots, z), len(self.knots) - 1) - 1
 
     def worst(self, claim: BrakingClaim, at: Forces, closing: Fraction, swing: Fraction) -> Fraction:
-        """m G(s + q/m) at the worse end of the mass range [m]: convex in m."""
+        """Return m G(s + q/m) [m] at the worse end of the mass range; it is convex in m."""
         return rounded(max(m * self(closing + swing / m) for m in claim.mass))
 
 
 def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistance:
-    """The table, every step of it checked.
+    """Read the table of one obstacle and check every cell of it.
 
     Raises:
-        Rejected: it is malformed, not convex, or some slope is too small.
+        Rejected: the table is malformed or not convex, or one of its slopes is too small.
     """
     entry = record(table, ("knots", "slopes"), "proof.distances")
     lists = [entry[key] for key in ("knots", "slopes")]
     if any(not isinstance(x, list) or not 2 <= len(x) <= _MOST_KNOTS for x in lists) or len(lists[0]) != len(lists[1]):
-        raise Rejected("proof.distances: knots and slopes must be lists of one length")
+        raise Rejected("proof.distances: knots and slopes must be lists of the same length")
     knots, slopes = (tuple(number(x, "proof.distances") for x in entries) for entries in lists)
     if knots[0] != 0 or any(b <= a for a, b in pairwise(knots)):
-        raise Rejected("the knots do not rise from 0")
+        raise Rejected("proof.distances: the knots must start at 0 and rise")
     if any(b < a for a, b in pairwise(slopes)):
-        raise Rejected("the way is not convex: a slope falls")
+        raise Rejected("the braking distance is not convex: a slope falls")
     values = [Fraction(0)]
     for k in range(len(knots) - 1):
         _check_cell(claim, at, knots[k : k + 2], slopes[k : k + 2])
@@ -146,11 +146,11 @@ def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistanc
 
 
 def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tuple[Fraction, ...]) -> None:
-    """G' (F_b − f + D) ≥ z on one cell: the cubic's Bernstein coefficients are not negative."""
+    """Check G' (F_b − f + D) ≥ z on one cell: no Bernstein coefficient of the cubic polynomial is negative."""
     h, left = z[1] - z[0], claim.brake - at.disturbance
     behind = z[0] - at.through  # speed through the water at the cell's start
     if behind < 0 < z[1] - at.through:
-        raise Rejected("the least drag and the largest meet within a cell: a knot must stand there")
+        raise Rejected("the speed through the water changes sign inside a cell: put a knot there")
     if behind >= 0:
         share = Fraction(1) if claim.drag == "along" else HALF_ROOT2
         first, second = claim.linear[0], claim.quadratic[0] * share
@@ -158,21 +158,21 @@ def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tup
         first, second = claim.linear[1], -claim.quadratic[1]
     f = (left + first * behind + second * behind**2, first + 2 * second * behind, second)
     if min(f[0], f[0] + f[1] * h + f[2] * h**2) <= 0:
-        raise Rejected("no braking force is left within a cell")
+        raise Rejected("no braking force is left in part of a cell")
     rise = (g[1] - g[0]) / h
     c = (g[0] * f[0] - z[0], g[0] * f[1] + rise * f[0] - 1, g[0] * f[2] + rise * f[1], rise * f[2])
     ends = (c[0], c[0] + c[1] * h / 3, c[0] + 2 * c[1] * h / 3 + c[2] * h**2 / 3,
             c[0] + c[1] * h + c[2] * h**2 + c[3] * h**3)  # fmt: skip
     if min(ends) < 0:
-        raise Rejected(f"the way is too short: its slope at closing speed {float(z[0]):.4g} m/s")
+        raise Rejected(f"the braking distance is too short: its slope is too small at {float(z[0]):.4g} m/s")
 
 
 def _check_retreat(claim: BrakingClaim, at: Forces, distance: BrakingDistance) -> None:
-    """G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r, r the speed at which the clearance opens; the lightest is worst."""
+    """Check G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all opening speeds r; the lightest mass is the worst."""
     most = at.swing / claim.mass[0]
     for k in range(_CELLS):
         slow, quick = most * k / _CELLS, most * (k + 1) / _CELLS
         through = at.through + quick
         over = drag(claim, through) + largest_disturbance(claim, through) - claim.brake
         if over > 0 and distance.slope(most - slow) * over > slow:
-            raise Rejected("drag of its retreat pushes more than the retreat gains")
+            raise Rejected("drag during a retreat costs more distance than the retreat gains")

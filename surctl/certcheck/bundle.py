@@ -1,8 +1,9 @@
-"""What an exported controller says that it was made of, verified as far as that can be.
+"""The manifest of an exported controller, with every entry verified that can be recomputed.
 
-What is exported tells in `manifest.json` what it was made of: every gain, the vehicle's numbers, the hash of the law's
-instructions, and hashes of all its files. Everything that can be computed anew is: the files' hashes, those of gains
-and vehicle, and the id that the C source returns, which is a hash over law, period, precision, gains and initial state.
+The export writes `manifest.json`, which states the content of the bundle: every gain, the vehicle's parameters, the
+hash of the law's instructions, and the hashes of all files. This module recomputes the hashes of the files, of the
+gains and of the vehicle, and the id that the C source returns (a hash of law, period, precision, gains and initial
+state).
 """
 
 from __future__ import annotations
@@ -26,19 +27,20 @@ _STATED = ("variables", "left", "right", "constraints")
 
 @dataclass(frozen=True)
 class Manifest:
-    """What an exported controller says that it was made of, verified as far as that can be.
+    """The manifest of an exported controller, compared with the exported files.
 
     Attributes:
-        id: of what it computes.
-        real: its precision.
+        id: hash of law, period, precision, gains and initial state.
+        real: floating-point precision of the exported code.
         period: control period [s].
-        laws: hash of the instructions, then that of the same law told true positions.
-        gains: numbers by name, as flown.
-        vehicle: hash of the vehicle's numbers; empty if none was named.
+        laws: hash of the law's instructions, then hash of the same law with true positions as input.
+        gains: values of the exported gains by name.
+        vehicle: hash of the vehicle's parameters; empty if the export names no vehicle.
         claims: hashes of the library's claims for these gains, by name.
-        wrong: what is not as the manifest says.
-        values: the vehicle's numbers by name.
-        ranges: (least, largest) of those that its file gives a range; None if the manifest does not say.
+        wrong: one message for each entry of the manifest that is false.
+        values: values of the vehicle's parameters by name.
+        ranges: (least, largest) of each parameter to which the vehicle file gives a range; None if the manifest states
+            no ranges.
     """
 
     id: str
@@ -54,20 +56,20 @@ class Manifest:
 
 
 def numbers_sha256(numbers: Sequence[float]) -> str:
-    """Hash of numbers to the last bit, in their order."""
+    """Return the SHA-256 of numbers in their order, exact to the last bit."""
     return hashlib.sha256("\n".join(float(value).hex() for value in numbers).encode()).hexdigest()
 
 
 def stated_sha256(claim: Mapping[str, Any]) -> str:
-    """Hash of what an inequality's claim states: variables with their ranges, both sides, constraints."""
+    """Return the SHA-256 of the statement of an inequality: variables with their ranges, both sides, constraints."""
     return hashlib.sha256(canonical({key: claim.get(key) for key in _STATED})).hexdigest()
 
 
 def read_bundle(folder: Path) -> Manifest:
-    """The manifest of a bundle, its files compared with it.
+    """Read the manifest of a bundle and compare the bundle's files with it.
 
     Raises:
-        InputError: there is no manifest, or it is none.
+        InputError: the folder has no manifest, or the file is not a manifest.
     """
     path = folder / MANIFEST
     try:
@@ -84,10 +86,10 @@ def read_bundle(folder: Path) -> Manifest:
 
 
 def read_manifest(document: Any, folder: Path | None = None) -> Manifest:
-    """The manifest as data; without a folder its files are not looked at.
+    """Read a manifest from plain data; the exported files are compared with it if a folder is given.
 
     Raises:
-        InputError: it is none.
+        InputError: the data are not a manifest.
     """
     try:
         law, files = document["law"], document["sha256"]
@@ -108,16 +110,16 @@ def read_manifest(document: Any, folder: Path | None = None) -> Manifest:
         )
         flat = numbers_sha256([v for row in gains.values() for v in row])
         parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, str(law["initial_state_sha256"]))
-        wrong = [] if document["gains"]["sha256"] == flat else ["the hash of the gains is not theirs"]
+        wrong = [] if document["gains"]["sha256"] == flat else ["the stated hash of the gains is wrong"]
         if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values):
-            wrong.append("the hash of the vehicle is not that of its numbers")
+            wrong.append("the stated hash of the vehicle is wrong")
         if manifest.id != hashlib.sha256("\n".join(parts).encode()).hexdigest():
-            wrong.append("the id is not that of law, period, precision, gains and initial state")
+            wrong.append("the id does not match law, period, precision, gains and initial state")
         if folder is not None:
             wrong += _files(folder, files, f"{document['name']}.c", manifest.id)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise InputError(
-            "is no manifest of an export, or of an older one",
+            "is not the manifest of an export, or an older version wrote it",
             file=None if folder is None else folder / MANIFEST,
             remedy="export the controller again",
         ) from None
@@ -129,7 +131,7 @@ def _ranges(ranges: Any) -> dict[str, tuple[float, float]] | None:
         return None
     ends = {str(name): (float(low), float(high)) for name, (low, high) in ranges.items()}
     if not all(low <= high for low, high in ends.values()):
-        raise ValueError("a range is none")
+        raise ValueError("the lower end of a range exceeds its upper end")
     return ends
 
 
@@ -138,10 +140,10 @@ def _vehicle_sha256(values: Mapping[str, float]) -> str:
 
 
 def _files(folder: Path, files: Mapping[str, str], source: str, identity: str) -> list[str]:
-    """What is wrong with the files on disk."""
+    """Return one message for each file that is missing or differs from the manifest."""
     wrong = []
     if source not in files:
-        wrong.append(f"{source} is not listed")
+        wrong.append(f"the manifest does not list {source}")
     for name, digest in files.items():
         if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name):
             raise ValueError(name)
@@ -153,5 +155,5 @@ def _files(folder: Path, files: Mapping[str, str], source: str, identity: str) -
         if hashlib.sha256(body).hexdigest() != digest:
             wrong.append(f"{name} was altered")
         elif name == source and f'return "{identity}";'.encode() not in body:
-            wrong.append(f"{name} returns another id")
+            wrong.append(f"{name} returns an id that is not the manifest's")
     return wrong

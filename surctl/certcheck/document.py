@@ -1,4 +1,4 @@
-"""The certificate file: JSON with a hash over its own canonical text."""
+"""The certificate file: JSON with a hash of its own canonical text."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ __all__ = ["FORMAT", "LARGEST", "VERSION", "Rejected", "canonical", "read", "sea
 
 FORMAT, VERSION = "surctl-certificate", 2
 LARGEST = 8_000_000
-"""Most bytes of a certificate that is read."""
+"""Largest size of a certificate file [bytes]; a larger file is not read."""
 
 
 class Rejected(Exception):
-    """The certificate does not show what it claims; the text says why, without a full stop."""
+    """The certificate does not prove its claim; the message says why, without a full stop."""
 
 
 def canonical(document: Mapping[str, Any]) -> bytes:
-    """UTF-8 JSON with sorted keys and no spaces, without the key `sha256`; floats as Python's `repr`.
+    """Return the document as UTF-8 JSON with sorted keys, no spaces and floats as `repr`, without the key `sha256`.
 
     Raises:
-        ValueError: a number that JSON does not know (NaN, infinity).
+        ValueError: the document holds a number that JSON does not have (NaN, infinity).
 
     Example:
         >>> from surctl.certcheck import canonical
@@ -39,15 +39,15 @@ def canonical(document: Mapping[str, Any]) -> bytes:
 
 
 def seal(kind: str, claim: Mapping[str, Any], evidence: Mapping[str, Any]) -> dict[str, Any]:
-    """A complete certificate: format, version, kind, claim, the kind's own keys, and the hash over all of them.
+    """Return a complete certificate: format, version, kind, claim, the keys of its kind, and the hash of all of them.
 
     Args:
-        kind: name of the module of `surctl.certcheck` that checks it.
-        claim: what is proved, as plain data.
-        evidence: the kind's own keys.
+        kind: name of the module of `surctl.certcheck` that checks this kind.
+        claim: the statement that is proved, as plain data.
+        evidence: the keys of this kind with their values, as plain data.
 
     Raises:
-        ValueError: evidence that bears a name of the frame, or a number that JSON does not know.
+        ValueError: the evidence uses a key that every certificate has, or holds a number that JSON does not have.
 
     Example:
         >>> from surctl.certcheck import check_document, seal
@@ -59,66 +59,66 @@ def seal(kind: str, claim: Mapping[str, Any], evidence: Mapping[str, Any]) -> di
         True
         >>> bolder = seal("interval", proved["claim"] | {"right": "-1"}, evidence)  # another claim, the same evidence
         >>> check_document(bolder).reason
-        'the cases are not all choices, each once'
+        'the cases do not cover every choice exactly once'
     """
     frame = {"format": FORMAT, "version": VERSION, "kind": kind, "claim": dict(claim)}
     clashes = sorted(set(evidence) & {*frame, "sha256"})
     if clashes:
-        raise ValueError(f"evidence bears names of the frame: {clashes}")
+        raise ValueError(f"the evidence uses keys that every certificate has: {clashes}")
     document = {**frame, **evidence}
-    # what is hashed is what a reader of the file gets: tuples are lists, keys are text
+    # hash what a reader of the file gets: JSON turns tuples into lists and keys into text
     document = json.loads(canonical(document))
     return {**document, "sha256": hashlib.sha256(canonical(document)).hexdigest()}
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The document, with format, version and hash verified.
+    """Read a certificate file and verify its format, version and hash.
 
     Raises:
-        InputError: a file that cannot be read, or is no certificate at all.
-        Rejected: a certificate that was altered or damaged.
+        InputError: the file cannot be read or is not a certificate.
+        Rejected: the certificate was altered or damaged.
     """
     try:
         if path.stat().st_size > LARGEST:
-            raise InputError(f"is larger than {LARGEST} bytes", file=path, remedy="give a certificate")
+            raise InputError(f"is larger than {LARGEST} bytes", file=path, remedy="give a certificate file")
         raw = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path, remedy="check the path") from None
     try:
         document = json.loads(raw.decode("utf-8"), parse_constant=_refuse, object_pairs_hook=_once)
     except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise InputError(f"is not JSON: {error}", file=path, remedy="give a certificate") from None
+        raise InputError(f"is not JSON: {error}", file=path, remedy="give a certificate file") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError(f"is not of format {FORMAT!r}", file=path, remedy="give a certificate")
+        raise InputError(f"is not a file of format {FORMAT!r}", file=path, remedy="give a certificate file")
     verify_frame(document)
     return document
 
 
 def verify_frame(document: Mapping[str, Any]) -> None:
-    """Raise Rejected unless the frame is of this version, complete, and the hash is the document's own."""
+    """Raise Rejected unless the document has this format and version, a kind, a claim, and the hash of its content."""
     if document.get("format") != FORMAT:
         raise Rejected(f"the format is not {FORMAT!r}")
     version = document.get("version")
     if type(version) is not int or version != VERSION:
-        raise Rejected(f"version {version!r} is not the version {VERSION} that this checker knows")
+        raise Rejected(f"the version is {version!r}, but this checker reads version {VERSION} only")
     if not isinstance(document.get("kind"), str) or not isinstance(document.get("claim"), dict):
-        raise Rejected("kind or claim is missing")
+        raise Rejected("the key kind or claim is missing")
     try:
         own = hashlib.sha256(canonical(document)).hexdigest()
-    except (ValueError, RecursionError) as error:  # an infinity inside a list, half a surrogate pair, a deep nest
-        raise Rejected(f"it has no canonical text: {error}") from None
+    except (ValueError, RecursionError) as error:  # infinity in a list, half a surrogate pair, deep nesting
+        raise Rejected(f"the certificate cannot be written as canonical JSON: {error}") from None
     if document.get("sha256") != own:
-        raise Rejected("the hash is not that of the content: the file was altered")
+        raise Rejected("the hash does not match the content: the file was altered")
 
 
 def _refuse(name: str) -> float:
-    raise ValueError(f"{name} is no number")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
-        raise ValueError("a key stands twice")
+        raise ValueError("a key occurs twice")
     if any(isinstance(v, float) and not math.isfinite(v) for v in table.values()):
         raise ValueError("a number is not finite")
     return table

@@ -1,7 +1,7 @@
 """The checker's own interval arithmetic: 60-bit ends by mpmath's directed rounding, with first and second derivatives.
 
-An interval is mpmath's pair of raw numbers. None stands for [0, 0] among derivatives. Sums, products, quotients, whole
-powers and roots are rounded by mpmath, which rounds these correctly; sines and angles are `surctl.certcheck.angles`.
+An interval is mpmath's pair of raw numbers. A derivative that is None stands for [0, 0]. mpmath rounds sums, products,
+quotients, integer powers and roots correctly; sines and angles come from `surctl.certcheck.angles`.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ __all__ = [
 ]
 
 Slopes = list[Any]
-"""A derivative for each variable, None where it is 0."""
+"""One derivative for each variable; None stands for 0."""
 
-_MOST = 2_000_000  # numbers of all jets of an expression
+_MOST = 2_000_000  # most numbers in all jets of an expression
 _ZERO = (libmp.fzero, libmp.fzero)
 _ONE = (libmp.fone, libmp.fone)
 _LINE = (libmp.fninf, libmp.finf)
 
 
 class Undefined(Exception):
-    """An operation met a number at which it is not defined."""
+    """An operation is not defined on the whole interval of its operand."""
 
 
 @dataclass(frozen=True)
 class Jet:
-    """Range of a value, of its gradient (n) and of its Hessian (n × n, symmetric); None where not asked for."""
+    """Ranges of a value, of its gradient (n) and of its Hessian (n × n, symmetric); None if they are not computed."""
 
     value: Interval
     slope: Slopes | None = None
@@ -57,67 +57,67 @@ class Jet:
 
 
 def exact(x: float) -> Interval:
-    """The double itself."""
+    """Return a double as an interval of zero width."""
     raw = libmp.from_float(x)
     return raw, raw
 
 
 def span(low: float, high: float) -> Interval:
-    """[low, high], each end the double or the decimal that is printed for it, whichever lies further out."""
+    """Return [low, high]; each end is the double or its printed decimal, whichever lies further out."""
     return _end(low)[0], _end(high)[1]
 
 
 @lru_cache(8192)
 def _end(x: float) -> Interval:
-    """The double and its decimal."""
+    """Return the interval between a double and its printed decimal."""
     raw = libmp.from_float(x)
     low, high = decimal(x)
     return raw if libmp.mpf_le(raw, low) else low, raw if libmp.mpf_ge(raw, high) else high
 
 
 def decimal(x: float) -> Interval:
-    """A narrow interval about the decimal that is printed for a double."""
+    """Return a narrow interval around the printed decimal of a double."""
     return rational(Fraction(repr(x)))
 
 
 def rational(x: Fraction) -> Interval:
-    """A narrow interval about an exact number."""
+    """Return a narrow interval around a rational number."""
     p, q = x.numerator, x.denominator
     return libmp.from_rational(p, q, BITS, "f"), libmp.from_rational(p, q, BITS, "c")
 
 
 def above(a: Interval, bound: Any = libmp.fzero) -> bool:
-    """Whether all of a is greater than the bound."""
+    """Whether every number in the interval a is greater than the bound."""
     return bool(libmp.mpf_gt(a[0], bound))
 
 
 def is_zero(a: Interval) -> bool:
-    """Whether a is 0 and nothing else."""
+    """Whether the interval a is exactly [0, 0]."""
     return bool(a == _ZERO)
 
 
 def least(a: Interval, b: Interval) -> Interval:
-    """min(a, b)."""
+    """Return the interval of min(a, b)."""
     return tuple(x if libmp.mpf_le(x, y) else y for x, y in zip(a, b, strict=True))
 
 
 def greatest(a: Interval, b: Interval) -> Interval:
-    """max(a, b)."""
+    """Return the interval of max(a, b)."""
     return tuple(x if libmp.mpf_ge(x, y) else y for x, y in zip(a, b, strict=True))
 
 
 def plus(a: Interval, b: Interval) -> Interval:
-    """a + b; None is 0."""
+    """Return a + b; None stands for 0."""
     return b if a is None else a if b is None else libmp.mpi_add(a, b, BITS)
 
 
 def minus(a: Interval) -> Interval:
-    """−a; None is 0."""
+    """Return −a; None stands for 0."""
     return None if a is None else libmp.mpi_neg(a)
 
 
 def mul(a: Interval, b: Interval) -> Interval:
-    """a b; None is 0, and 0 times the whole line is 0."""
+    """Return a b; None stands for 0, and 0 times an unbounded interval is 0."""
     if a is None or b is None:
         return None
     if a == _ZERO or b == _ZERO:
@@ -128,7 +128,7 @@ def mul(a: Interval, b: Interval) -> Interval:
 
 
 def over(a: Interval, b: Interval) -> Interval:
-    """a / b; the whole line where b holds 0 or is not bounded."""
+    """Return a / b; the result is the whole real line if b contains 0 or if a or b is unbounded."""
     if a is None:
         return None
     if not (above(b) or libmp.mpf_lt(b[1], libmp.fzero)) or libmp.finf in (*a, *b) or libmp.fninf in (*a, *b):
@@ -139,7 +139,7 @@ def over(a: Interval, b: Interval) -> Interval:
 def enclose(
     expressions: ExpressionTable, roots: Sequence[int], box: Sequence[Interval], *, order: int = 0
 ) -> list[Jet]:
-    """Ranges of expressions on a box.
+    """Return the ranges of expressions on a box, with derivatives up to `order`.
 
     Raises:
         Undefined: an operation in one of them is not defined on the whole box.
@@ -198,7 +198,7 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
 
 
 def abs_of(a: Interval) -> Interval:
-    """|a|."""
+    """Return the interval of |a|."""
     return libmp.mpi_abs(a, BITS)
 
 
@@ -238,7 +238,7 @@ def _product(a: Jet, b: Jet) -> Jet:
 
 
 def _chain(a: Jet, value: Interval, derivatives: tuple[Interval, Interval]) -> Jet:
-    """A function of a with given value and derivatives."""
+    """Return the jet of a function of a from the function's value and its first and second derivative."""
     if a.slope is None:
         return Jet(value)
     first, second = derivatives
@@ -255,7 +255,7 @@ def _chain(a: Jet, value: Interval, derivatives: tuple[Interval, Interval]) -> J
 
 
 def square(a: Interval) -> Interval:
-    """a²; None is 0."""
+    """Return a²; None stands for 0."""
     return None if a is None else (_LINE if a == _LINE else libmp.mpi_pow_int(a, 2, BITS))
 
 
@@ -270,7 +270,7 @@ def _power(a: Jet, n: int) -> Jet:
 
 def _reciprocal(a: Jet) -> Jet:
     if not (above(a.value) or libmp.mpf_lt(a.value[1], libmp.fzero)):
-        raise Undefined("a division by an interval that holds 0")
+        raise Undefined("a division by an interval that contains 0")
     value = libmp.mpi_div(_ONE, a.value, BITS)
     squared = libmp.mpi_pow_int(value, 2, BITS)
     return _chain(a, value, (minus(squared), mul(rational(Fraction(2)), mul(squared, value))))
@@ -285,26 +285,26 @@ def _unary(op: str, a: Jet) -> Jet:
         return _chain(a, cosine, (minus(sine), minus(cosine)))
     if op == "sqrt":
         if libmp.mpf_lt(x[0], libmp.fzero):
-            raise Undefined("a root of an interval that is negative in part")
+            raise Undefined("a root of an interval that contains negative numbers")
         value = libmp.mpi_sqrt(x, BITS)
         first = over(rational(Fraction(1, 2)), value)
         second = minus(over(mul(rational(Fraction(1, 2)), first), x))
         return _chain(a, value, (first, second))
     if op == "acos":
         if libmp.mpf_lt(x[0], libmp.fnone) or libmp.mpf_gt(x[1], libmp.fone):
-            raise Undefined("an arccos of an interval beyond [-1, 1]")
+            raise Undefined("an arccos of an interval that is not within [-1, 1]")
         rest = libmp.mpi_sub(_ONE, libmp.mpi_pow_int(x, 2, BITS), BITS)
         rest = greatest(rest, _ZERO)
         root = libmp.mpi_sqrt(rest, BITS)
         second = mul(x, minus(over(_ONE, mul(rest, root))))
         return _chain(a, arccos(x), (minus(over(_ONE, root)), second))
-    raise Undefined(f"{op} is not known")
+    raise Undefined(f"the operation {op!r} is not known")
 
 
 def _angle(y: Jet, x: Jet) -> Jet:
     holds = [not (above(v) or libmp.mpf_lt(v[1], libmp.fzero)) for v in (x.value, y.value)]
     if all(holds):
-        raise Undefined("an atan2 of a box that holds (0, 0)")
+        raise Undefined("an atan2 of a box that contains (0, 0)")
     jumps = holds[1] and not above(x.value)
     value = (libmp.mpf_neg(pi()[1]), pi()[1]) if jumps else angle(y.value, x.value)
     if x.slope is None or y.slope is None:
@@ -327,7 +327,7 @@ def _angle(y: Jet, x: Jet) -> Jet:
 
 
 def _chosen(a: Interval, b: Interval, x: Jet, y: Jet, value: Interval | None) -> Jet:
-    """x where a ≤ b, y elsewhere; `value` is given where the function is continuous."""
+    """Return the jet of x where a ≤ b and of y elsewhere; `value` is its range if it is continuous, else None."""
     if libmp.mpf_le(a[1], b[0]):
         return x
     if libmp.mpf_gt(a[0], b[1]):

@@ -1,6 +1,6 @@
-"""The checker's own reader of expressions: text to a list of operations in which nothing stands twice.
+"""The checker's own parser of expressions: it turns text into a list of operations without duplicates.
 
-The grammar: sums, products, integer powers with ^, the functions of `FUNCTIONS`, decimal numbers (exact), `pi`.
+The grammar has sums, products, integer powers with ^, the functions in `FUNCTIONS`, exact decimal numbers and `pi`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ __all__ = ["BRANCHES", "FUNCTIONS", "Entry", "ExpressionTable"]
 FUNCTIONS = {
     "abs": 1, "acos": 1, "atan": 1, "atan2": 2, "cos": 1, "max": 2, "min": 2, "select": 4, "sin": 1, "sqrt": 1,
 }  # fmt: skip
-"""Functions and their arguments; select(a, b, x, y) is x where a ≤ b, and y elsewhere."""
+"""Functions and their number of arguments; select(a, b, x, y) is x where a ≤ b, and y elsewhere."""
 
 BRANCHES = ("abs", "max", "min", "select")
-"""Functions that are one of two expressions."""
+"""Functions whose value is one of two expressions."""
 
 _LONGEST, _DEEPEST, _MOST = 60_000, 150, 50_000
 _CACHED = 64
@@ -32,7 +32,7 @@ _OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
 
 @dataclass(frozen=True)
 class Entry:
-    """One operation; `value` is the number of a `num`, the exponent of a `pow`, the index of a `var`."""
+    """One operation; `value` is the number of a `num`, the exponent of a `pow` or the index of a `var`."""
 
     op: str
     args: tuple[int, ...] = ()
@@ -40,7 +40,7 @@ class Entry:
 
 
 class ExpressionTable:
-    """All expressions of one certificate; equal ones are one entry, operands stand before their use."""
+    """All expressions of one certificate; equal expressions share an entry, and operands precede their use."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
@@ -49,17 +49,17 @@ class ExpressionTable:
         self._live: dict[tuple[int, ...], list[int]] = {}
 
     def put(self, op: str, *args: int, value: Fraction | int = 0) -> int:
-        """Position of an operation."""
+        """Return the position of an operation; add the operation if it is new."""
         entry = Entry(op, args, Fraction(value))
         if entry not in self._at:
             if len(self.entries) >= _MOST:
-                raise Rejected(f"more than {_MOST} operations")
+                raise Rejected(f"the expressions have more than {_MOST} operations")
             self._at[entry] = len(self.entries)
             self.entries.append(entry)
         return self._at[entry]
 
     def needed(self, roots: Iterable[int]) -> list[int]:
-        """Positions that the roots depend on, in order."""
+        """Return the positions of the roots and of all operations that they depend on, in order."""
         key = tuple(roots)
         if key not in self._live:
             live = set(key)
@@ -72,7 +72,7 @@ class ExpressionTable:
         return self._live[key]
 
     def rewritten(self, roots: Sequence[int], change: Callable[[int, tuple[int, ...]], int | None]) -> list[int]:
-        """The roots with every entry replaced by change(position, replaced operands), where that is not None."""
+        """Return the roots with each entry replaced by change(position, replaced operands), unless that is None."""
         replaced: dict[int, int] = {}
         for at in self.needed(roots):
             entry = self.entries[at]
@@ -82,16 +82,16 @@ class ExpressionTable:
         return [replaced[r] for r in roots]
 
     def read(self, text: object) -> int:
-        """Position of the expression that a text says; Rejected where it says none."""
+        """Return the position of the expression in a text; raise Rejected if the text is not an expression."""
         if not isinstance(text, str) or len(text) > _LONGEST:
-            raise Rejected("an expression is not a text of readable length")
+            raise Rejected(f"an expression is not a text of at most {_LONGEST} characters")
         go_on()
         lexemes: list[tuple[str, str]] = []
         at = 0
         while at < len(text):
             match = _LEXEME.match(text, at)
             if match is None:
-                raise Rejected(f"cannot be read at column {at + 1}: {text[at : at + 20]!r}")
+                raise Rejected(f"an expression cannot be read at column {at + 1}: {text[at : at + 20]!r}")
             if match.lastindex:
                 lexemes.append((("number", "name", "sign")[match.lastindex - 1], match[match.lastindex]))
             at = match.end() if match.end() > at else len(text)
@@ -99,11 +99,11 @@ class ExpressionTable:
         lexemes.reverse()
         tree = self._expression(lexemes, 0, 0)
         if lexemes[-1][0] != "end":
-            raise Rejected(f"cannot be read at {lexemes[-1][1]!r}")
+            raise Rejected(f"an expression cannot be read at {lexemes[-1][1]!r}")
         return tree
 
     def _expression(self, rest: list[tuple[str, str]], least: int, depth: int) -> int:
-        """Precedence climbing; a sign before a factor binds looser than ^ and tighter than * and /."""
+        """Parse by precedence climbing; a sign before a factor binds weaker than ^ and stronger than * and /."""
         if depth > _DEEPEST:
             raise Rejected("an expression is nested too deeply")
         tree = self._factor(rest, depth)
@@ -124,9 +124,9 @@ class ExpressionTable:
                 rest.pop()
             kind, exponent = rest.pop()
             if kind != "number" or not exponent.isdigit() or len(exponent) > 2 or int(exponent) > 64:
-                raise Rejected(f"{exponent!r} is not an exponent")
+                raise Rejected(f"{exponent!r} is not an exponent: give an integer of at most 64")
             if rest[-1] == ("sign", "^"):
-                raise Rejected("a power of a power without parentheses")
+                raise Rejected("a power of a power needs parentheses")
             tree = self.put("pow", tree, value=-int(exponent) if down else int(exponent))
         if minus:
             entry = self.entries[tree]
@@ -145,19 +145,19 @@ class ExpressionTable:
                 args.append(self._expression(rest, 0, depth + 1))
             self._close(rest)
             if FUNCTIONS.get(text) != len(args):
-                raise Rejected(f"{text!r} of {len(args)} arguments is not of the grammar")
+                raise Rejected(f"the grammar has no function {text!r} with {len(args)} arguments")
             return self.put(text, *args)
         if kind == "name":
             if text == "pi":
                 return self.put("pi")
             if text not in self.names:
-                raise Rejected(f"{text!r} is not among the variables")
+                raise Rejected(f"{text!r} is not one of the claim's variables")
             return self.put("var", value=self.names.index(text))
         if text == "(":
             tree = self._expression(rest, 0, depth + 1)
             self._close(rest)
             return tree
-        raise Rejected(f"cannot be read at {text!r}")
+        raise Rejected(f"an expression cannot be read at {text!r}")
 
     @staticmethod
     def _close(rest: list[tuple[str, str]]) -> None:

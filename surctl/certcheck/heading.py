@@ -1,10 +1,10 @@
-"""Check of a certificate of the heading-steered loop: 8 states, V̇ ≤ −a V on a whole level set, its centre included.
+"""Check of a certificate of the heading-steered loop: 8 states, V̇ ≤ −a V on a whole level set, including its centre.
 
-The claim: whatever the constant true numbers in their ranges, x* = (v − u_c*)/k1 is where the vehicle comes to rest
-beside its moving target; V = ξᵀ P ξ of the horizontal deviations (x, y, ψ, U_x, U_y, r) and V_z of (z, w); along
-every motion that starts in V ≤ 1, V_z ≤ 1 both decay as e^(−a t). Thrust limits are in it, as sectors φ ∈ [φ_min, 1]
-of each cell. Heave does not touch the other six. P > 0 and heave are checked in exact numbers, the cells in double
-precision with every rounding on the safe side.
+The claim: for all constant true parameters in their ranges, the vehicle comes to rest relative to the moving target at
+x* = (v − u_c*)/k1. V = ξᵀ P ξ is a function of the horizontal deviations (x, y, ψ, U_x, U_y, r), and V_z of (z, w).
+Along every motion that starts in V ≤ 1, V_z ≤ 1 both decay as e^(−a t). The thrust limits are included as sectors
+φ ∈ [φ_min, 1] in each cell. Heave does not act on the other six states. P > 0 and heave are checked in exact numbers,
+the cells in double precision with every rounding error on the safe side.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite,
 
 __all__ = ["check"]
 
-_MIRRORED = {(i, j) for i in (0, 3) for j in (1, 2, 4, 5)}  # y, ψ, U_y, r change sign
+_MIRRORED = {(i, j) for i in (0, 3) for j in (1, 2, 4, 5)}  # only y, ψ, U_y, r change sign
 
 
 def check(document: Mapping[str, Any]) -> None:
-    """Check a certificate whose format and hash are in order.
+    """Check a certificate of the heading-steered loop whose format and hash are verified.
 
     Raises:
-        Rejected: with the first thing that is not proved.
+        Rejected: the certificate does not prove its claim; the message names the first failure.
     """
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
@@ -43,7 +43,7 @@ def check(document: Mapping[str, Any]) -> None:
         if not is_positive_definite(m):
             raise Rejected(f"{name} is not positive definite")
     if any(p[i][j] for i, j in _MIRRORED):
-        raise Rejected("P is not its own mirror image in the path")
+        raise Rejected("P is not symmetric under reflection in the path")
     _check_extent(claim, p, p_z)
     _check_heave(claim, p_z)
     check_identity(claim, random.Random(6))
@@ -53,25 +53,25 @@ def check(document: Mapping[str, Any]) -> None:
 def _matrix(rows: Any, size: int, where: str) -> Matrix:
     shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
     if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
-        raise Rejected(f"{where} must be the lower triangle of {size} rows")
+        raise Rejected(f"{where} must be a lower triangle with {size} rows")
     lower = [[number(entry, where, least=-(10**9)) for entry in row] for row in rows]
     return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
 
 
 def _check_extent(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
-    """Offset and depth lie in the region, the reach is that of some point, and it rests within `ultimate_bound`."""
+    """Check the claimed offsets, depth and extent of the region, and that the point of rest is within its bound."""
     v, k1 = claim.law["cruise"], claim.law["k1"]
     for command in claim.command:
         if command <= 0:
-            raise Rejected("at rest beside its target it would have to go backwards")
+            raise Rejected("at rest relative to its target, the vehicle would have to move backwards")
         away = (v - command) / k1
         if abs(away) > claim.ultimate_bound:
-            raise Rejected(f"it settles within {float(abs(away)):.4g} m only")
+            raise Rejected(f"the vehicle may come to rest {float(abs(away)):.4g} m from its target, beyond the bound")
         start = [-away, claim.offset, *[Fraction(0)] * 4]
         if quadratic(p, start) > 1 or quadratic(p, [-away, -claim.offset, *[Fraction(0)] * 4]) > 1:
             raise Rejected(f"a cross-track offset of {float(claim.offset):g} m is not in the region")
     if p[1][1] * claim.beside**2 > 1:
-        raise Rejected(f"{float(claim.beside):g} m beside the point of rest is not in the region")
+        raise Rejected(f"a point {float(claim.beside):g} m beside the point of rest is not in the region")
     covariance = inverse(p)
     for k, name in enumerate(("x_e", "y_e", "psi")):
         if claim.extent[k] ** 2 > covariance[k][k]:
@@ -81,7 +81,7 @@ def _check_extent(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
 
 
 def _check_heave(claim: HeadingClaim, p: Matrix) -> None:
-    """(z, w): ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w, in exact numbers."""
+    """Check the decay of V_z for ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w, in exact numbers."""
     covariance = inverse(p)
     velocity_gain, k_z = claim.law["heave_mass_kg"] * claim.law["k"], claim.law["k_z"]
     linear, square = claim.ranges["heave_linear"], claim.ranges["heave_quadratic"]
@@ -94,4 +94,4 @@ def _check_heave(claim: HeadingClaim, p: Matrix) -> None:
         if not is_positive_definite(
             [[-half[i][j] - half[j][i] - claim.rate * p[i][j] for j in (0, 1)] for i in (0, 1)]
         ):
-            raise Rejected("V_z does not decay at the rate")
+            raise Rejected("V_z does not decay at the claimed rate")

@@ -1,7 +1,7 @@
-"""V̇ < −a V over cells of (ψ, y_e): the thrust that is left and the drag's secants of each cell, then its vertices.
+"""Proof of V̇ < −a V over cells of (ψ, y_e): each cell bounds thrust share and drag slope; then its vertices decide.
 
-Cells that fail are cut in four. Matrices are midpoints with radii, and a Cholesky factorisation in double precision
-decides after the radii's norm and a bound on all rounding are taken off the diagonal (Rump 2006).
+Cells that fail are divided into four. Matrices are midpoints with radii. The norm of the radii and a bound on all
+rounding errors are subtracted from the diagonal; then a Cholesky factorisation in double precision decides (Rump 2006).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ __all__ = ["check_cells"]
 Array = NDArray[np.float64]
 
 _MOST, _DEPTH, _CHUNK = 6_000, 5, 512
-_UP = 1 + 1e-9  # on bounds that were rounded
-_ROUNDING = 1e-11  # of a 6 × 6 product and its factorisation, per size of its terms
+_UP = 1 + 1e-9  # factor that covers the rounding of a bound
+_ROUNDING = 1e-11  # relative rounding error of a 6 × 6 product and its factorisation
 
 
 @dataclass(frozen=True)
 class _Form:
-    """P, a T with T P Tᵀ ≈ I, P⁻¹, and of (ψ, y): P⁻¹'s part inverse S, and what it tells of the rest."""
+    """P, T with T P Tᵀ ≈ I, P⁻¹, inverse S of its (ψ, y) block, regression of ξ on (ψ, y), residual covariance."""
 
     p: Array
     change: Array
@@ -41,9 +41,9 @@ class _Form:
 def _form(p: Array) -> _Form:
     covariance = np.asarray(np.linalg.inv(p), dtype=np.float64)
     change = np.linalg.inv(np.linalg.cholesky(p))
-    terms = np.abs(change) @ np.abs(p) @ np.abs(change).T  # what rounding is a part of, in `_part`
+    terms = np.abs(change) @ np.abs(p) @ np.abs(change).T  # size of the terms that `_part` rounds
     good = np.abs(p @ covariance - np.eye(6)).max() <= 1e-10 and terms.max() <= 1e3
-    if not good or not np.all(np.diag(change) > 0):  # what is no number is not good either
+    if not good or not np.all(np.diag(change) > 0):  # a NaN fails this test too
         raise Rejected("P is too ill-conditioned for double precision")
     two = np.ix_((2, 1), (2, 1))
     shape = np.asarray(np.linalg.inv(covariance[two]), dtype=np.float64)
@@ -53,7 +53,7 @@ def _form(p: Array) -> _Form:
 
 
 def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
-    """A lower bound on the least (ψ, y) S (ψ, y)ᵀ in each cell."""
+    """Return a lower bound on (ψ, y) S (ψ, y)ᵀ in each cell."""
     s = form.shape
     at = s[0, 0] * psi**2 + 2 * s[0, 1] * psi * y + s[1, 1] * y**2
     slack = half[0] * np.sqrt(s[0, 0]) + half[1] * np.sqrt(s[1, 1])
@@ -61,7 +61,7 @@ def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
 
 
 def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: Array) -> Array:
-    """Largest |row ξ| (n,) on V ≤ 1 with (ψ, y) in the cell."""
+    """Return an upper bound on |row ξ| (n,) over V ≤ 1 with (ψ, y) in the cell."""
     mean = np.einsum("nk,kj->nj", row.mid, form.regression)
     centre = np.abs(mean[:, 0] * psi + mean[:, 1] * y)
     moved = np.abs(mean[:, 0]) * half[0] + np.abs(mean[:, 1]) * half[1]
@@ -71,7 +71,7 @@ def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: 
 
 
 def _pair(share: Array) -> list[Array]:
-    """φ and 1; only 1 where the limit is nowhere reached."""
+    """Return [φ, 1], or [1] if no cell reaches the thrust limit."""
     return [np.ones_like(share)] if np.all(share >= 1) else [share, np.ones_like(share)]
 
 
@@ -80,21 +80,21 @@ def _share(left: float, most: Array) -> Array:
 
 
 def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int:
-    """Prove V̇ < −a V on V ≤ 1 for P (6, 6) with at most so many cells; returns their number.
+    """Prove V̇ < −a V on V ≤ 1 for P (6, 6) with at most `most` cells; return the number of cells.
 
     Raises:
-        Rejected: a cell that cannot be cut further fails, or the steady cruise needs all the thrust.
+        Rejected: the proof needs smaller or more cells than allowed, or the steady cruise needs all the thrust.
     """
     form = _form(matrix)
     law = {key: float(value) for key, value in claim.law.items()}
     extent = np.sqrt(np.diag(form.covariance)) * _UP + 1e-9
     if extent[2] > 1.5:
-        raise Rejected("the region reaches beyond a heading of 1.5 rad")
+        raise Rejected("the region extends beyond a heading error of 1.5 rad")
     psi_edges, y_edges = np.linspace(-extent[2], extent[2], 17), np.linspace(0, extent[1], 9)
     cells = [g.ravel() for g in np.meshgrid(
         (psi_edges[1:] + psi_edges[:-1]) / 2, (y_edges[1:] + y_edges[:-1]) / 2)]  # fmt: skip
     psi, y = cells
-    # neighbours overlap a little: edges are rounded
+    # neighbouring cells overlap a little, because their edges are rounded
     half = np.array([(psi_edges[1] - psi_edges[0]) / 2, (y_edges[1] - y_edges[0]) / 2]) * _UP + 1e-12
     count = 0
     for depth in range(_DEPTH + 1):
@@ -113,13 +113,13 @@ def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int
             half = half / 2 * _UP + 1e-12
             psi = np.concatenate([psi + i * half[0] for i in (-1, 1) for _ in (0, 1)])
             y = np.concatenate([y + j * half[1] for _ in (0, 1) for j in (-1, 1)])
-    raise Rejected(f"V does not decay at the rate near psi = {psi[0]:.4g}, y_e = {y[0]:.4g}")
+    raise Rejected(f"V does not decay at the claimed rate near psi = {psi[0]:.4g} rad, y_e = {y[0]:.4g} m")
 
 
 def _fails(
     claim: HeadingClaim, law: dict[str, float], form: _Form, psi: Array, y: Array, half: Array, least: Array
 ) -> Array:
-    """Which cells have a vertex whose V̇ + a V is not shown to be negative."""
+    """Return for each cell whether V̇ + a V < 0 is not shown at one of its vertices."""
     go_on()
     ranges = {key: (float(low), float(high)) for key, (low, high) in claim.ranges.items()}
     limits = {key: float(value) for key, value in claim.limits.items()}
@@ -139,13 +139,13 @@ def _fails(
     share_u = _share(left, velocity_gain * np.maximum(most(surge[0]), most(surge[1])))
     share_v, share_r = _share(limits["sway_n"], velocity_gain * side), _share(limits["yaw_nm"], most(at.yaw))
     bound = 2 * (share_u < 1) + (share_r < 1)
-    if np.any(bound != bound[0]):  # cells without saturation have fewer vertices: apart
+    if np.any(bound != bound[0]):  # cells without saturation have fewer vertices: treat them separately
         split = np.empty(len(psi), dtype=bool)
         for kind in np.unique(bound):
             k = bound == kind
             split[k] = _fails(claim, law, form, psi[k], y[k], half, least[k])
         return split
-    # secants of |u| u from v: at least 0.828 v wherever u is, at least 2 v − |δu|
+    # secant slopes of |u| u from v: at least 0.828 v for every u, and at least 2 v − |δu|
     slow = ranges["surge_linear"][0] + ranges["surge_quadratic"][0] * np.maximum(0.828 * v, 2 * v - fast) / _UP
     quick = (ranges["surge_linear"][1] + ranges["surge_quadratic"][1] * (2 * v + fast)) * _UP
     sway = [ranges["sway_linear"][0] + 0 * side, (ranges["sway_linear"][1] + ranges["sway_quadratic"][1] * side) * _UP]
@@ -157,7 +157,7 @@ def _fails(
     still = _part(form, constant(np.broadcast_to(_KINEMATIC, (len(psi), 6, 6))))
     own_rate = float(claim.rate) * (form.change @ form.p @ form.change.T)
     failed = np.zeros(len(psi), dtype=bool)
-    # sway's thrust and drag are one number: (φ_v m k + σ_v) v
+    # sway thrust and sway drag add up to one coefficient: (φ_v m k + σ_v) v
     abeam = [velocity_gain * share_v + sway[0], velocity_gain + sway[1]]
     moves = product(sorted(set(ranges["mass_kg"])), at.place, _pair(share_u), (slow, quick), abeam)
     for mass, place, pu, du, held in moves:
@@ -171,14 +171,14 @@ def _fails(
             mid, tilt, tip = (-(still[n][k] + moved[n] + turned[n][k]) for n in range(3))
             off = still[3][k] + moved[3] + turned[3][k] + _ROUNDING * float(claim.rate)
             mid -= own_rate + off[:, None, None] * np.eye(6)
-            # affine over the cell: its corners decide
+            # the matrix is affine over the cell, so its corners decide
             for i, j in product((1, -1), (1, -1)):
                 failed[k] |= ~_positive(mid + i * tilt + j * tip)
     return failed
 
 
 def _product(column: Plane, row: Plane) -> Plane:
-    """column rowᵀ (n, 6, 6)."""
+    """Return the outer products column rowᵀ (n, 6, 6)."""
     return column.at(np.s_[:, :, None]) * row.at(np.s_[:, None, :])
 
 
@@ -187,7 +187,7 @@ _KINEMATIC[0, 3] = _KINEMATIC[1, 4] = _KINEMATIC[2, 5] = 1
 
 
 def _part(form: _Form, loop: Plane) -> tuple[Array, Array, Array, Array]:
-    """T (P A + Aᵀ P) Tᵀ (n, 6, 6): middle and both slopes over the cell, and its error in the spectral norm (n,)."""
+    """Return T (P A + Aᵀ P) Tᵀ (n, 6, 6): middle, both slopes over the cell, and error in the spectral norm (n,)."""
     t = form.change
     halves = []
     for part in (loop.mid, loop.psi, loop.y):
@@ -195,14 +195,14 @@ def _part(form: _Form, loop: Plane) -> tuple[Array, Array, Array, Array]:
         halves.append(half + half.transpose(0, 2, 1))
     weight, side = np.abs(t) @ np.abs(form.p), np.abs(t).T
     spread = weight @ (loop.radius + _ROUNDING * (np.abs(loop.mid) + loop.spread)) @ side
-    # |X + Xᵀ| is at most the sum of X's largest row and largest column
+    # ‖X + Xᵀ‖ is at most the largest row sum plus the largest column sum of |X|
     off = spread.sum(axis=2).max(axis=1) + spread.sum(axis=1).max(axis=1)
     return halves[0], halves[1], halves[2], off * _UP + 1e-12
 
 
 def _positive(m: Array) -> NDArray[np.bool_]:
-    """Whether Cholesky's pivots (n, k, k) are all above 0."""
-    # entries first, cells last: every step runs over whole rows of memory
+    """Return for each matrix (n, k, k) whether all Cholesky pivots are positive."""
+    # one array for each matrix entry, so that every step runs over contiguous memory
     n = m.shape[1]
     a = {(i, j): m[:, i, j] for i in range(n) for j in range(i + 1)}
     good = np.ones(len(m), dtype=bool)

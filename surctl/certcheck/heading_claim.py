@@ -1,4 +1,4 @@
-"""What a certificate of the heading-steered loop claims, read strictly."""
+"""The claim of a certificate of the heading-steered loop, read strictly: no key is missing or unknown."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["EXCLUDES", "HeadingClaim", "read_claim"]
 Pair = tuple[Fraction, Fraction]
 
 EXCLUDES = (
-    "straight leg of the path, the target moving along it at the cruise speed",
-    "surge and sway have the same mass; no coupling of heave, roll or pitch",
-    "the surge command (11) as printed: of either sign, without a speed cap",
-    "the law is the paper's, steered by heading; the law that is exported steers by velocity",
-    "no obstacle, wall or unknown place; no row of the priority problem is active",
-    "pose and velocity as measured are the true ones; thrust without lag, commands not held",
-    "water at rest, no waves, no thrust bias",
+    "the path is one straight leg, and its target moves along it at the cruise speed",
+    "surge and sway have the same mass; heave, roll and pitch are not coupled to the other motions",
+    "the surge command is (11) as printed: it may have either sign and has no speed cap",
+    "the law is the paper's, which steers by heading; the exported law steers by velocity",
+    "there is no obstacle, wall or unknown area; no inequality constraint of the priority problem is active",
+    "measured pose and velocity are exact; thrust has no lag, and commands are not held for a control period",
+    "the water is at rest; there are no waves and no thrust bias",
 )
-"""What the claim leaves out, word for word."""
+"""Restrictions of the claim; a certificate repeats them word for word."""
 
 _RANGES = (
     "mass_kg", "heave_mass_kg", "yaw_inertia_kg_m2", "surge_linear", "surge_quadratic", "sway_linear",
@@ -39,18 +39,18 @@ _LAW = (
 
 @dataclass(frozen=True)
 class HeadingClaim:
-    """The claim; SI units.
+    """The claim about the heading-steered loop; SI units.
 
     Attributes:
-        ranges: (least, largest) of each true number of the vehicle, by the name in the certificate.
+        ranges: (least, largest) of each true vehicle parameter, by its name in the certificate.
         limits: least thrust limit of each axis.
-        law: what the law believes, and its gains.
-        rate: a of V̇ ≤ −a V [1/s].
-        offset: |y_e| [m] in the region with x_e = 0, the heading along the path and the target's velocity.
-        beside: the same |y_e| at the place x* along the path where it comes to rest.
-        extent: |x|, |y| [m] and |ψ| [rad] that some point of the region has.
-        depth: |z_e| [m] in the region with no heave velocity.
-        ultimate_bound: largest |x_e| [m] where it comes to rest; y_e, z_e and ψ go to 0.
+        law: mass and drag in the law's model, and the law's gains.
+        rate: decay rate a of V̇ ≤ −a V [1/s].
+        offset: |y_e| [m] that lies in the region at x_e = 0, with the heading along the path and the target's velocity.
+        beside: |y_e| [m] that lies in the region at x_e = x*, where the vehicle comes to rest.
+        extent: |x|, |y| [m] and |ψ| [rad], each attained at some point of the region.
+        depth: |z_e| [m] that lies in the region at zero heave velocity.
+        ultimate_bound: largest |x_e| [m] at rest; y_e, z_e and ψ go to 0.
     """
 
     ranges: Mapping[str, Pair]
@@ -65,7 +65,7 @@ class HeadingClaim:
 
     @property
     def velocity_gain(self) -> Fraction:
-        """m k of the law [N s/m]."""
+        """Velocity gain m k of the law [N s/m]."""
         return self.law["mass_kg"] * self.law["k"]
 
     @property
@@ -85,18 +85,18 @@ class HeadingClaim:
 
 
 def read_claim(claim: Any) -> HeadingClaim:
-    """The claim of a certificate.
+    """Return the claim of a certificate.
 
     Raises:
-        Rejected: a key is missing or unknown, a number is of the wrong kind or sign, or the exclusions differ.
+        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the restrictions differ.
     """
     top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle"), "claim")
     if top["system"] != "heading":
         raise Rejected(f"claim.system {top['system']!r} is not known; known: heading")
     if top["excludes"] != list(EXCLUDES):
-        raise Rejected("claim.excludes is not what this claim leaves out")
+        raise Rejected("claim.excludes differs from the text that this checker expects")
     if not isinstance(top["sha256_vehicle"], str) or not re.fullmatch("[0-9a-f]{64}", top["sha256_vehicle"]):
-        raise Rejected("claim.sha256_vehicle is no SHA-256")
+        raise Rejected("claim.sha256_vehicle is not a SHA-256")
     vehicle = record(top["vehicle"], (*_RANGES, "limits"), "claim.vehicle")
     limits = record(vehicle["limits"], _LIMITS, "claim.vehicle.limits")
     law = record(top["law"], _LAW, "claim.law")
@@ -111,7 +111,7 @@ def read_claim(claim: Any) -> HeadingClaim:
         inertial = key.endswith(("_kg", "_m2"))
         low, high = (number(entry, f"claim.vehicle.{key}", above=inertial) for entry in pair)
         if low > high:
-            raise Rejected(f"claim.vehicle.{key}: the least exceeds the largest")
+            raise Rejected(f"claim.vehicle.{key}: the least value exceeds the largest")
         ranges[key] = (low, high)
     extent = motion["extent"]
     if not isinstance(extent, list) or len(extent) != 3:

@@ -1,7 +1,8 @@
-"""The heading-steered law and the vehicle written out once more, against the rows that are proved.
+"""A second implementation of the heading-steered law and the vehicle, compared with the rows that the proof uses.
 
-At sampled places, headings and vehicles the derivative of the whole loop must be A ξ with φ = 1 and the drag's true
-secants, to rounding. It does not replace the derivation; a slip of sign, frame or factor in it shows here.
+At sampled positions, headings and vehicles the derivative of the whole loop must equal A ξ, with φ = 1 and the true
+secants of the drag, up to rounding. The comparison does not replace the derivation, but it reveals a wrong sign, frame
+or factor.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ __all__ = ["Boat", "check_identity", "commanded_thrust", "true_rate"]
 _SAMPLES = 8
 
 Boat = dict[str, float]
-"""One true vehicle: the keys of the ranges."""
+"""Parameters of one true vehicle, with the keys of `HeadingClaim.ranges`."""
 
 
 def commanded_thrust(law: dict[str, float], state: list[float]) -> tuple[float, float, float]:
-    """Surge, sway [N] and yaw [N m] of (11), (12) and the velocity loops at (x_e, y_e, ψ, u, v, r); no limits."""
+    """Return unlimited surge, sway [N] and yaw [N m] of (11), (12) and the velocity loops at (x_e, y_e, ψ, u, v, r)."""
     x_e, y_e, psi, u, v, r = state
     q = math.hypot(y_e, law["lookahead"])
     desired = (law["cruise"] - law["k1"] * x_e) * q / law["lookahead"]
@@ -38,7 +39,7 @@ def commanded_thrust(law: dict[str, float], state: list[float]) -> tuple[float, 
 
 
 def true_rate(law: dict[str, float], boat: Boat, state: list[float], thrust: tuple[float, ...]) -> list[float]:
-    """d/dt of (x_e, y_e, ψ, u, v, r) by (2), (3) under this thrust."""
+    """Return d/dt of (x_e, y_e, ψ, u, v, r) by (2), (3) under this thrust."""
     _, _, psi, u, v, r = state
     m = boat["mass_kg"]
     c, s = math.cos(psi), math.sin(psi)
@@ -57,10 +58,10 @@ def true_rate(law: dict[str, float], boat: Boat, state: list[float], thrust: tup
 
 
 def check_identity(claim: HeadingClaim, draw: random.Random) -> None:
-    """Compare the law and the vehicle with A ξ at sampled places.
+    """Compare the derivative of law and vehicle with A ξ at sampled points.
 
     Raises:
-        Rejected: they differ.
+        Rejected: the two derivatives differ.
     """
     law = {key: float(value) for key, value in claim.law.items()}
     v, velocity_gain = law["cruise"], float(claim.velocity_gain)
@@ -80,7 +81,7 @@ def check_identity(claim: HeadingClaim, draw: random.Random) -> None:
         at = rows(law, (command, command), np.array([psi]), np.array([state[1]]), none)
         fast, side = float(at.surge.mid[0] @ xi), float(at.sway.mid[0] @ xi)
         if abs(fast - (state[3] - v)) > 1e-9 or abs(side - state[4]) > 1e-9:
-            raise Rejected("the rows of the velocity are not the vehicle's at a sampled place")
+            raise Rejected("the velocity rows differ from the vehicle's velocity at a sampled point")
         u, w = state[3], state[4]
         lost = boat["surge_linear"] * fast + boat["surge_quadratic"] * (u * abs(u) - v * v)
         ahead = velocity_gain * (float(at.place[0].mid[0] @ xi) - fast) - lost
@@ -89,4 +90,4 @@ def check_identity(claim: HeadingClaim, draw: random.Random) -> None:
         spin = float(at.yaw.mid[0] @ xi) - boat["yaw_linear"] * r - boat["yaw_quadratic"] * r * abs(r)
         own = [*xi[3:], moved[3], moved[4], spin / boat["yaw_inertia_kg_m2"]]
         if max(abs(a - b) for a, b in zip(expected, own, strict=True)) > 1e-9:
-            raise Rejected("the inclusion is not the loop at a sampled place")
+            raise Rejected("the linear inclusion differs from the true loop at a sampled point")

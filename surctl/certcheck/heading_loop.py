@@ -1,12 +1,12 @@
-"""The heading-steered loop over cells of (ψ, y_e): rows as planes over the cell with radii, in double precision.
+"""The heading-steered loop over cells of (ψ, y_e): rows that are affine up to an error radius, in doubles.
 
 With m11 = m22 the Coriolis force vanishes in the path frame, ξ = (x − x*, y, ψ, U_x − v, U_y, r), and
     m U̇ = e1(ψ) (φ_u f_u − σ_u δu) + e2(ψ) (φ_v f_v − σ_v v),   m44 ṙ = φ_r f_r − σ_r r,
     δu = cos ψ δU_x + sin ψ U_y − v κ ψ,  v = −sin ψ δU_x + cos ψ U_y − v sinc ψ ψ,   κ = (1 − cos ψ)/ψ,
     f_u = m̂ k (−k1 (q/Δ) x + u_c* y²/(Δ (q + Δ)) − δu),  f_v = −m̂ k v,  f_r = −m̂44 k_r (r + k_ψ (ψ + atan(y/Δ))),
-exactly: the trim force T* cancels, and only u_c* = v + (T* − T̂)/(m̂ k) still knows it. σ are secants of the drag, φ
-what the thrust limits leave. Every coefficient of ξ is a smooth function of ψ or of y: its tangent and a bound on its
-second derivative hold it over a cell.
+exactly. The trim force T* cancels and remains only in u_c* = v + (T* − T̂)/(m̂ k). σ are secants of the drag, and φ are
+the shares of the command that the thrust limits leave. Every coefficient of ξ is a smooth function of ψ or of y: its
+tangent and a bound on its second derivative enclose it over a cell.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ __all__ = ["Plane", "Rows", "constant", "rows"]
 
 Array = NDArray[np.float64]
 
-_TINY = 1e-12  # more than any rounding of an entry of order 1, relative
+_TINY = 1e-12  # above the relative rounding error of every entry of order 1
 
 
 @dataclass(frozen=True)
 class Plane:
-    """Functions over a cell, entry by entry: mid + a psi + b y for a, b in [−1, 1], and no further off than radius."""
+    """Functions over a cell, entry by entry: mid + a psi + b y for a, b in [−1, 1], with an error of at most radius."""
 
     mid: Array
     psi: Array
@@ -36,7 +36,7 @@ class Plane:
 
     @property
     def spread(self) -> Array:
-        """Largest distance from `mid`."""
+        """Largest distance of a value in the cell from `mid`."""
         return np.asarray((np.abs(self.psi) + np.abs(self.y) + self.radius) * (1 + _TINY))
 
     def __add__(self, other: Plane) -> Plane:
@@ -60,23 +60,23 @@ class Plane:
         )
 
     def times(self, factor: float | Array) -> Plane:
-        """The product with exact numbers."""
+        """Return the product with exact numbers."""
         mid = self.mid * factor
         return Plane(mid, self.psi * factor, self.y * factor, self.radius * np.abs(factor) + _TINY * np.abs(mid))
 
     def at(self, index: Any) -> Plane:
-        """The entries of an index."""
+        """Return the entries that an index selects."""
         return Plane(self.mid[index], self.psi[index], self.y[index], self.radius[index])
 
 
 def constant(value: Array) -> Plane:
-    """The same everywhere."""
+    """Return a plane with the same value everywhere in the cell."""
     return Plane(value, 0 * value, 0 * value, 0 * value)
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows (n cells, 6) of δu, v, f_u/(m̂ k) + δu (for either end of u_c*), f_r; e1, e2 as columns of the rate."""
+    """Rows (n cells, 6) of δu, v, f_u/(m̂ k) + δu (for both ends of u_c*) and f_r; e1 and e2 as columns of ξ̇."""
 
     surge: Plane
     sway: Plane
@@ -87,7 +87,7 @@ class Rows:
 
 
 def rows(law: Mapping[str, float], commands: tuple[float, float], psi: Array, y: Array, half: Array) -> Rows:
-    """The rows over cells psi ± half[0], y ± half[1] with middles (n,), |ψ| ≤ π/2."""
+    """Return the rows over the cells psi ± half[0], y ± half[1] with centres psi and y (n,), for |ψ| ≤ π/2."""
     n, ahead, v = len(psi), law["lookahead"], law["cruise"]
     zero = np.zeros(n)
 
@@ -99,7 +99,7 @@ def rows(law: Mapping[str, float], commands: tuple[float, float], psi: Array, y:
 
     c, s = np.cos(psi), np.sin(psi)
     cos, sin = turning(c, -s, 1.0), turning(s, c, 1.0)
-    # ∫ cos(tψ) dt and ∫ sin(tψ) dt over t in [0, 1]: second derivatives ≤ 1/3; by their series where ψ is small
+    # ∫ cos(tψ) dt and ∫ sin(tψ) dt over t in [0, 1]: second derivatives ≤ 1/3; their series is used for small ψ
     flat = np.abs(psi) < 1e-4
     by = np.where(flat, 1.0, psi)
     mean = np.where(flat, 1 - psi * psi / 6, s / by)

@@ -1,9 +1,8 @@
 """Exact identities between expressions: two are equal if the difference of their fractions is the polynomial 0.
 
-Every angle is taken apart down to single terms, so that sines and cosines of sums need no rule of their own beyond
-the product of unit complex numbers; used besides are sqrt(p)² = p, sin² = 1 − cos², and the sides of the triangle
-behind atan2 and acos. An identity holds wherever both sides are defined, given the positive quantities that
-`Exact.assumed` lists.
+Every angle is split into single terms; sines and cosines of sums then follow from the product of unit complex numbers.
+The other rules are sqrt(p)² = p, sin² = 1 − cos², and the sides of the triangle behind atan2 and acos. An identity
+holds wherever both sides are defined and the polynomials in `Exact.assumed` are positive.
 """
 
 from __future__ import annotations
@@ -21,45 +20,45 @@ __all__ = ["Exact", "Fraction_"]
 Term = tuple[tuple[str, int], ...]
 Sum = dict[Term, Fraction]
 Fraction_ = tuple[Sum, Sum]
-"""(over, under)."""
+"""A fraction of polynomials: (numerator, denominator)."""
 
-_MOST = 3000  # terms of a polynomial
-_HELD = 400_000  # terms of all that are kept
-_BITS = 4096  # of a coefficient, over and under
-_LONGEST = 20_000  # characters of an atom's name
+_MOST = 3000  # most terms of a polynomial
+_HELD = 400_000  # most terms of all stored polynomials
+_BITS = 4096  # most bits of a coefficient's numerator or denominator
+_LONGEST = 20_000  # most characters of an atom's name
 _TOO_LARGE = "an identity is too large to be checked"
 _ONE: Sum = {(): Fraction(1)}
 
 
 class Exact:
-    """Expressions of one sheet as fractions of polynomials in named atoms.
+    """Expressions of one table as fractions of polynomials in named atoms.
 
     Attributes:
-        assumed: polynomials that must be positive for what was concluded.
+        assumed: polynomials that must be positive for the identities to hold.
     """
 
     def __init__(self, expressions: ExpressionTable) -> None:
         self._expressions = expressions
         self._values: dict[int, Fraction_] = {}
         self._held = 0
-        self._inside: dict[str, Sum] = {}  # what stands under a root
-        self._angles: dict[str, tuple[Fraction_, Fraction_]] = {}  # cosine and sine of inverse angles
+        self._inside: dict[str, Sum] = {}  # radicand of each root, by its atom
+        self._angles: dict[str, tuple[Fraction_, Fraction_]] = {}  # cosine and sine of each atan2 and acos
         self.assumed: list[Sum] = []
 
     def equal(self, a: int, b: Callable[[Exact], Fraction_]) -> bool:
-        """Whether the expression at `a` equals what `b` builds."""
+        """Whether the expression at `a` equals the fraction that `b` builds."""
         p, q = self.of(a), b(self)
         return not self.plus(self.mul(p[0], q[1]), self.mul(q[0], p[1]), -1)
 
     def under_root(self, atom: str) -> Sum:
-        """What stands under the root that an atom names."""
+        """Return the polynomial under the root that an atom names."""
         return self._inside[atom]
 
     # ---- polynomials
 
     @staticmethod
     def plus(a: Sum, b: Sum, factor: Fraction | int = 1) -> Sum:
-        """a + factor b."""
+        """Return the polynomial a + factor b."""
         out = dict(a)
         for term, number in b.items():
             if term not in out:
@@ -73,7 +72,7 @@ class Exact:
         return out
 
     def mul(self, a: Sum, b: Sum) -> Sum:
-        """a b, roots and sines to the first power at most."""
+        """Return the polynomial a b, with roots and sines in the first power at most."""
         if len(a) * len(b) > _MOST * 4:
             raise Rejected(_TOO_LARGE)
         out: Sum = {}
@@ -109,17 +108,17 @@ class Exact:
     # ---- fractions
 
     def add(self, a: Fraction_, b: Fraction_, factor: int = 1) -> Fraction_:
-        """a + factor b."""
+        """Return the fraction a + factor b."""
         if a[1] == b[1]:
             return self.plus(a[0], b[0], factor), a[1]
         return self.plus(self.mul(a[0], b[1]), self.mul(b[0], a[1]), factor), self.mul(a[1], b[1])
 
     def times(self, a: Fraction_, b: Fraction_) -> Fraction_:
-        """a b."""
+        """Return the fraction a b."""
         return self.mul(a[0], b[0]), self.mul(a[1], b[1])
 
     def of(self, root: int) -> Fraction_:
-        """The fraction of an expression."""
+        """Return the expression at position `root` as a fraction."""
         for at in self._expressions.needed([root]):
             if at not in self._values:
                 go_on()
@@ -165,24 +164,24 @@ class Exact:
                 return self._inverse_angle("atan2", args[0], (_ONE, _ONE))
             case "atan2" | "acos":
                 return self._inverse_angle(entry.op, *args)
-            case _:  # a branch that was not chosen is an unknown of its own
+            case _:  # a branch without a choice is a new unknown
                 return {((f"b{at}", 1),): Fraction(1)}, _ONE
 
     @staticmethod
     def _flipped(a: Fraction_) -> Fraction_:
         if not a[0]:
-            raise Rejected("a division by what is identically 0")
+            raise Rejected("a division by an expression that is identically 0")
         return a[1], a[0]
 
     def _root(self, a: Fraction_) -> Fraction_:
-        """√(p/q) = √(p q)/q for q > 0, without the square of a number."""
+        """Return √(p/q) = √(p q)/q for q > 0; a square factor of the coefficients is taken out of the root."""
         if not a[0]:
             return a
         inside = self.mul(a[0], a[1])
         if set(a[1]) != {()}:
             self.assumed.append(a[1])
         elif a[1][()] < 0:
-            raise Rejected("a root over a negative number")
+            raise Rejected("a root of a fraction with a negative denominator")
         lead = abs(inside[max(inside, key=lambda t: (sum(e for _, e in t), t))])
         p, q = isqrt(lead.numerator), isqrt(lead.denominator)
         scale = Fraction(p, q) if p * p == lead.numerator and q * q == lead.denominator else Fraction(1)
@@ -209,7 +208,7 @@ class Exact:
         return {((atom, 1),): Fraction(1)}, _ONE
 
     def _circle(self, angle: Fraction_) -> tuple[Fraction_, Fraction_]:
-        """(cos, sin) by multiplying the unit numbers of the angle's terms."""
+        """Return (cos, sin) of an angle as the product of the unit complex numbers of its terms."""
         over, under = angle
         if set(under) != {()}:
             return self._unit(_spelled(over) + " over " + _spelled(under), 1)
@@ -245,7 +244,7 @@ class Exact:
 
 
 def _spelled(a: Sum) -> str:
-    """One text for equal polynomials."""
+    """Return a text that is the same for equal polynomials."""
     text = "+".join(f"{x}" + "".join(f"*{k}^{e}" for k, e in t) for t, x in sorted(a.items()))
     if len(text) > _LONGEST:
         raise Rejected(_TOO_LARGE)

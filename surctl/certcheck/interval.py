@@ -1,13 +1,14 @@
-"""Checks a certificate of kind `interval`: an inequality left ≤ right + slack on a box, by cases and halved boxes.
+"""Check of a certificate of kind `interval`: an inequality left ≤ right + slack on a box, by cases and halved boxes.
 
-Keys beside the frame: `cases`, each with `choice` (which of its two expressions every abs, max, min, select is),
-`numerator`, `denominators`, `multipliers` (margin = numerator / Π denominators + Σ multiplier · constraint),
-`tree` (preorder; a capital or digit halves in that variable, at 0 where 0 lies inside; a small letter names the rule
-that settles the box) and `points` (where the tangents of the rule `c` touch). All choices must be there, and a tree
-is complete or rejected, so that what is covered needs no trust. The statement in words is not checked.
+Besides the common keys it has `cases`. Each case has a `choice` (which of its two expressions each abs, max, min and
+select takes), `numerator`, `denominators` and `multipliers` (margin = numerator / Π denominators + Σ multiplier ·
+constraint), a `tree` (preorder; a capital letter or digit halves the box in that variable, at 0 if 0 lies inside; a
+small letter names the rule that decides the box), and `points` (where the tangents of the rule `c` touch). The cases
+must cover all choices, and an incomplete tree is rejected, so that the domain is covered without trust in the file. The
+statement in words is not checked.
 
-A number of the claim is the decimal that is printed; the ends of a box are rounded outward to the decimal and to its
-double, so that both readings are covered. A variable of no width is the decimal and nothing else.
+A number of the claim means its printed decimal. The ends of a box are rounded outward to contain the decimal and its
+double, so that both readings are covered. A variable of zero width is exactly its decimal.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ _CLAIM = {"name", "statement", "unit", "variables", "left", "right", "constraint
 _CASE = {"choice", "numerator", "denominators", "multipliers", "tree", "points"}
 _DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _MOST_BRANCHES = 12
-_DEEPEST = 10_000  # boxes that wait
-_WHOLE = 2**53  # a larger whole number may be no double
+_DEEPEST = 10_000  # most boxes that wait to be checked
+_WHOLE = 2**53  # a larger integer may not be a double
 
 Box = list[tuple[float, float]]
 
@@ -66,21 +67,21 @@ class _Claim:
     def __init__(self, document: Mapping[str, Any]) -> None:
         claim = document["claim"]
         if set(claim) != _CLAIM or set(document) != {"format", "version", "kind", "claim", "cases", "sha256"}:
-            raise Rejected("keys are missing or unknown")
+            raise Rejected("the certificate has missing or unknown keys")
         variables = claim["variables"]
         names = [v["name"] for v in variables]
         if not names or len(set(names)) < len(names) or len(names) > len(_DIMENSIONS):
-            raise Rejected("the variables are none, too many, or not different")
+            raise Rejected(f"the claim must have 1 to {len(_DIMENSIONS)} variables with different names")
         for name in names:
             if not isinstance(name, str) or not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
-                raise Rejected(f"{name!r} is no name of a variable: letters A-Z and a-z, digits and _ only")
+                raise Rejected(f"{name!r} is not a name of a variable: use letters A-Z and a-z, digits and _ only")
             if name == "pi" or name in FUNCTIONS:
                 raise Rejected(f"the variable {name!r} has the name of a number or a function")
         for word in (claim["name"], claim["unit"], *(v["unit"] for v in variables)):
             if not isinstance(word, str) or not word.isprintable():
-                raise Rejected(f"{word!r} is no name or unit that can be printed")
+                raise Rejected(f"{word!r} is not a name or unit that can be printed")
         if any(set(v) != {"name", "unit", "lower", "upper"} for v in variables):
-            raise Rejected("a variable has keys that are missing or unknown")
+            raise Rejected("a variable has missing or unknown keys")
         self.box: Box = [(_number(v["lower"]), _number(v["upper"])) for v in variables]
         if any(low > high for low, high in self.box):
             raise Rejected("a variable's lower end lies above its upper end")
@@ -94,7 +95,7 @@ class _Claim:
         self.everywhere = self._defined(self.box)
 
     def _substituted(self, roots: Sequence[int]) -> list[int]:
-        """A variable of no width is the decimal number that it is."""
+        """Replace each variable of zero width by its decimal number."""
 
         def change(at: int, _: tuple[int, ...]) -> int | None:
             entry = self.expressions.entries[at]
@@ -106,7 +107,7 @@ class _Claim:
         return self.expressions.rewritten(roots, change)
 
     def _defined(self, box: Box) -> bool:
-        """Whether the claim as it is written is defined on a box."""
+        """Whether both sides and all constraints, as written, are defined on a box."""
         try:
             enclose(self.expressions, self.parts, [span(*ends) for ends in box])
         except Undefined:
@@ -114,7 +115,7 @@ class _Claim:
         return True
 
     def check(self) -> None:
-        """All choices, each once; each case."""
+        """Check that the cases cover every choice exactly once, and check each case."""
         branches = self._branches()
         choices = [case["choice"] for case in self.cases]
         if choices != [""]:
@@ -122,16 +123,16 @@ class _Claim:
                 raise Rejected("too many cases")
             expected = {format(k, f"0{len(branches)}b") for k in range(2 ** len(branches))} if branches else {""}
             if set(choices) != expected or len(choices) != len(expected):
-                raise Rejected("the cases are not all choices, each once")
+                raise Rejected("the cases do not cover every choice exactly once")
         for case in self.cases:
             go_on()
             if set(case) != _CASE:
-                raise Rejected("a case has keys that are missing or unknown")
+                raise Rejected("a case has missing or unknown keys")
             picked = dict(zip(branches, case["choice"], strict=True)) if case["choice"] else {}
             _CaseOf(self, case, picked).check()
 
     def _branches(self) -> list[int]:
-        """Distinct abs, max, min and select in the order of reading left, right and the constraints."""
+        """Return the distinct abs, max, min and select entries, in their order in left, right and constraints."""
         met, visited, waiting = list[int](), set[int](), list(reversed(self.parts))
         while waiting:
             at = waiting.pop()
@@ -158,7 +159,7 @@ class _CaseOf:
             raise Rejected("the tree is not a text")
 
     def _chosen(self, picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
-        """The claim's parts with every branch chosen, and the conditions (≤ 0) of the choices."""
+        """Return the claim's parts with every branch chosen, and the conditions (≤ 0) under which the choices hold."""
         put, conditions = self.expressions.put, dict[int, int]()
 
         def change(at: int, args: tuple[int, ...]) -> int | None:
@@ -177,7 +178,7 @@ class _CaseOf:
         return chosen, [conditions[at] for at in picked]
 
     def check(self) -> None:
-        """Signs, identity, and every leaf of the tree."""
+        """Check the signs, the identity and every leaf of the tree."""
         root = [span(*ends) for ends in self.claim.box]
         for jet in enclose(self.expressions, self.denominators, root):
             if not above(jet.value):
@@ -188,12 +189,12 @@ class _CaseOf:
         self._identity()
         self._leaves()
         if self.points:
-            raise Rejected("points are left over")
+            raise Rejected("the certificate has more tangent points than it needs")
 
     def _identity(self) -> None:
         """margin = numerator / Π denominators + Σ multiplier · constraint."""
         if len(self.multipliers) != len(self.constraints):
-            raise Rejected("there is not one multiplier for each constraint")
+            raise Rejected("the numbers of multipliers and constraints differ")
         pairs = [(m, c) for m, c in zip(self.multipliers, self.constraints, strict=True) if not self._is_zero(m)]
         if not pairs and not self.denominators and self.numerator == self.margin:
             return
@@ -212,14 +213,14 @@ class _CaseOf:
             raise Rejected("numerator, denominators and multipliers do not make up the claim")
         for poly in exactly.assumed:
             if not above(_range(poly, exactly, self.claim.box)):
-                raise Rejected("what stands under a root has a denominator of unknown sign")
+                raise Rejected("a fraction under a root has a denominator of unknown sign")
 
     def _is_zero(self, at: int) -> bool:
         entry = self.expressions.entries[at]
         return entry.op == "num" and entry.value == 0
 
     def _leaves(self) -> None:
-        """Walk the tree; its text must end exactly where its last leaf does."""
+        """Check every leaf of the tree; the text must end exactly at the last leaf."""
         waiting: list[Box] = [list(self.claim.box)]
         for letter in self.tree:
             if not waiting:
@@ -232,7 +233,7 @@ class _CaseOf:
                 self._leaf(letter, box)
                 continue
             if at >= len(box):
-                raise Rejected(f"the tree halves in variable {at}, which is not there")
+                raise Rejected(f"the tree halves in variable {at}, which does not exist")
             low, high = box[at]
             cut = 0.0 if low < 0 < high else _middle(low, high)
             waiting += [[*box[:at], (cut, high), *box[at + 1 :]], [*box[:at], (low, cut), *box[at + 1 :]]]
@@ -247,12 +248,12 @@ class _CaseOf:
             good = any(self._excluded(c, wide, box) for c in self.constraints)
         elif rule in ("n", "m", "c"):
             if not (self.claim.everywhere or self.claim._defined(box)):
-                raise Rejected(f"the claim is not defined on the whole of a box: {_box_text(box)}")
+                raise Rejected(f"the claim is not defined everywhere on a box: {_box_text(box)}")
             good = {"n": self._natural, "m": self._mean, "c": self._tangent}[rule](box, wide)
         else:
-            raise Rejected(f"{rule!r} is not a rule")
+            raise Rejected(f"{rule!r} is not a rule for a box")
         if not good:
-            raise Rejected(f"rule {rule!r} does not settle a box: {_box_text(box)}")
+            raise Rejected(f"rule {rule!r} does not decide a box: {_box_text(box)}")
 
     def _excluded(self, constraint: int, wide: list[Interval], box: Box | None) -> bool:
         """Whether a constraint is positive on the whole box, by its value or by its mean-value form."""
@@ -266,7 +267,7 @@ class _CaseOf:
             return False
 
     def _linear(self, at: int, jet: Jet, box: Box, centre: Sequence[float]) -> Interval:
-        """Value at a point plus slopes times offsets."""
+        """Return the range of a mean-value form: value at the centre plus slopes times offsets."""
         total = enclose(self.expressions, [at], [exact(c) for c in centre])[0].value
         for slope, (low, high), c in zip(jet.slope or [], box, centre, strict=True):
             if slope is not None:
@@ -285,7 +286,7 @@ class _CaseOf:
         return self._small(enclose(self.expressions, [self.numerator], wide)[0].value, wide)
 
     def _face(self, box: Box, wide: list[Interval]) -> tuple[Jet, Box, list[bool]]:
-        """Slopes on the box, and its part where every variable of monotone influence is at its worse end."""
+        """Return slopes on the box, its face with monotone variables at their worse end, and which ones stay free."""
         jet = enclose(self.expressions, [self.numerator], wide, order=1)[0]
         face, free = Box(), []
         for slope, (low, high) in zip(jet.slope or [], box, strict=True):
@@ -306,15 +307,15 @@ class _CaseOf:
         return self._small(self._linear(self.numerator, jet, face, centre), wide)
 
     def _tangent(self, box: Box, wide: list[Interval]) -> bool:
-        """Concave on the face, and the tangent at a point of the face is small enough on it."""
+        """Whether the numerator is concave on the face and a tangent at a point of the face is small enough on it."""
         _, face, free = self._face(box, wide)
         point = [_number(x) for x in _listed(self.points.pop())]
         if len(point) != len(face) or any(not low <= x <= high for x, (low, high) in zip(point, face, strict=True)):
-            raise Rejected("a tangent does not touch in its box")
+            raise Rejected("a tangent point does not lie in its box")
         bend = enclose(self.expressions, [self.numerator], [span(*e) for e in face], order=2)[0].bend
         if not _bends_down(bend or [], free):
             return False
-        # a variable at its worse end is an end and its decimal: any of them, while the free ones are concave
+        # a variable at its worse end may be the double or its decimal; the free variables are concave for both
         touching = [exact(x) if is_free else span(*e) for x, is_free, e in zip(point, free, face, strict=True)]
         at = enclose(self.expressions, [self.numerator], touching, order=1)[0]
         total = at.value
@@ -325,7 +326,7 @@ class _CaseOf:
 
 
 def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
-    """Whether every symmetric matrix within −bend is positive definite on the free variables but for zero rows."""
+    """Whether each symmetric matrix in −bend is positive definite on the free variables, apart from zero rows."""
     among = [k for k, is_free in enumerate(free) if is_free]
     keep = [k for k in among if not all(bend[k][j] is None or is_zero(bend[k][j]) for j in among)]
     m = [[None if bend[i][j] is None else libmp.mpi_neg(bend[i][j]) for j in keep] for i in keep]
@@ -341,7 +342,7 @@ def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
 
 
 def _range(poly: Sum, exactly: Exact, box: Box) -> Interval:
-    """A coarse range of a polynomial in the atoms of an identity."""
+    """Return a coarse range of a polynomial in the atoms of an identity."""
     total = rational(Fraction(0))
     for term, number in poly.items():
         product = rational(number)
@@ -363,7 +364,7 @@ def _atom_range(atom: str, exactly: Exact, box: Box) -> Interval:
         return span(-1.0, 1.0)
     if atom[:5] in ("acos{", "atan2"):
         return span(-3.2, 3.2)
-    raise Rejected("a sign cannot be checked")
+    raise Rejected("the sign of a denominator under a root cannot be checked")
 
 
 def _listed(value: object) -> list[Any]:
@@ -376,12 +377,12 @@ def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise Rejected(f"{value!r} is not a finite number")
     if isinstance(value, int) and abs(value) > _WHOLE:
-        raise Rejected("a whole number is too large to be held exactly")
+        raise Rejected("an integer is too large to be represented exactly")
     return float(value)
 
 
 def _middle(low: float, high: float) -> float:
-    """Between the ends, whatever their size: a sum of doubles is rounded, not turned round; halves cannot overflow."""
+    """Return a number between the ends; if their sum overflows, the sum of their halves is used."""
     whole = low + high
     return whole / 2 if math.isfinite(whole) else low / 2 + high / 2
 

@@ -1,4 +1,4 @@
-"""How long a check may take: processor time of its thread, so that a busy machine changes no verdict."""
+"""The time limit of a check, as processor time of its thread: a busy machine does not change a verdict."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from surctl.certcheck.document import Rejected
 __all__ = ["PATIENCE", "go_on", "patient"]
 
 PATIENCE = 8.0
-"""Seconds of processor time that the check of a file may take."""
+"""Processor time that the check of a file may take [s]."""
 
 _END: ContextVar[tuple[float, float]] = ContextVar("end", default=(math.inf, math.inf))
 
 
 @contextmanager
 def patient(seconds: float) -> Iterator[None]:
-    """What is checked inside may take so long [s]."""
+    """Limit the processor time of a check inside the `with` block to `seconds` [s]."""
     before = _END.set((time.thread_time() + seconds, seconds))
     try:
         yield
@@ -29,7 +29,7 @@ def patient(seconds: float) -> Iterator[None]:
 
 
 def go_on() -> None:
-    """Raise Rejected when the time is up; every loop whose length a file decides asks here."""
+    """Raise Rejected when the time is up; every loop whose length depends on the file calls this function."""
     end, seconds = _END.get()
     if time.thread_time() > end:
-        raise Rejected(f"it takes more than {seconds:g} s of processor time to check")
+        raise Rejected(f"the check takes more than {seconds:g} s of processor time")

@@ -1,11 +1,12 @@
 """Check of a region certificate: every motion that starts in V ≤ 1 decays at the claimed rate to V ≤ floor.
 
-The claim: whatever the constant true parameters in their ranges, there is a steady cruise ξ*, with x_e* = −ω/k1
-and, in a current, beside the path; V = (ξ − ξ*)ᵀ P (ξ − ξ*); along every motion that is at a control instant in V ≤ 1,
-V(t) ≤ max(e^(−a t) V(0), floor). The levels floor = ℓ_0 < ℓ_1 < … < 1 cut the region into shells, and in each
-V̇ < −a V is proved by one negative definite matrix a vertex of the loop. All of it in exact rational numbers.
+The claim: for all constant true parameters in their ranges there is a steady cruise ξ*, with x_e* = −ω/k1 and, in a
+current, an offset beside the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*), every motion that is in V ≤ 1 at a control instant
+satisfies V(t) ≤ max(e^(−a t) V(0), floor) from then on. The levels floor = ℓ_0 < ℓ_1 < … < 1 divide the region into
+shells; in each shell, one negative definite matrix for each vertex of the loop proves V̇ < −a V. All numbers are exact
+rational numbers, except the bounds of a current in `region_flow`.
 
-With commands that are held, the same of a functional W ≥ V that equals V at the control instants: see
+With held commands, the same is proved for a functional W ≥ V that equals V at the control instants: see
 `region_inclusion`.
 """
 
@@ -31,10 +32,10 @@ _MOST_SHELLS = 40
 
 
 def check(document: Mapping[str, Any]) -> None:
-    """Check a region certificate whose format and hash are in order.
+    """Check a region certificate whose format and hash are verified.
 
     Raises:
-        Rejected: with the first thing that is not proved.
+        Rejected: the certificate does not prove its claim; the message names the first failure.
     """
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
@@ -47,7 +48,7 @@ def check(document: Mapping[str, Any]) -> None:
     covariance, steady = inverse(p), steady_trim(claim)
     _check_offset(claim, p, steady)
     _check_ultimate_bound(claim, covariance, steady, levels[0])
-    # y, U_y, F_y → −y, −U_y, −F_y leaves such a V, and turns r round
+    # the reflection y, U_y, F_y → −y, −U_y, −F_y does not change such a V and changes the sign of r
     mirrored = not any(p[i][j] for i in range(0, len(p), 2) for j in range(1, len(p), 2))
     for k, factors in enumerate(multipliers):
         low, high = levels[k], levels[k + 1]
@@ -56,16 +57,16 @@ def check(document: Mapping[str, Any]) -> None:
             go_on()
             m = rate_matrix(claim, at, p, loop, factors, hold)
             if not is_positive_definite(scaled(Fraction(-1), m)):
-                raise Rejected(f"V does not decay at the rate between levels {float(low):g} and {float(high):g}, "
-                               f"vertex {j}")  # fmt: skip
+                raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and "
+                               f"{float(high):g}, vertex {j}")  # fmt: skip
         check_identity(claim, at, steady, covariance, high, len(p))
 
 
 def _matrix(rows: Any, size: int) -> Matrix:
-    """The symmetric matrix whose lower triangle is given row by row."""
+    """Return the symmetric matrix of a lower triangle given row by row."""
     shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
     if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
-        raise Rejected(f"proof.P must be the lower triangle of {size} rows")
+        raise Rejected(f"proof.P must be a lower triangle with {size} rows")
     lower = [[_signed(entry) for entry in row] for row in rows]
     return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
 
@@ -75,10 +76,10 @@ def _signed(value: Any) -> Fraction:
 
 
 def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[list[Fraction]]]:
-    """Levels from the floor to 1, and the multipliers of each shell."""
+    """Return the levels from the floor to 1, and the multipliers of each shell."""
     shells = proof["shells"]
     if not isinstance(shells, list) or not 1 <= len(shells) <= _MOST_SHELLS:
-        raise Rejected(f"proof.shells must be 1 to {_MOST_SHELLS} shells")
+        raise Rejected(f"proof.shells must hold 1 to {_MOST_SHELLS} shells")
     levels, multipliers = [number(proof["floor"], "proof.floor", above=True)], []
     for entry in shells:
         one = record(entry, ("level", "multipliers"), "a shell")
@@ -93,7 +94,7 @@ def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[list[Fractio
 
 
 def _check_offset(claim: CruiseClaim, p: Matrix, steady: Trim) -> None:
-    """x_e = 0, |y_e| = offset, at the target's velocity: in the region whatever ω is."""
+    """Check that x_e = 0, |y_e| = offset at the target's velocity lies in the region for every ω."""
     for omega in steady.omega:
         for side in (1, -1):
             away = side * (claim.offset + steady.aside)
@@ -103,8 +104,9 @@ def _check_offset(claim: CruiseClaim, p: Matrix, steady: Trim) -> None:
 
 
 def _check_ultimate_bound(claim: CruiseClaim, covariance: Matrix, steady: Trim, floor: Fraction) -> None:
-    """|x_e| and |y_e| on V ≤ floor."""
+    """Check that |x_e| and |y_e| on V ≤ floor do not exceed the claimed ultimate bound."""
     away = max(abs(omega) for omega in steady.omega) / claim.k1
     x, y = (root_up(covariance[k][k] * floor) for k in (0, 1))
     if x + away > claim.ultimate_bound[0] or y + steady.aside > claim.ultimate_bound[1]:
-        raise Rejected(f"it settles within {float(x + away):.4g} and {float(y + steady.aside):.4g} m only")
+        raise Rejected(f"the set V <= floor extends to |x_e| = {float(x + away):.4g} m and "
+                       f"|y_e| = {float(y + steady.aside):.4g} m, beyond the claimed ultimate bound")  # fmt: skip

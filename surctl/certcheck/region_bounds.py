@@ -1,8 +1,8 @@
-"""What may happen within one shell of the region: gains of the secants, share of the thrust, forces held too long.
+"""Bounds within one shell of the region: secant slopes, share of the thrust, forces of held commands and disturbances.
 
-Path frame, deviations from the steady cruise: ξ = (x, y, U_x, U_y) and, with thrust lag, the force (F_x, F_y)
-less the trim force of the heading at hand.
-On V = ξᵀPξ ≤ ℓ every linear C ξ obeys |C ξ|² ≤ ℓ λ_max(C P⁻¹ Cᵀ).
+Deviations from the steady cruise in the path frame: ξ = (x, y, U_x, U_y) and, with thrust lag, the thrust (F_x, F_y)
+minus the trim force at the current heading. On V = ξᵀPξ ≤ ℓ every linear function C ξ satisfies
+|C ξ|² ≤ ℓ λ_max(C P⁻¹ Cᵀ).
 """
 
 from __future__ import annotations
@@ -33,16 +33,18 @@ _ARCS = 64
 
 @dataclass(frozen=True)
 class Shell:
-    """Bounds for ℓ_low ≤ V ≤ ℓ_high.
+    """Bounds in the shell ℓ_low ≤ V ≤ ℓ_high.
 
     Attributes:
-        steer: values of s, the commanded speed along the path [m/s].
-        catch: values of κ, the slope of that speed in −x_e [1/s].
-        model_drag, drag: least and largest secant slope of the drag that is fed forward, and of the true one [N s/m].
-        thrust_share: φ: what is left of a command's deviation after the thrust limit lies in [φ, 1] times it.
-        held: κ_5: force that is not the command of this instant, |w_5| ≤ κ_5 √V [N]; without lag, w_6 with it.
-        disturbance: κ_6: with lag, the trim force's lack and what pushes from outside, |w_6| ≤ κ_6 √V [N]; else 0.
-        desired_rate: |d/dt of the commanded force by the place alone| ≤ this |δU| [N s/m/s].
+        steer: least and largest s, the commanded speed along the path [m/s].
+        catch: least and largest κ, the slope of that speed in −x_e [1/s].
+        model_drag, drag: least and largest secant slope of the feedforward drag, and of the true drag [N s/m].
+        thrust_share: φ; after the thrust limit, a share in [φ, 1] of a command's deviation is left.
+        held: κ_5 bounds the force that differs from the present command, |w_5| ≤ κ_5 √V [N]; without lag it includes
+            the forces of w_6.
+        disturbance: κ_6 bounds the error of the trim force plus external forces with lag, |w_6| ≤ κ_6 √V [N]; 0 without
+            lag.
+        desired_rate: largest rate of change of the commanded force caused by the position, per |δU| [N s/m/s].
     """
 
     steer: tuple[Fraction, Fraction]
@@ -56,7 +58,7 @@ class Shell:
 
 
 def desired_velocity(size: int, claim: CruiseClaim, steer: Fraction, catch: Fraction, aside: Fraction) -> Matrix:
-    """δW = this ξ (2, n): the commanded velocity, about a y* of `aside`."""
+    """Return C (2, n) with δW = C ξ, the deviation of the commanded velocity, at a steady offset y* = `aside` [m]."""
     rows = zeros(2, size)
     rows[0][0], rows[1][1] = -catch, -steer / claim.lookahead
     rows[1][0] = catch * aside / claim.lookahead
@@ -64,14 +66,14 @@ def desired_velocity(size: int, claim: CruiseClaim, steer: Fraction, catch: Frac
 
 
 def velocity(size: int) -> Matrix:
-    """δU = this ξ (2, n)."""
+    """Return C (2, n) with δU = C ξ, the deviation of the velocity."""
     rows = zeros(2, size)
     rows[0][2] = rows[1][3] = Fraction(1)
     return rows
 
 
 def force_state(size: int) -> Matrix:
-    """δF = this ξ (2, n), with thrust lag."""
+    """Return C (2, n) with δF = C ξ, the deviation of the thrust with lag."""
     rows = zeros(2, size)
     rows[0][4] = rows[1][5] = Fraction(1)
     return rows
@@ -80,7 +82,7 @@ def force_state(size: int) -> Matrix:
 def force_rows(
     size: int, claim: CruiseClaim, slope: Fraction, steer: Fraction, catch: Fraction, aside: Fraction
 ) -> Matrix:
-    """Deviation of the commanded force (2, n) [N], with this secant slope of the drag that is fed forward."""
+    """Return C (2, n) with C ξ the deviation of the commanded force [N], for this secant slope of feedforward drag."""
     velocity_gain = claim.mass_model * claim.k_v
     return add(
         scaled(velocity_gain + slope, desired_velocity(size, claim, steer, catch, aside)),
@@ -89,17 +91,17 @@ def force_rows(
 
 
 def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, high: Fraction) -> Shell:
-    """The bounds for low ≤ V ≤ high.
+    """Return the bounds in the shell low ≤ V ≤ high.
 
     Args:
-        claim: what is claimed.
-        steady: its steady cruise.
+        claim: the claim.
+        steady: the steady cruise of the claim.
         covariance: P⁻¹.
-        low, high: levels.
+        low, high: levels of V.
 
     Raises:
-        Rejected: the region reaches where the law is another one: backwards, past the speed cap, or behind the
-            point from which the target waits; or the steady cruise itself needs more thrust than there is.
+        Rejected: the region contains points where the law takes another form (backward command, speed cap, waiting
+            target), or the steady cruise alone needs all the thrust.
     """
     size = len(covariance)
     radius = root_up(high)
@@ -123,8 +125,8 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
     velocity_gain = claim.mass_model * claim.k_v
     floor = root_down(low)
     if floor <= 0:
-        raise Rejected("a shell begins at level 0")
-    # the trim turns with {B}: the held one trails behind, and with lag the delivered one too
+        raise Rejected("a shell must begin above level 0")
+    # the trim force turns with {B}: a held command lags behind it, and so does thrust with lag
     late = claim.period + claim.lag[1]
     still = claim.yaw_rate * late * steady.turning
     outside = steady.total + claim.force
@@ -147,17 +149,17 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
 def _commanded(
     claim: CruiseClaim, steady: Trim, x: Fraction, y: Fraction
 ) -> tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction], Fraction]:
-    """Speeds s, slopes κ, and the largest slope of the commanded velocity with the place, for |x|, |y| ≤ these."""
+    """Return the ranges of s and κ, and the largest slope of the commanded velocity, for deviations up to x and y."""
     k1, ahead = claim.k1, claim.lookahead
-    # the cap bounds s q/Δ, q = √(y² + Δ²): the speed along the path stays above the steady one
+    # the cap limits s q/Δ, q = √(y² + Δ²); it must not bring s below the steady command
     wide = y + steady.aside
     most = claim.cap * ahead / root_up(ahead * ahead + wide * wide)
     if most < steady.command[1]:
-        raise Rejected("the region reaches where the speed cap is below the steady command")
+        raise Rejected("the region contains points where the speed cap is below the steady command")
     if k1 * x > steady.command[0]:
-        raise Rejected("the region reaches where the law would go backwards")
+        raise Rejected("the region contains points where the law would command backward motion")
     if x + max(abs(w) for w in steady.omega) / k1 + claim.place_error > claim.wait / 2:
-        raise Rejected("the region reaches where the path's target waits")
+        raise Rejected("the region contains points where the path's target waits")
     steer = (steady.command[0] - k1 * x, min(steady.command[1] + k1 * x, claim.cap))
     catch = (min(k1, (most - steady.command[1]) / x), k1)
     free = root_up(k1 * k1 * (1 + (wide / ahead) ** 2) + (steer[1] / ahead) ** 2)
@@ -165,10 +167,11 @@ def _commanded(
 
 
 def _misled(claim: CruiseClaim, steady: Trim, y: Fraction, slope: Fraction) -> Fraction:
-    """Largest change [N] of the thrust by the errors of what is measured, within |y| of V ≤ 1.
+    """Return the largest change of the thrust by measurement errors [N], for |y| up to its largest value on V ≤ 1.
 
-    Thrust limits do not enlarge a change. The commanded velocity changes with the place by k1 (1, y_e/Δ) along and by
-    less than cap/Δ across, in the free law, under the cap and at rest alike; an earlier instant's is no larger.
+    Thrust limits do not enlarge a change. With the position, the commanded velocity changes by at most k1 (1, y_e/Δ)
+    along the path and by less than cap/Δ across it, whether the law is free, at the cap or at rest. The same bound
+    holds for a command of an earlier instant.
     """
     wide = (y + steady.aside + claim.place_error) / claim.lookahead
     slant = root_up(claim.k1**2 * (1 + wide**2) + (claim.cap / claim.lookahead) ** 2)
@@ -183,10 +186,10 @@ def _thrust_share(
     model_drag: tuple[Fraction, Fraction],
     radius: Fraction,
 ) -> Fraction:
-    """φ: on an axis along n the trim |f| ≤ F and a deviation |δ| ≤ d leave at least (F − |f|)/d of δ.
+    """Return φ: on an axis along n with thrust limit F and trim f, at least the share (F − |f|)/d of |δ| ≤ d is left.
 
-    n runs over arcs; an arc lies in the triangle of its ends and the point where their tangents meet, and √(nᵀGn)
-    is convex: its largest value there is taken at a corner.
+    n runs over arcs. An arc lies in the triangle of its two ends and the intersection of their tangents. √(nᵀGn) is
+    convex, so that its largest value on the triangle is at a corner.
     """
     share = Fraction(1)
     size = len(covariance)

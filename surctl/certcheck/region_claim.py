@@ -1,4 +1,4 @@
-"""What a region certificate claims, read strictly: every number a plain decimal, nothing missing, nothing more."""
+"""The claim of a region certificate, read strictly: every number is a plain decimal, no key is missing or unknown."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "record"]
 _LARGEST = 10**9
 
 EXCLUDES = (
-    "straight leg of the path, the target moving along it at the cruise speed",
-    "surge and sway have the same mass; their drag differs by no more than the asymmetry",
-    "no obstacle, wall or unknown place bounds the velocity; no row of the priority problem is active",
-    "place and velocity as measured are off by at most place_error_m and velocity_error_m_per_s; the heading is exact",
-    "depth and heading loops: the heading may be any motion no faster than yaw_rate_rad_per_s",
-    "waves and what the thrust is off by are a horizontal force of at most force_n; the water moves no faster than "
-    "current_m_per_s, steadily and alike everywhere",
+    "the path is one straight leg, and its target moves along it at the cruise speed",
+    "surge and sway have the same mass; their drag coefficients differ by no more than the stated asymmetry",
+    "no obstacle, wall or unknown area bounds the velocity; no inequality constraint of the priority problem is active",
+    "measured position and velocity are off by at most place_error_m and velocity_error_m_per_s; the heading is exact",
+    "the depth and heading loops are not covered: the heading may turn in any way up to yaw_rate_rad_per_s",
+    "waves and thrust errors act as a horizontal force of at most force_n; the current is the same everywhere and at "
+    "all times, and at most current_m_per_s",
 )
-"""What the claim leaves out, word for word."""
+"""Restrictions of the claim; a certificate repeats them word for word."""
 
 
 @dataclass(frozen=True)
@@ -33,21 +33,21 @@ class CruiseClaim:
 
     Attributes:
         mass: true m11 = m22 [kg].
-        linear, quadratic: true drag of surge and of sway, each by itself [N s/m, N s²/m²].
+        linear, quadratic: range of the true drag of surge and of sway [N s/m, N s²/m²].
         asymmetry: largest |surge − sway| / mean of either drag coefficient.
-        thrust: least limit of a horizontal thrust axis, the plant's or the law's [N].
-        lag: thrust lag [s]; (0, 0) for none.
-        mass_model, linear_model, quadratic_model: what the law believes.
+        thrust: least thrust limit of a horizontal axis, of the plant or of the law [N].
+        lag: time constant of the thrust [s]; (0, 0) for thrust without lag.
+        mass_model, linear_model, quadratic_model: mass and drag in the law's model.
         k1, lookahead, k_v, wait: gains [1/s, m, 1/s, m].
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
-        period: time for which a command is held [s]; 0 for none.
+        period: time for which a command is held [s]; 0 for commands that are not held.
         yaw_rate: largest |r| [rad/s].
-        current: largest speed of a current that never changes, of any direction [m/s].
-        force: largest horizontal force, changing as it likes, beside the thrust that the claim counts on [N].
-        place_error, velocity_error: largest error of the measured place [m] and velocity [m/s], changing as they like.
-        rate: a of V̇ ≤ −a V [1/s].
-        offset: |y_e| [m] that lies in the region with x_e = 0 and the target's velocity.
-        ultimate_bound: largest |x_e|, |y_e| [m] in the set that is reached and kept.
+        current: largest speed of a constant current in any direction [m/s].
+        force: largest horizontal disturbance force, which may vary arbitrarily [N].
+        place_error, velocity_error: largest error of measured position [m] and velocity [m/s], varying arbitrarily.
+        rate: decay rate a of V̇ ≤ −a V [1/s].
+        offset: |y_e| [m] that lies in the region at x_e = 0 and the target's velocity.
+        ultimate_bound: largest |x_e|, |y_e| [m] in the set that every motion reaches and does not leave.
     """
 
     mass: tuple[Fraction, Fraction]
@@ -77,7 +77,7 @@ class CruiseClaim:
 
 
 def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
-    """The object, if it has exactly these keys."""
+    """Return an object that has exactly these keys; raise Rejected for any other value."""
     if not isinstance(value, dict) or set(value) != set(keys):
         actual = sorted(value) if isinstance(value, dict) else type(value).__name__
         raise Rejected(f"{where} must have exactly the keys {', '.join(sorted(keys))}, not {actual}")
@@ -85,7 +85,7 @@ def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
 
 
 def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Fraction:
-    """The decimal as it is printed, ≥ least (> least with `above`)."""
+    """Return a number as its printed decimal; raise Rejected unless it is ≥ least (> least with `above`)."""
     whole = type(value) is int and abs(value) <= _LARGEST
     if not whole and not (type(value) is float and math.isfinite(value)):
         raise Rejected(f"{where} must be a finite number of at most {_LARGEST}")
@@ -93,7 +93,7 @@ def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = F
     if exact < least or (above and exact == least):
         raise Rejected(f"{where} must be {'above' if above else 'at least'} {least}, not {value!r}")
     if abs(exact) > _LARGEST or (exact and abs(exact) < Fraction(1, 10**18)):
-        raise Rejected(f"{where} is out of all proportion: {value!r}")
+        raise Rejected(f"{where} is too large or too close to 0: {value!r}")
     return exact
 
 
@@ -102,24 +102,24 @@ def _pair(value: Any, where: str, *, above: bool = False) -> tuple[Fraction, Fra
         raise Rejected(f"{where} must be [least, largest]")
     low, high = (number(entry, where, above=above) for entry in value)
     if low > high:
-        raise Rejected(f"{where}: the least exceeds the largest")
+        raise Rejected(f"{where}: the least value exceeds the largest")
     return low, high
 
 
 def read_claim(claim: Any) -> CruiseClaim:
-    """The claim of a certificate.
+    """Return the claim of a certificate.
 
     Raises:
-        Rejected: a key is missing or unknown, a number is of the wrong kind or sign, or the exclusions differ.
+        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the restrictions differ.
     """
     top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle", "sha256_law"), "claim")
     if top["system"] != "cruise":
         raise Rejected(f"claim.system {top['system']!r} is not known; known: cruise")
     if top["excludes"] != list(EXCLUDES):
-        raise Rejected("claim.excludes is not what this claim leaves out")
+        raise Rejected("claim.excludes differs from the text that this checker expects")
     for key in ("sha256_vehicle", "sha256_law"):
         if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
-            raise Rejected(f"claim.{key} is no SHA-256")
+            raise Rejected(f"claim.{key} is not a SHA-256")
     vehicle = record(
         top["vehicle"],
         (
@@ -145,13 +145,13 @@ def read_claim(claim: Any) -> CruiseClaim:
     )  # fmt: skip
     motion = record(top["motion"], ("rate_per_s", "offset_m", "ultimate_bound_m"), "claim.motion")
     if number(law["k_i"], "claim.law.k_i"):
-        raise Rejected("claim.law.k_i: integral action is not part of the loop that is certified")
+        raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
     lag = _pair(vehicle["lag_s"], "claim.vehicle.lag_s")
     if lag[0] == 0 and lag[1] > 0:
-        raise Rejected("claim.vehicle.lag_s: a lag from 0 upwards is two claims")
+        raise Rejected("claim.vehicle.lag_s must not start at 0: claim a loop without lag separately")
     current = number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s")
     if current and (lag[1] or number(law["period_s"], "claim.law.period_s")):
-        raise Rejected("claim.vehicle.current_m_per_s: a current together with lag or held commands is not known here")
+        raise Rejected("claim.vehicle.current_m_per_s: a current with lag or with held commands is not supported")
     ultimate_bound = motion["ultimate_bound_m"]
     if not isinstance(ultimate_bound, list) or len(ultimate_bound) != 2:
         raise Rejected("claim.motion.ultimate_bound_m must be [x_e, y_e]")

@@ -1,4 +1,4 @@
-"""Linear algebra in exact rational numbers: nothing here rounds but the square roots, and they say which way."""
+"""Linear algebra in exact rational numbers; a function that rounds states in which direction."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ _DIGITS = 10**9  # square roots are rounded to the ninth decimal
 
 
 def zeros(rows: int, columns: int) -> Matrix:
-    """A matrix of zeros."""
+    """Return a matrix of zeros."""
     return [[Fraction(0)] * columns for _ in range(rows)]
 
 
 def identity(size: int) -> Matrix:
-    """I (size, size)."""
+    """Return the identity matrix (size, size)."""
     return [[Fraction(i == j) for j in range(size)] for i in range(size)]
 
 
 def transpose(a: Matrix) -> Matrix:
-    """Aᵀ."""
+    """Return Aᵀ."""
     return [list(row) for row in zip(*a, strict=True)]
 
 
 def product(a: Matrix, b: Matrix) -> Matrix:
-    """A B."""
+    """Return A B."""
     columns = transpose(b)
     return [
         [sum((x * y for x, y in zip(row, column, strict=True) if x and y), Fraction(0)) for column in columns]
@@ -55,32 +55,36 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 
 def add(*terms: Matrix) -> Matrix:
-    """Sum of matrices of one shape."""
+    """Return the sum of matrices of the same shape."""
     return [[sum(entries, Fraction(0)) for entries in zip(*rows, strict=True)] for rows in zip(*terms, strict=True)]
 
 
 def scaled(factor: Fraction, a: Matrix) -> Matrix:
-    """factor A."""
+    """Return the matrix a multiplied by a factor."""
     return [[factor * entry for entry in row] for row in a]
 
 
 def congruence(a: Matrix, b: Matrix) -> Matrix:
-    """A B Aᵀ."""
+    """Return A B Aᵀ."""
     return product(product(a, b), transpose(a))
 
 
 def middle(pair: Sequence[Fraction]) -> Fraction:
-    """Mean of two numbers."""
+    """Return the mean of two numbers."""
     return (pair[0] + pair[1]) / 2
 
 
 def quadratic(p: Matrix, x: Sequence[Fraction]) -> Fraction:
-    """xᵀ P x."""
+    """Return xᵀ P x."""
     return sum((x[i] * p[i][j] * x[j] for i in range(len(x)) for j in range(len(x))), Fraction(0))
 
 
 def inverse(a: Matrix) -> Matrix:
-    """A⁻¹ by Gauss and Jordan; ZeroDivisionError if there is none. No pivoting: for positive definite A."""
+    """Return A⁻¹ by Gauss-Jordan elimination without pivoting, for positive definite A.
+
+    Raises:
+        ZeroDivisionError: a pivot is 0.
+    """
     n = len(a)
     rows = [list(row) + unit for row, unit in zip(a, identity(n), strict=True)]
     for k in range(n):
@@ -94,7 +98,7 @@ def inverse(a: Matrix) -> Matrix:
 
 
 def is_positive_definite(a: Matrix) -> bool:
-    """Whether a symmetric matrix is positive definite: all leading minors > 0, by Bareiss in whole numbers."""
+    """Whether a symmetric matrix is positive definite: all leading minors > 0, by Bareiss in integers."""
     n = len(a)
     if any(a[i][j] != a[j][i] for i in range(n) for j in range(i)):
         return False
@@ -113,23 +117,23 @@ def is_positive_definite(a: Matrix) -> bool:
 
 
 def root_up(value: Fraction) -> Fraction:
-    """A number ≥ √value, at most 2e-9 above it."""
+    """Return a number ≥ √value, at most 2e-9 above it."""
     return Fraction(isqrt(-(-value.numerator * _DIGITS**2 // value.denominator)) + 1, _DIGITS)
 
 
 def root_down(value: Fraction) -> Fraction:
-    """A number ≤ √value, at most 2e-9 below it, and ≥ 0."""
+    """Return a number ≤ √value, at most 2e-9 below it, and ≥ 0."""
     return Fraction(isqrt(value.numerator * _DIGITS**2 // value.denominator), _DIGITS)
 
 
 def largest_eigenvalue(g: Matrix) -> Fraction:
-    """An upper bound on the largest eigenvalue of a symmetric 2 × 2 matrix."""
+    """Return an upper bound on the largest eigenvalue of a symmetric 2 × 2 matrix."""
     half = (g[0][0] + g[1][1]) / 2
     return half + root_up(((g[0][0] - g[1][1]) / 2) ** 2 + g[0][1] ** 2)
 
 
 def rounded_up(g: Matrix) -> Matrix:
-    """A symmetric 2 × 2 matrix of few digits, ⪰ g: what rounding may take off the diagonal pays for the rest."""
+    """Return a symmetric 2 × 2 matrix ⪰ g with few digits: the raised diagonal covers the truncation of all entries."""
     down = [[Fraction(int(entry * _DIGITS), _DIGITS) for entry in row] for row in g]
-    # every entry is off by less than 1/_DIGITS: the error lies above −2/_DIGITS I
+    # every entry is off by less than 1/_DIGITS, so that the error matrix is ⪰ −2/_DIGITS I
     return [[entry + Fraction(2 * (i == j), _DIGITS) for j, entry in enumerate(row)] for i, row in enumerate(down)]

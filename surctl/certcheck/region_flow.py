@@ -1,9 +1,9 @@
-"""What a steady current does to the steady cruise: bounds over all currents, headings and true vehicles.
+"""The steady cruise in a constant current: bounds over all currents, headings and true vehicles of a claim.
 
-The commanded force less the needed one, at the steady cruise, is a function of the current (c_x, c_y) and the heading
-ψ with bounded second derivatives, and all but affine in the true drag. On a grid, the largest norm at the corners of
-a cell bounds that of the multilinear interpolation; what the function differs from it by is Σ M_i h_i²/8.
-In double precision, with a margin far above its rounding.
+At the steady cruise, the commanded minus the required force is a function of the current (c_x, c_y) and the heading ψ.
+Its second derivatives are bounded, and it is nearly affine in the true drag. On a grid, the largest norm at the corners
+of a cell bounds the norm of the multilinear interpolation; the function differs from the interpolation by at most
+Σ M_i h_i²/8. The computation is in double precision, with a margin far above its rounding errors.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _SHARE = float(MEAN_SHARE)
 
 
 def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Fraction]:
-    """Least and largest ω_x, largest |ω_y| [m/s], largest lack of the trim force [N]."""
+    """Return least and largest ω_x, largest |ω_y| [m/s], and largest |commanded − required| force [N]."""
     v, velocity_gain = float(claim.cruise), float(claim.mass_model * claim.k_v)
     hat, hat2, most = float(claim.linear_model), float(claim.quadratic_model), float(claim.current)
-    x, y = np.meshgrid(np.linspace(-most, most, 2 * _SIDE + 1), np.linspace(0, most, _SIDE + 1))  # ± c_y are images
+    x, y = np.meshgrid(np.linspace(-most, most, 2 * _SIDE + 1), np.linspace(0, most, _SIDE + 1))  # ±c_y: mirrored
     step = most / _SIDE * _MARGIN
     near = np.hypot(x, y) <= most + 1.5 * step  # every cell that meets the disc, with all its corners
     flow = np.stack([v - x[near], -y[near]])
@@ -58,17 +58,17 @@ def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Frac
     drag, square = float(claim.linear[1]), float(claim.quadratic[1])
     fast = v + most + 2 * step
     desired_speed = float(v + max(abs(low), abs(high)) + drift)
-    # second derivatives in a current: of ω, of the forces; and in ψ: of turned forces n |n| and of linear ones
+    # second derivatives by the current (of ω and of the forces) and by ψ (of rotated quadratic and linear forces)
     bend = 4 * _SHARE * square / stiff[1]
     slope = (drag + 2 * _SHARE * square * fast) / stiff[1]
     turn = velocity_gain + hat + 2 * hat2 * desired_speed
     by_current = turn * bend + 2 * hat2 * slope**2 + 2 * square
     force = velocity_gain * max(abs(low), abs(high), drift) * 2 + hat * desired_speed + drag * fast
     by_heading = np.sqrt(2) * (4 * force + 9 * (hat2 * desired_speed**2 + square * fast**2))
-    # ω, in (c_x, c_y), is off its interpolation too
+    # ω also differs from its interpolation in (c_x, c_y)
     curved = 2 * bend * step**2 / 8
     total += 2 * by_current * step**2 / 8 + by_heading * (np.pi / _HEADINGS) ** 2 / 8
-    total += hat2 * wide**2  # all but affine in the true drag
+    total += hat2 * wide**2  # the part that is not affine in the true drag
     up, down = (Fraction(int(value * 10**9) + k, 10**9) for value, k in ((high + curved, 2), (low - curved, -2)))
     return down, up, _up(drift + curved), _up(total)
 
@@ -78,7 +78,7 @@ def _up(value: float) -> Fraction:
 
 
 def steady_trim(claim: CruiseClaim) -> Trim:
-    """Bounds of the steady cruise over everything that the claim leaves open.
+    """Return the bounds of the steady cruise over all parameters, headings and currents of the claim.
 
     Raises:
         Rejected: the steady command would point backwards.
@@ -89,7 +89,7 @@ def steady_trim(claim: CruiseClaim) -> Trim:
     v, velocity_gain = claim.cruise, claim.mass_model * claim.k_v
     hat, hat2 = claim.linear_model, claim.quadratic_model
     if v + low <= 0:
-        raise Rejected("against the current it would have to go backwards")
+        raise Rejected("in the strongest current the steady command may point backwards")
     return Trim(
         omega=(low, high),
         command=(v + low, v + high),

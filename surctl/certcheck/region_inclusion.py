@@ -1,19 +1,20 @@
-"""The closed loop of a shell as a linear inclusion, and the matrix whose negativity gives V̇ ≤ −a V.
+"""The closed loop of a shell as a linear inclusion, and the matrix M whose negative definiteness gives V̇ ≤ −a V.
 
-ξ̇ = A ξ + Σ B_j w_j, each w_j (2,) in the path frame [N], and their bounds:
-w_1, drag fed forward: |w_1| ≤ r_1 |δW|; w_2, the thrust limit: |w_2| ≤ r_2 |δF_c|, δF_c = C ξ + w_1 the deviation of
-the commanded force; w_3, true drag: |w_3| ≤ r_3 |δU|; w_4, what is held since the last control instant; w_5, force
-that the heading stirs: |w_5| ≤ κ_5 √V; w_6, with lag, the lack of the
-trim force: |w_6| ≤ κ_6 √V. A heading that turns freely is in them: R diag(σ) Rᵀ with σ in
-[low, high] is the middle plus something of norm (high − low)/2.
+ξ̇ = A ξ + Σ B_j w_j, where each w_j (2,) is a force in the path frame [N] with a bound:
+w_1, feedforward drag: |w_1| ≤ r_1 |δW|; w_2, the thrust limit: |w_2| ≤ r_2 |δF_c|, where δF_c = C ξ + w_1 is the
+deviation of the commanded force; w_3, true drag: |w_3| ≤ r_3 |δU|; w_4, the command held since the last control
+instant; w_5, the force that changes with the heading: |w_5| ≤ κ_5 √V; w_6, with lag, the error of the trim force:
+|w_6| ≤ κ_6 √V. These bounds cover every heading: R diag(σ) Rᵀ with σ in [low, high] is the middle plus a matrix of
+norm (high − low)/2.
 
-M = V̇ + a V + Σ λ_j (bound_j − |w_j|²) in (ξ, w). Where M < 0, V̇ < −a V for every w in its bounds. M is affine in
-1/m, 1/T, r and convex in (s, κ, κ y*), or convex in each of them: its vertices decide.
+M = V̇ + a V + Σ λ_j (bound_j − |w_j|²) as a form in (ξ, w). Where M < 0, V̇ < −a V for every w within its bounds. M is
+affine in 1/m, 1/T, r and convex in (s, κ, κ y*), or convex in each of them, so that the vertices decide.
 
-Held commands: W = V + (h − τ) ρ ∫ |ḟ|² over the τ seconds since the last instant, f = δF_c as it would be commanded
-in the held heading (Fridman 2010). W = V at the instants, W ≥ V, and e = f(then) − f(now) obeys |e|² ≤ τ ∫ |ḟ|². So
-Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|². With ḟ = −m k_v U̇ + (what the place alone does, ≤ c |δU|) and
-|w_4| ≤ (1 + r h)|e| + r h |δF_c|, each square of a sum is split by fixed weights. The shells are levels of W.
+Held commands: W = V + (h − τ) ρ ∫ |ḟ|² over the τ seconds since the last control instant, where f is δF_c as it would
+be commanded in the held heading (Fridman 2010). W = V at the instants, W ≥ V, and e = f(then) − f(now) satisfies
+|e|² ≤ τ ∫ |ḟ|². So Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|². With ḟ = −m k_v U̇ + (the effect of the
+position alone, ≤ c |δU|) and |w_4| ≤ (1 + r h)|e| + r h |δF_c|, the square of each sum is split by fixed weights. The
+shells are levels of W.
 """
 
 from __future__ import annotations
@@ -31,19 +32,19 @@ from surctl.certcheck.region_exact import Matrix, add, middle, product, scaled, 
 __all__ = ["Vertex", "rate_matrix", "vertices"]
 
 MULTIPLIERS = 5
-_SPLIT = Fraction(1, 3)  # weights of squares of sums: (a + b)² ≤ (1 + k) a² + (1 + 1/k) b²
+_SPLIT = Fraction(1, 3)  # weight k of the square of a sum: (a + b)² ≤ (1 + k) a² + (1 + 1/k) b²
 _TURN_SPLIT = Fraction(1, 5)
 
 
 @dataclass(frozen=True)
 class Vertex:
-    """One extreme loop.
+    """The loop at one vertex of the parameters.
 
     Attributes:
-        A: (n, n).
-        B: the inputs w_j by number, each (n, 2).
-        desired: δW = this ξ.
-        force: C, δF_c = C ξ + w_1.
+        A: system matrix (n, n).
+        B: input matrix (n, 2) of each w_j, by the number j.
+        desired: C (2, n) with δW = C ξ.
+        force: C (2, n) with δF_c = C ξ + w_1.
     """
 
     A: Matrix
@@ -53,7 +54,7 @@ class Vertex:
 
 
 def vertices(claim: CruiseClaim, at: Shell, size: int, *, aside: Fraction, mirrored: bool) -> Iterator[Vertex]:
-    """All extreme loops of a shell; for a V that is its own mirror image in the path, of each two images one."""
+    """Yield the loops at all vertices of a shell; with `mirrored`, only one of each pair of mirror images."""
     lag = claim.lag[1] > 0
     masses = [1 / m for m in sorted(set(claim.mass))]
     lags = [1 / t for t in sorted(set(claim.lag))] if lag else [Fraction(0)]
@@ -79,7 +80,7 @@ def vertex(
     catch: Fraction,
     aside: Fraction,
 ) -> Vertex:
-    """The loop at 1/m, 1/T, r, s, κ and y*."""
+    """Return the loop at the given 1/m, 1/T, r, s, κ and y*."""
     share = (1 + at.thrust_share) / 2
     force = force_rows(size, claim, middle(at.model_drag), steer, catch, aside)
     speed = velocity(size)
@@ -114,7 +115,7 @@ def vertex(
 def rate_matrix(
     claim: CruiseClaim, at: Shell, p: Matrix, loop: Vertex, multipliers: Sequence[Fraction], hold: Fraction
 ) -> Matrix:
-    """M (n + 2 inputs, same), symmetric; multipliers λ_1, λ_2, λ_3, λ_5, λ_6, and ρ of what is held."""
+    """Return the symmetric M of (ξ, w) for multipliers λ_1, λ_2, λ_3, λ_5, λ_6 and the weight ρ = `hold`."""
     size, inputs = len(p), sorted(loop.B)
     factor = dict(zip((1, 2, 3, 5, 6), multipliers, strict=True))
     total = size + 2 * len(inputs)
@@ -123,7 +124,7 @@ def rate_matrix(
     if 4 in start:
         left, turn = 1 - growth * claim.period, claim.yaw_rate * claim.period
         if left <= 0 or hold <= 0:
-            raise Rejected("the command is held for too long at this rate")
+            raise Rejected("the control period is too long for the claimed rate")
         factor[4] = left * hold / (claim.period * (1 + _TURN_SPLIT) * (1 + turn) ** 2)
     half = product(p, loop.A)
     m = zeros(total, total)

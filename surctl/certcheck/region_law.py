@@ -1,8 +1,8 @@
-"""The flown law and the vehicle written out once more, in rational numbers, against the inclusion that is proved.
+"""A second implementation of law and vehicle in rational numbers, compared with the inclusion that the proof uses.
 
-At sampled places, parameters and headings (rational points of the unit circle, places whose slant is rational) the
-true derivative must be exactly A ξ + Σ B_j w_j with every w_j within its bound. It does not replace the derivation;
-a slip of sign, frame or factor in it shows here.
+At sampled positions, parameters and headings (rational points of the unit circle, positions with a rational slant
+√(y_e² + Δ²)/Δ) the true derivative must equal A ξ + Σ B_j w_j exactly, with every w_j within its bound. The comparison
+does not replace the derivation, but it reveals a wrong sign, frame or factor.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Vehicle:
 
 
 def turned(heading: Pair, vector: Pair) -> Pair:
-    """R(ψ) vector, with heading = (cos ψ, sin ψ)."""
+    """Return R(ψ) vector, for heading = (cos ψ, sin ψ)."""
     c, s = heading
     return c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
 
@@ -54,13 +54,13 @@ def _drag(linear: Pair, square: Pair, v: Pair) -> Pair:
 
 
 def commanded_velocity(claim: CruiseClaim, x_e: Fraction, y_e: Fraction, slant: Fraction) -> Pair:
-    """(8)–(12) with the course in place of the heading, U ≥ 0 and the cap, in the path frame; slant = √(y² + Δ²)/Δ."""
+    """Return (8)–(12) in the path frame, with course for heading, U ≥ 0 and the speed cap; slant = √(y_e² + Δ²)/Δ."""
     along = min(max(claim.cruise - claim.k1 * x_e, Fraction(0)), claim.cap / slant)
     return along, -along * y_e / claim.lookahead
 
 
 def commanded_thrust(claim: CruiseClaim, desired: Pair, nu: Pair) -> Pair:
-    """τ = D(ν_d)ν_d + m k_v (ν_d − ν) in {B}, each axis within its limit."""
+    """Return τ = D(ν_d)ν_d + m k_v (ν_d − ν) in {B}, with each axis limited to its thrust."""
     hat = _drag((claim.linear_model,) * 2, (claim.quadratic_model,) * 2, desired)
     free = (d + claim.mass_model * claim.k_v * (w - v) for d, w, v in zip(hat, desired, nu, strict=True))
     first, second = (min(max(f, -claim.thrust), claim.thrust) for f in free)
@@ -70,13 +70,13 @@ def commanded_thrust(claim: CruiseClaim, desired: Pair, nu: Pair) -> Pair:
 def true_rate(
     claim: CruiseClaim, boat: Vehicle, heading: Pair, state: list[Fraction], slant: Fraction
 ) -> list[Fraction]:
-    """d/dt of (x_e, y_e, U_x, U_y[, F_x, F_y]) by (2), (3) in {B}, nothing held, for m11 = m22.
+    """Return d/dt of (x_e, y_e, U_x, U_y[, F_x, F_y]) by (2), (3) in {B}, without held commands, for m11 = m22.
 
     Args:
-        claim: the law.
-        boat: what it flies.
-        heading: (cos ψ, sin ψ) from the path.
-        state: not deviations: U is the ground velocity, F the thrust, both in the path frame.
+        claim: the claim, with the law's numbers.
+        boat: the true vehicle.
+        heading: (cos ψ, sin ψ) of the angle from the path.
+        state: full values, not deviations: U is the ground velocity and F the thrust, both in the path frame.
         slant: √(y_e² + Δ²)/Δ.
     """
     x_e, y_e, speed = state[0], state[1], (state[2], state[3])
@@ -101,7 +101,7 @@ def check_identity(claim: CruiseClaim, at: Shell, steady: Trim, covariance: Matr
     """Compare the law with the inclusion at sampled points of V ≤ level.
 
     Raises:
-        Rejected: they differ, or something exceeds its bound.
+        Rejected: law and inclusion differ, or a quantity exceeds its bound.
     """
     draw, p = random.Random(f"{size}/{level}"), inverse(covariance)
     for _ in range(_SAMPLES):
@@ -139,14 +139,14 @@ def _boat(claim: CruiseClaim, draw: random.Random) -> Vehicle:
 
 
 def _norm(vector: Pair) -> Fraction:
-    """|vector| to a part in 10^9; what it is off by is in the bounds' margin."""
+    """Return |vector| to 10^-9; the margin of the bounds covers this error."""
     return root_up(_square(vector))
 
 
 def _place(
     claim: CruiseClaim, p: Matrix, level: Fraction, draw: random.Random, aside: Fraction
 ) -> tuple[list[Fraction], Fraction]:
-    """A deviation with V ≤ level for which the slant of y_e = aside + y is rational."""
+    """Return a deviation with V ≤ level for which the slant of y_e = aside + y is rational, and that slant."""
     raw = [Fraction(draw.randint(-1000, 1000), 1000) * 1000 / root_up(p[k][k] * 10**6) for k in range(len(p))]
     if draw.random() < 0.5:
         raw = [entry if k == 1 else entry / 50 for k, entry in enumerate(raw)]
@@ -159,7 +159,7 @@ def _place(
     if quadratic(p, xi) > level:
         xi = [entry / 2 if k != 1 else entry for k, entry in enumerate(xi)]
         if quadratic(p, xi) > level:
-            return [Fraction(0)] * len(xi), Fraction(1)  # the cap is far from the steady command
+            return [Fraction(0)] * len(xi), Fraction(1)  # the cap is far away there, so the slant has no effect
     return xi, (1 + t * t) / (1 - t * t)
 
 
@@ -194,11 +194,11 @@ def _compare(
     rate = true_rate(claim, boat, heading, state, slant)
     desired = commanded_velocity(claim, x_e, y_e, slant)
     if abs(aside) > steady.aside:
-        raise Rejected("the current takes it further aside at a sampled place")
+        raise Rejected("the current displaces the vehicle beyond the bound at a sampled point")
     s = desired[0]
     catch = (v + omega[0] - s) / xi[0] if xi[0] else claim.k1
     if not (at.steer[0] <= s <= at.steer[1] and at.catch[0] <= catch <= at.catch[1]):
-        raise Rejected("the commanded velocity leaves its bounds at a sampled place")
+        raise Rejected("the commanded velocity exceeds its bounds at a sampled point")
     loop = vertex(claim, at, len(xi), per_mass=1 / boat.mass, per_lag=1 / boat.lag if boat.lag else Fraction(0),
                   turn=boat.turn if boat.lag else Fraction(0), steer=s, catch=catch, aside=aside)  # fmt: skip
     d_desired, d_speed = _minus(desired, steady_desired), (xi[2], xi[3])
@@ -216,7 +216,7 @@ def _compare(
     lacking = _minus(trimmed, needed)
     held.append((lacking, steady.total, one))
     if boat.lag:
-        # the trim force in {B} moves with the heading, and what is delivered trails behind
+        # the trim force in {B} changes with the heading, and the delivered thrust lags behind it
         moving = _trim_slope(claim, omega[0], heading)
         held.append((moving, steady.turning, one))
         w |= {5: _scaled(-boat.lag * boat.turn, turned(heading, moving)), 6: lacking}
@@ -225,7 +225,7 @@ def _compare(
     else:
         w[5] = lacking
     if any(_square(vector) > gain * gain * _square(of) for vector, gain, of in held):
-        raise Rejected("a force exceeds its bound at a sampled place")
+        raise Rejected("a force exceeds its bound at a sampled point")
     predicted = [_dot(row, xi) for row in loop.A]
     for j, rows in loop.B.items():
         predicted = [
@@ -233,11 +233,11 @@ def _compare(
             for value, row in zip(predicted, rows, strict=True)
         ]
     if predicted != rate:
-        raise Rejected("the inclusion is not the loop at a sampled place")
+        raise Rejected("the linear inclusion differs from the true loop at a sampled point")
 
 
 def _trim_slope(claim: CruiseClaim, omega: Fraction, heading: Pair) -> Pair:
-    """Derivative of the trim force in {B} with the heading [N/rad]."""
+    """Return the derivative of the trim force in {B} by the heading [N/rad]."""
     c, s = heading
     speed = claim.cruise + omega
     a = claim.mass_model * claim.k_v * omega + claim.linear_model * speed

@@ -1,9 +1,9 @@
-"""The steady cruise of a region claim: where it settles for constant parameters, and what the heading still stirs.
+"""The steady cruise of a region claim: its state for constant parameters, and the force error that the heading changes.
 
-Path frame, U* = (v, 0), command W* = (v + ω, 0). With ψ the angle between {B} and the path, c = |cos ψ| and
-s = |sin ψ|, the axes of {B} carry (drag of surge at v c, of sway at v s): per axis linear in c plus quadratic in c.
-ω is affine in the true drag, so that what is left over is affine too, up to a term in ω²: its norm is convex, and
-the vertices of the parameters and arcs of the heading decide.
+In the path frame U* = (v, 0), with the command W* = (v + ω, 0). With ψ the angle between {B} and the path, c = |cos ψ|
+and s = |sin ψ|, the axes of {B} carry the drag of surge at v c and the drag of sway at v s, each a linear plus a
+quadratic term. ω is affine in the true drag; so the remaining force error is affine in it too, up to a term in ω². Its
+norm is convex, so that the vertices of the parameters decide, for each arc of the heading.
 """
 
 from __future__ import annotations
@@ -19,25 +19,26 @@ from surctl.certcheck.region_exact import middle, root_up
 __all__ = ["MEAN_SHARE", "Trim", "axis_pairs", "drift_speed", "offset_speed", "quarter", "trim"]
 
 MEAN_SHARE = Fraction(17, 20)
-"""Share of quadratic drag that is counted on along the path, between 1 at ψ = 0 and 0.71 at ψ = 45°."""
+"""Mean share of the quadratic drag that acts along the path: the share is 1 at ψ = 0 and 0.71 at ψ = 45°."""
 
 _ARCS = 96
 
 
 @dataclass(frozen=True)
 class Trim:
-    """Bounds over all true parameters and headings.
+    """Bounds of the steady cruise over all true parameters and headings.
 
     Attributes:
-        omega: least and largest ω [m/s].
-        command: least and largest v + ω [m/s].
-        linear, quadratic: of the command's trim force, linear c + quadratic c² per axis, at the largest ω [N].
-        backward: the same at the least ω if it points backwards, else 0 [N].
-        total: largest |commanded − needed| force [N].
-        drift: largest |ω_y| [m/s], what the command steers against a current.
-        aside: largest |y*| [m] that this takes.
-        across: what it adds to the trim force of an axis across the path [N].
-        tilt: |ω_y| over the commanded speed along.
+        omega: least and largest ω [m/s], the commanded speed beyond the cruise speed.
+        command: least and largest commanded speed v + ω [m/s].
+        linear, quadratic: coefficients of the commanded trim force linear c + quadratic c² per axis, at the largest ω
+            [N].
+        backward: largest trim force at the least ω if it points backwards, else 0 [N].
+        total: largest |commanded − required| force [N].
+        drift: largest |ω_y| [m/s], the commanded speed across the path against a current.
+        aside: largest |y*| [m], the steady offset that produces this command.
+        across: trim force that the drift adds to an axis across the path [N].
+        tilt: ratio of |ω_y| to the commanded speed along the path.
     """
 
     omega: tuple[Fraction, Fraction]
@@ -52,23 +53,23 @@ class Trim:
     tilt: Fraction = Fraction(0)
 
     def along(self, c: Fraction, s: Fraction) -> Fraction:
-        """Largest |trim force| on an axis at direction cosine ≤ c from the path and ≤ s from across it [N]."""
+        """Return the largest |trim force| [N] on an axis with direction cosines ≤ c along and ≤ s across the path."""
         return max(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
     @property
     def turning(self) -> Fraction:
-        """Largest derivative of the trim force in {B} with the heading [N/rad]: 2 √2 c s ≤ 3/2."""
+        """Largest derivative of the trim force in {B} by the heading [N/rad], from 2 √2 c s ≤ 3/2."""
         return max(abs(self.linear), self.backward) + self.quadratic * Fraction(3, 2)
 
 
 def quarter(arcs: int) -> list[tuple[Fraction, Fraction]]:
-    """Rational points (cos, sin) from (1, 0) to (0, 1) on the unit circle."""
+    """Return rational points (cos, sin) on the unit circle from (1, 0) to (0, 1)."""
     ts = [Fraction(j, arcs) for j in range(arcs + 1)]
     return [((1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)) for t in ts]
 
 
 def axis_pairs(least: Fraction, largest: Fraction, asymmetry: Fraction) -> list[tuple[Fraction, Fraction]]:
-    """Vertices of {(a, b): least ≤ a, b ≤ largest, |a − b| ≤ asymmetry (a + b)/2}."""
+    """Return the vertices of {(a, b): least ≤ a, b ≤ largest, |a − b| ≤ asymmetry (a + b)/2}."""
     vertices = {(least, least), (largest, largest)}
     if asymmetry >= 2:
         other = [(least, largest)]
@@ -80,7 +81,7 @@ def axis_pairs(least: Fraction, largest: Fraction, asymmetry: Fraction) -> list[
 
 
 def offset_speed(claim: CruiseClaim, linear: Fraction, quadratic: Fraction) -> Fraction:
-    """ω [m/s] for mean true drag coefficients of surge and sway."""
+    """Return ω [m/s] for the means of surge's and sway's true drag coefficients."""
     v = claim.cruise
     stiffness = claim.mass_model * claim.k_v + claim.linear_model + 2 * MEAN_SHARE * claim.quadratic_model * v
     missing = (linear - claim.linear_model) * v + MEAN_SHARE * (quadratic - claim.quadratic_model) * v * v
@@ -90,7 +91,7 @@ def offset_speed(claim: CruiseClaim, linear: Fraction, quadratic: Fraction) -> F
 def drift_speed(
     claim: CruiseClaim, linear: Fraction, quadratic: Fraction, flow: tuple[Fraction, Fraction], speed: Fraction
 ) -> tuple[Fraction, Fraction]:
-    """(ω_x, ω_y) [m/s] where the water passes with `flow` = (v − c_x, −c_y), of this (rational) speed."""
+    """Return (ω_x, ω_y) [m/s] for the velocity through the water `flow` = (v − c_x, −c_y) and its size `speed`."""
     v, velocity_gain = claim.cruise, claim.mass_model * claim.k_v
     pull = linear + MEAN_SHARE * quadratic * speed
     fed = claim.linear_model + MEAN_SHARE * claim.quadratic_model * v
@@ -102,7 +103,7 @@ def drift_speed(
 
 
 def _parabola(slope: Fraction, bend: Fraction, low: Fraction, high: Fraction) -> Fraction:
-    """Largest |slope x + bend x²| on [low, high]."""
+    """Return the largest |slope x + bend x²| on [low, high]."""
     candidates = [low, high]
     if bend and low < (top := -slope / (2 * bend)) < high:
         candidates.append(top)
@@ -110,7 +111,7 @@ def _parabola(slope: Fraction, bend: Fraction, low: Fraction, high: Fraction) ->
 
 
 def _largest(axes: Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction]]]) -> Fraction:
-    """Largest norm of two axes, each slope x + bend x², with x = cos and x = sin of one angle."""
+    """Return the largest norm of two axis forces slope x + bend x², with x = cos and x = sin of one angle."""
     most, points = Fraction(0), quarter(_ARCS)
     for (a1, b1), (a2, b2) in axes:
         for (c_high, s_low), (c_low, s_high) in pairwise(points):
@@ -119,7 +120,7 @@ def _largest(axes: Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fra
 
 
 def trim(claim: CruiseClaim) -> Trim:
-    """Bounds of the steady cruise over everything that the claim leaves open, in still water."""
+    """Return the bounds of the steady cruise in still water over all parameters and headings of the claim."""
     v, velocity_gain = claim.cruise, claim.mass_model * claim.k_v
     linear_hat, quadratic_hat = claim.linear_model, claim.quadratic_model
     vertices = list(
@@ -131,7 +132,7 @@ def trim(claim: CruiseClaim) -> Trim:
     omegas = [offset_speed(claim, middle(pair), middle(square)) for pair, square in vertices]
     low, high = min(omegas), max(omegas)
     command = (v + low, v + high)
-    bend = quadratic_hat * max(low * low, high * high)  # the term in ω², left out of what is affine
+    bend = quadratic_hat * max(low * low, high * high)  # the term in ω², which is not affine
 
     def unbalanced() -> Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction]]]:
         for (pair, square), omega in zip(vertices, omegas, strict=True):

@@ -83,9 +83,9 @@ def test_the_cruise_of_the_same_law_vehicle_and_gains_belongs(folder: Path) -> N
     assert told.belongs, told.differs
     assert told.excludes[:6] == tuple(region()["claim"]["excludes"])
     assert [text.split(":")[0] for text in told.excludes[6:]] == [
-        "rounding", "mass", "quadratic drag", "thrust", "sampling", "lag of the thrusters"
+        "rounding", "mass", "quadratic drag", "thrust", "sampling", "thrust lag"
     ]  # fmt: skip
-    assert told.excludes[7] == "mass: 50.0 to 125.0 by the vehicle's file, 76.0 to 114.0 certified"
+    assert told.excludes[7] == "mass: 50.0 to 125.0 in the vehicle file, 76.0 to 114.0 certified"
     held = compare(region(lambda claim: claim["law"].update(period_s=0.05)), manifest)
     assert held.belongs and not any("sampling" in text for text in held.excludes)
 
@@ -93,8 +93,8 @@ def test_the_cruise_of_the_same_law_vehicle_and_gains_belongs(folder: Path) -> N
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda c: c.update(sha256_law="0" * 64), "law: 000000000000 certified"),
-        (lambda c: c.update(sha256_vehicle="0" * 64), "vehicle: 000000000000 certified"),
+        (lambda c: c.update(sha256_law="0" * 64), "law: SHA-256 000000000000 certified"),
+        (lambda c: c.update(sha256_vehicle="0" * 64), "vehicle: SHA-256 000000000000 certified"),
         (lambda c: c["law"].update(k1=0.31), "k1[0]: 0.31 certified, 0.3 exported"),
         (lambda c: c["law"].update(lookahead=0.9), "lookahead[0]"),
         (lambda c: c["law"].update(k_v=1.4), "k_v[0]"),
@@ -141,14 +141,15 @@ def test_a_braking_certificate_belongs_to_the_law_and_the_vehicle_that_it_is_abo
     assert check_document(document).accepted
     told = compare(document, manifest_for(**gains))
     assert told.belongs, told.differs
-    assert any(text.startswith("law: it is about a rule") for text in told.excludes) == ("rule" in name)
+    without_law = any(text.startswith("law: the certificate is about a braking rule") for text in told.excludes)
+    assert without_law == ("rule" in name)
     assert any(text.startswith("thrust of both axes") for text in told.excludes) != name.endswith("axes")
 
 
 @pytest.mark.parametrize(
     ("name", "change", "told"),
     [
-        ("inertia-ranges", lambda c: c.update(sha256_law="0" * 64), "law: 000000000000 certified"),
+        ("inertia-ranges", lambda c: c.update(sha256_law="0" * 64), "law: SHA-256 000000000000 certified"),
         ("inertia-ranges", lambda c: c["vehicle"].update(mass_kg=[50.0, 94.0]), "mass: 50.0 to 94.0 certified"),
         ("inertia-ranges", lambda c: c["vehicle"].update(brake_n=5.5), "thrust_limit: at least 5.5 N certified"),
         ("inertia-ranges", lambda c: c["vehicle"].update(most_n=4.0), "thrust: at most 4.0 N certified, 5.0 exported"),
@@ -197,21 +198,21 @@ def test_another_vehicle_s_numbers_do_not_belong_though_every_hash_is_pasted() -
         return lambda table: table["vehicle"]["values"].update(numbers)
 
     assert pasted(vehicle()) == ()
-    assert pasted(vehicle(m22=96.0)) == ("mass: one of surge and sway certified, 95.0 and 96.0 exported",)
+    assert pasted(vehicle(m22=96.0)) == ("mass: equal for surge and sway certified, 95.0 kg and 96.0 kg exported",)
     assert pasted(vehicle(Xuu=47.0, Yvv=47.0)) == (
         "quadratic drag: 48.0 to 72.0 certified, the vehicle's Xuu is 47.0",
         "quadratic drag: 48.0 to 72.0 certified, the vehicle's Yvv is 47.0",
     )
     alike = compare(region(), manifest_for(vehicle(Yvv=64.0))).differs
-    assert "quadratic drag: surge and sway alike to 0.05 certified, 60.0 and 64.0 exported" in alike
+    assert "quadratic drag: surge and sway may differ by a share of 0.05, but 60.0 and 64.0 are exported" in alike
 
 
 def test_what_the_manifest_does_not_say_is_not_known() -> None:
     def lacking(change: Callable[[dict[str, Any]], None]) -> tuple[str, ...]:
         found = [compare(one, manifest_for(change)).differs for one in (region(), braking("braking-inertia-ranges"))]
-        return tuple(text for text in found[0] if text in found[1] and "not known" in text)
+        return tuple(text for text in found[0] if text in found[1] and "does not state" in text)
 
-    told = "{}: not known of this bundle; export the controller again"
+    told = "{}: the bundle does not state it; export the controller again"
     assert lacking(lambda table: table["vehicle"].pop("ranges")) == (told.format("ranges of the vehicle"),)
     assert lacking(lambda table: table["vehicle"]["values"].pop("m22")) == (told.format("m22"),)
 
@@ -224,7 +225,7 @@ def test_what_the_manifest_does_not_say_is_not_known() -> None:
 def test_the_heading_steered_loop_is_not_what_is_exported() -> None:
     found = compare(read(REGION.with_name("region-heading-20.json")), manifest_for())
     assert found.differs == (
-        "law: it is about the paper's law, steered by heading; what is exported steers by velocity",
+        "law: the certificate covers the paper's law, which steers by heading; the exported law steers by velocity",
     )
 
 
@@ -256,8 +257,8 @@ def test_hashes_are_worked_out_anew(folder: Path) -> None:
         row["values"] = [row["values"][0] * 2]
 
     differs = altered(folder, faster)
-    assert "the hash of the gains is not theirs" in differs
-    assert any("the id is not that of law" in text for text in differs)
+    assert "the stated hash of the gains is wrong" in differs
+    assert any("the id does not match law" in text for text in differs)
 
 
 def test_an_id_that_the_source_does_not_return_is_found(folder: Path) -> None:
@@ -266,7 +267,7 @@ def test_an_id_that_the_source_does_not_return_is_found(folder: Path) -> None:
     def renamed(table: dict[str, Any]) -> None:
         table["id"] = other
 
-    assert any("returns another id" in text for text in altered(folder, renamed))
+    assert any("returns an id that is not the manifest's" in text for text in altered(folder, renamed))
 
 
 @pytest.mark.parametrize("name", ["surctl_guarded.c", "link.c", "README.md"])
@@ -282,13 +283,13 @@ def test_a_vehicle_whose_numbers_were_changed_is_found(folder: Path) -> None:
     def lighter(table: dict[str, Any]) -> None:
         table["vehicle"]["values"]["m11"] = 1.0
 
-    assert altered(folder, lighter)[0] == "the hash of the vehicle is not that of its numbers"
+    assert altered(folder, lighter)[0] == "the stated hash of the vehicle is wrong"
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '{"law": 1, "sha256": {}}', "\xff"])
 def test_what_is_no_manifest(folder: Path, text: str) -> None:
     (folder / "manifest.json").write_bytes(text.encode("latin-1"))
-    with pytest.raises(InputError, match=r"manifest\.json: is (not JSON|no manifest)"):
+    with pytest.raises(InputError, match=r"manifest\.json: is not (JSON|the manifest)"):
         read_bundle(folder)
 
 
@@ -298,7 +299,7 @@ def test_no_folder_and_a_file_name_that_leads_out(folder: Path) -> None:
     table = json.loads((folder / "manifest.json").read_text())
     table["sha256"]["../secret"] = "0" * 64
     (folder / "manifest.json").write_text(json.dumps(table))
-    with pytest.raises(InputError, match="is no manifest"):
+    with pytest.raises(InputError, match="is not the manifest"):
         read_bundle(folder)
 
 
@@ -318,7 +319,8 @@ def test_an_inequality_belongs_if_it_is_stated_for_these_gains(
     assert told.belongs and told.excludes[0].startswith("dynamics")
     for gains in ({"k1": np.array([0.31])}, {"cruise": np.array([0.16])}):
         found = compare(tracking, manifest_of(bundle_of(**gains), tmp_path / "other"))
-        assert found.differs == ("claim 'v1-corrected' for the bundle's gains, vehicle and cruise is another one",)
+        message = "claim 'v1-corrected' is not the one for the bundle's gains, vehicle and cruise speed"
+        assert found.differs == (message,)
 
 
 def test_an_inequality_about_a_part_that_the_law_has_not(tracking: dict[str, Any], tmp_path: Path) -> None:
@@ -349,5 +351,5 @@ def test_certificates_travel_and_those_of_another_controller_do_not(
     path.write_text(json.dumps({**tracking, "cases": []}))
     with pytest.raises(InputError, match="is rejected: the hash"):
         load_certificates([path])
-    with pytest.raises(InputError, match="is not of format"):
+    with pytest.raises(InputError, match="is not a file of format"):
         load_certificates([folder / "manifest.json"])

@@ -211,16 +211,16 @@ def test_the_checkers_vehicle_is_the_vehicle_that_flies() -> None:
 def test_a_form_that_doubles_cannot_hold_is_rejected() -> None:
     changed = document()
     changed["proof"]["P"] = [[1.0], [0, 1.0], [0, 1 - 1e-12, 1.0], [0, 0, 0, 1.0], [0, 0, 0, 0, 1.0], [0] * 5 + [1.0]]
-    changed["claim"]["motion"].update(offset_m=0.01, beside_m=0.01, reach=[0.01, 0.01, 0.01])
+    changed["claim"]["motion"].update(offset_m=0.01, beside_m=0.01, extent=[0.01, 0.01, 0.01])
     assert "ill-conditioned" in check_document(sealed(changed)).reason
 
 
 def test_malformed_certificates_are_rejected_with_what_is_wrong() -> None:
     for where, value, text in (
         (("claim", "system"), "other", "not known"),
-        (("claim", "excludes"), [], "leaves out"),
+        (("claim", "excludes"), [], "claim.excludes differs"),
         (("proof", "P"), [[1.0]], "lower triangle"),
-        (("claim", "vehicle", "mass_kg"), [114.0, 76.0], "least exceeds"),
+        (("claim", "vehicle", "mass_kg"), [114.0, 76.0], "least value exceeds"),
         (("claim", "law", "k"), None, "finite number"),
     ):
         assert text in check_document(sealed(put(document(), where, value))).reason

@@ -329,6 +329,6 @@ def test_the_reason_names_what_fails() -> None:
     for axis in (0, 1):
         changed = document()
         changed["claim"]["motion"]["ultimate_bound_m"][axis] *= 0.8
-        assert "it settles within" in check_document(sealed(changed)).reason
+        assert "beyond the claimed ultimate bound" in check_document(sealed(changed)).reason
     with pytest.raises(Rejected, match="exactly the keys"):
         read_claim({})

@@ -159,7 +159,7 @@ def test_check_says_what_slack_means_and_prints_no_control_character(tmp_path):
     assert told.json["slack"] == 1e-9 and told.json["proves"] in done.out
     assert told.out.strip().isprintable() and told.json["claim"]["statement"] == "a\rb\u202e"
     slow = surctl("check", str(path), "--time-limit", "1e-9", cwd=tmp_path)
-    assert slow.status == 1 and slow.out.startswith("rejected: it takes more than 1e-09 s of processor time")
+    assert slow.status == 1 and slow.out.startswith("rejected: the check takes more than 1e-09 s of processor time")
 
 
 def test_verify_shows_claims_as_files(tmp_path):

@@ -1,4 +1,4 @@
-"""The barrier with inertia as certificates: the bare rule with its tables, and the law's own bound."""
+"""Certificates about braking before obstacles: the bare rule with its tables of ranges, and the law's own bound."""
 
 from surctl.verification.braking.claim import BrakingClaim, LawNumbers, law_numbers
 from surctl.verification.braking.library import BRAKING_CLAIMS, BrakingEntry, braking_claim_named

@@ -1,4 +1,4 @@
-"""What is claimed of the barrier with inertia: which vehicle, met by what, how well watched, by which law."""
+"""The claim about braking with inertia: the vehicle, the obstacle, the quality of the measurements, and the law."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = ["BrakingClaim", "LawNumbers", "law_numbers"]
 
 @dataclass(frozen=True)
 class LawNumbers:
-    """The law's bound, and how its velocity loop answers when it is exceeded.
+    """The law's speed bound, and the response of its velocity loop to a speed above the bound.
 
     Attributes:
-        barrier: name.
-        own: what the law believes stops it, at the share of the thrust that it counts on.
+        barrier: name of the barrier.
+        own: braking capability in the law's model, at the share of the thrust that the law relies on.
         margin, reaction, brake, k_v, k_i: gains [m, s, 1, 1/s, 1/s²].
         limit: least thrust limit of surge and sway [N].
-        mass, linear, quadratic: believed mass [kg] and drag [N s/m, N s²/m²] of surge and sway.
+        mass, linear, quadratic: mass [kg] and drag [N s/m, N s²/m²] of surge and sway in the law's model.
     """
 
     barrier: Barrier
@@ -40,7 +40,7 @@ class LawNumbers:
     quadratic: float
 
     def document(self) -> dict[str, Any]:
-        """As a certificate states it."""
+        """Return the numbers as data of a certificate."""
         own = self.own
         return {
             "barrier": self.barrier,
@@ -66,7 +66,7 @@ class LawNumbers:
 
 
 def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
-    """The numbers of the guarded law for a vehicle that it believes in.
+    """Return the numbers of the guarded law whose model is this vehicle.
 
     Raises:
         NotApplicable: surge and sway differ, or integral action is on.
@@ -90,21 +90,21 @@ def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
 
 @dataclass(frozen=True)
 class BrakingClaim:
-    """A claim about braking before one obstacle at a time; see `certcheck.braking_claim` for what it assumes.
+    """A claim about braking before one obstacle at a time; `certcheck.braking_claim` lists its assumptions.
 
     Attributes:
-        name: of the claim.
-        brakes: the true vehicle at the worst of its ranges.
-        watch: what is known when, of the rule or the law.
-        drag: `along` the velocity, or by `axes`, at any heading.
-        obstacles: speeds v_o [m/s], rising, of what comes on.
+        name: name of the claim.
+        brakes: braking capability of the true vehicle over its ranges.
+        watch: control period, age of a range, and errors of range and own speed.
+        drag: `along` for drag along the velocity, `axes` for drag axis by axis at any heading.
+        obstacles: approach speeds v_o of the obstacles [m/s], rising.
         fastest: largest own speed [m/s].
-        sideways: largest speed across the direction [m/s].
-        turn: largest yaw rate while it brakes [rad/s].
-        side: largest thrust across the direction [N].
-        law: None for the bare rule: brake, unless the range needed is there.
+        sideways: largest speed across the direction of the obstacle [m/s].
+        turn: largest yaw rate while the vehicle brakes [rad/s].
+        side: largest thrust across the direction of the obstacle [N].
+        law: numbers of the law; None for the bare rule, which brakes unless the range needed is available.
         speeds: own speeds of the table [m/s], at most `fastest`.
-        digests: SHA-256 of the vehicle's numbers and of the law's text.
+        digests: SHA-256 of the vehicle's parameters and of the law's instructions.
     """
 
     name: str
@@ -121,7 +121,7 @@ class BrakingClaim:
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
 
     def document(self, table: dict[str, Any], limit: float) -> dict[str, Any]:
-        """The claim as a certificate states it, with the figures of its table and the limit speed [m/s]."""
+        """Return the claim as data of a certificate, with its table of distances and the limit speed [m/s]."""
         b, w = self.brakes, self.watch
         return {
             "system": "braking",

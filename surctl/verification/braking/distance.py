@@ -1,4 +1,4 @@
-"""The shortest convex table of the braking way that a checker can follow, and the figures that come of it."""
+"""A short convex table of the braking distance that the checker accepts, and the distances that follow from it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surctl.verification.braking.claim import BrakingClaim
 __all__ = ["DistanceTable", "Encounter", "distance_table", "encounter", "figures", "figures_needed", "largest_obstacle"]
 
 _CELLS = 40
-_DIGITS = 9  # of a knot or slope
+_DIGITS = 9  # decimals of a knot or slope
 _LIFT = 1e-4  # share by which a slope is raised until its cell holds
 _FIGURES = 1e4  # a figure is rounded up to 0.1 mm
 _NEGLECTED = 1e-9
@@ -25,7 +25,10 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Encounter:
-    """One obstacle: its speed [m/s], speed through the water at rest before it, push f [N], swing q [N s]."""
+    """One obstacle: approach speed [m/s], speed astern through the water at closing speed 0 [m/s], f [N], q [N s].
+
+    f is the largest disturbance force towards the obstacle, and q the impulse that the lag still delivers.
+    """
 
     obstacle: float
     through: float
@@ -34,7 +37,7 @@ class Encounter:
 
 
 def encounter(claim: BrakingClaim, obstacle: float) -> Encounter:
-    """What acts before an obstacle of that speed [m/s]."""
+    """Return the speeds and forces for an obstacle of that approach speed [m/s]."""
     b, through = claim.brakes, obstacle + claim.brakes.current
     swing = b.lag * (b.most + b.least) + claim.turn * b.lag**2 * claim.side
     return Encounter(obstacle, through, _disturbance(claim, through), swing)
@@ -46,13 +49,12 @@ def _disturbance(claim: BrakingClaim, through: float) -> float:
     side = high2 * min(through * w, w**2 / 2)
     if claim.drag == "axes":
         side = (high - low) * w / 2 + sqrt(2) * high2 * through * w + (2 * high2 - low2) * w**2 / (3 * sqrt(3))
-    # the checker rounds its roots up: so does this
+    # the factor covers the checker's roots, which are rounded up
     return b.disturbance + side * (1 + 2e-8) + (claim.turn * b.lag) ** 2 * max(b.most, b.least)
 
 
 def largest_obstacle(claim: BrakingClaim) -> float:
-    """Speed [m/s] of an obstacle before which nothing is left of the braking force, rounded down to 0.1 mm/s; 0
-    without any."""
+    """Return the largest obstacle speed [m/s] that leaves braking force, rounded down to 0.1 mm/s; 0 if none does."""
     low, high = 0.0, 100.0
     for _ in range(60):
         middle = (low + high) / 2
@@ -67,18 +69,18 @@ def _left(claim: BrakingClaim, obstacle: float) -> float:
 
 @dataclass(frozen=True)
 class DistanceTable:
-    """G: knots z [m/s], slopes G' there, convex; G' linear in between."""
+    """The convex function G, given by knots z [m/s] and slopes G' at the knots; G' is linear between them."""
 
     at: Encounter
     knots: Vector
     slopes: Vector
 
     def worst(self, claim: BrakingClaim, closing: float) -> float:
-        """m G(s + q/m) at the worse end of the mass range [m], s the closing speed [m/s]."""
+        """Return m G(s + q/m) [m] at the worse end of the mass range, for the closing speed s [m/s]."""
         return max(m * self.value(closing + self.at.swing / m) for m in claim.brakes.masses)
 
     def value(self, z: float) -> float:
-        """G(z⁺) [m/kg]."""
+        """Return G(max(z, 0)) [m/kg]."""
         if z <= 0:
             return 0.0
         k = int(np.searchsorted(self.knots, z, side="right")) - 1
@@ -91,17 +93,17 @@ class DistanceTable:
 
 
 def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
-    """The table before an obstacle of that speed [m/s], as far as the claim needs it."""
+    """Return the table for an obstacle of that approach speed [m/s], up to the highest z that the claim needs."""
     b, at = claim.brakes, encounter(claim, obstacle)
     fastest = claim.fastest + claim.watch.speed_error
     gain = (b.most + at.disturbance + b.largest_drag(max(at.through, fastest))) / b.masses[0]
     top = fastest + obstacle + gain * claim.watch.period + at.swing / b.masses[0] + 0.01
     knots = np.linspace(0.0, top, _CELLS + 1)
-    if 0 < at.through < top:  # there drag turns round
+    if 0 < at.through < top:  # drag changes its sign there
         knots = np.unique(np.append(knots[abs(knots - at.through) > top / (4 * _CELLS)], at.through))
     knots = np.round(knots, _DIGITS)
     slopes = np.maximum.accumulate(knots / _force(claim, at, knots))
-    slopes[1] = max(slopes[1], knots[1] / float(_force(claim, at, knots[:1])[0]))  # it leaves 0 with its slope there
+    slopes[1] = max(slopes[1], knots[1] / float(_force(claim, at, knots[:1])[0]))  # at 0, G' rises by 1/force at least
     for k in range(len(knots) - 1):
         while _lack(claim, at, knots[k : k + 2], slopes[k : k + 2]) > 0:
             slopes[max(k, 1) : k + 2] *= 1 + _LIFT
@@ -110,7 +112,7 @@ def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
 
 
 def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
-    """By how much G' times the force may be less than z on a cell, by Bernstein's coefficients; ≤ 0 where it holds."""
+    """Return an upper bound on z − G'·force over a cell, by Bernstein coefficients; a cell is valid if it is ≤ 0."""
     h = float(z[1] - z[0])
     middle = np.polynomial.Polynomial.fit(z, g, 1, domain=[z[0], z[1]], window=[0.0, h])
     inner = z[0] + h * np.array([0.1, 0.5, 0.9])  # the force is one quadratic on a cell
@@ -124,7 +126,7 @@ def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
 
 
 def _force(claim: BrakingClaim, at: Encounter, z: Vector) -> Vector:
-    """What brakes at closing speed z, drag at its least help [N]."""
+    """Return the braking force at closing speed z [N], with drag at its least help."""
     b, v = claim.brakes, z - at.through
     share = 1.0 if claim.drag == "along" else 1 / sqrt(2)
     ahead = b.linear[0] * v + share * b.quadratic[0] * v**2
@@ -132,7 +134,7 @@ def _force(claim: BrakingClaim, at: Encounter, z: Vector) -> Vector:
 
 
 def figures(claim: BrakingClaim, tables: list[DistanceTable]) -> dict[str, Any]:
-    """Closed form, way and range needed [m], rounded up to 0.1 mm, by speed and obstacle."""
+    """Return the claim's table: closed-form distance, braking distance and range needed [m], rounded up to 0.1 mm."""
     rows: dict[str, list[list[float]]] = {"closed_m": [], "distance_m": [], "needed_m": []}
     for speed in claim.speeds:
         entries = [_figures(claim, table, speed) for table in tables]
@@ -149,9 +151,9 @@ def _figures(claim: BrakingClaim, table: DistanceTable, speed: float) -> tuple[f
 
 
 def figures_needed(claim: BrakingClaim, table: DistanceTable, speed: float, *, since: float) -> float:
-    """Range needed [m] at an own speed as measured, the largest since the echo being `since` [m/s].
+    """Return the range needed [m] at a measured own speed; `since` is the largest own speed since the echo [m/s].
 
-    As `guidance.braking.range_needed`, which lets a retreat count for nothing.
+    `guidance.braking.range_needed` differs only in that it ignores the gain of a retreat.
     """
     b, at, w = claim.brakes, table.at, claim.watch
     closing, astern = speed + w.speed_error + at.obstacle, max(at.through, b.current + w.speed_error - speed)

@@ -1,8 +1,8 @@
-"""Many flights of the worst kind inside a claim's assumptions: nothing may be touched in any of them.
+"""Many simulated worst-case runs within a claim's assumptions: no run may have a contact.
 
-In two dimensions, the vehicle pushes towards the obstacle with all it has, or anywhere, whenever the rule lets it; it
-brakes along the direction of the last decision that did not brake. Half of the flights are head-on with everything at
-its worst end; the others draw mass, lag, drag, braking force, errors and motion anew.
+The runs are in two dimensions. Whenever the rule allows it, the vehicle thrusts towards the obstacle with full force,
+or in any other direction; it brakes along the direction of the last decision that did not brake. Half of the runs are
+head-on with every quantity at its worst end; the others use random mass, lag, drag, braking force, errors and motion.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ __all__ = ["Episodes", "Rule", "rule_of", "run_episodes"]
 
 _STEP = 0.005  # [s]
 _NEAR = 0.1  # [m]
-_AGAINST = 40.0  # [N s/m] against a sideways speed that is near the claim's largest
-_RANGES = 4.0  # [m] up to which a law's bound is tabulated
+_AGAINST = 40.0  # [N s/m] gain against a sideways speed near the claim's largest
+_RANGES = 4.0  # [m] largest range at which a law's bound is tabulated
 
 Vector = NDArray[np.float64]
 Rule = Callable[[Vector, Vector, Vector], NDArray[np.bool_]]
-"""(range read [m], own speed along the direction as measured [m/s], the largest since the echo) → whether it brakes."""
+"""(measured range [m], measured own speed along the direction [m/s], its largest value since the echo) → braking?"""
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """What came of many flights.
+    """The result of many runs.
 
     Attributes:
-        runs: number of flights.
-        hits: flights in which the clearance was negative.
-        least: least clearance of all [m].
-        near: share of the flights that came within 0.1 m.
-        braked: share in which it had to brake.
+        runs: number of runs.
+        hits: number of runs in which the clearance was negative.
+        least: least clearance of all runs [m].
+        near: share of the runs with a clearance below 0.1 m.
+        braked: share of the runs in which the vehicle had to brake.
     """
 
     runs: int
@@ -49,10 +49,11 @@ class Episodes:
 
 
 def rule_of(claim: BrakingClaim, *, obstacle: float, table: DistanceTable | None = None) -> Rule:
-    """When the claim's vehicle brakes before an obstacle of that speed [m/s].
+    """Return the rule by which the claim's vehicle brakes before an obstacle of that approach speed [m/s].
 
-    The bare rule: unless the range needed is there; `table` is the way it goes by, by default that of the proof. The
-    law: as soon as its own speed exceeds the bound by what its velocity loop needs to ask for the force counted on.
+    The bare rule brakes unless the range needed is available; it uses the braking distance in `table`, by default that
+    of the proof. The law brakes when its own speed exceeds the bound so far that its velocity loop commands the
+    guaranteed braking force.
     """
     if claim.law is not None:
         return _law_rule(claim, claim.law, obstacle)
@@ -76,7 +77,7 @@ def _law_rule(claim: BrakingClaim, law: LawNumbers, obstacle: float) -> Rule:
         del since
         allowed = np.interp(read, ranges, bound)
         forward, w = np.maximum(allowed, 0.0), claim.sideways
-        # drag is fed forward axis by axis: what is asked for across the direction pushes along it too
+        # drag is fed forward axis by axis, so that a command across the direction adds force along it
         drag = law.linear * forward + law.quadratic * (forward**2 + 0.385 * forward * w + 0.7072 * w**2)
         return np.asarray(speed > allowed + (claim.brakes.least + drag) / loop)
 
@@ -100,15 +101,15 @@ def run_episodes(
     seed: int = 0,
     rule: Rule | None = None,
 ) -> Episodes:
-    """Fly inside the assumptions.
+    """Simulate many runs within the assumptions of a claim.
 
     Args:
-        claim: whose assumptions, and whose rule.
-        obstacle: v_o [m/s].
-        runs: number of flights.
-        seconds: length of a flight [s].
-        seed: of everything that is drawn.
-        rule: another rule than the claim's own, to see it fail.
+        claim: the claim, with its assumptions and its braking rule.
+        obstacle: approach speed v_o of the obstacle [m/s].
+        runs: number of runs.
+        seconds: duration of a run [s].
+        seed: seed of all random numbers.
+        rule: another rule in place of the claim's own, for example one that should fail.
     """
     world = _World(claim, obstacle, runs, np.random.default_rng(seed))
     decide = rule_of(claim, obstacle=obstacle) if rule is None else rule
@@ -125,7 +126,7 @@ def run_episodes(
 
 
 class _World:
-    """Vehicle and obstacle of every flight; arrays (runs,) or (runs, 2)."""
+    """Vehicle and obstacle of every run, as arrays (runs,) or (runs, 2)."""
 
     def __init__(self, claim: BrakingClaim, obstacle: float, runs: int, rng: np.random.Generator) -> None:
         b, self.claim, self.fastest_obstacle, self.rng, self.runs = claim.brakes, claim, obstacle, rng, runs
@@ -141,7 +142,7 @@ class _World:
         self.turn = claim.turn * rng.choice((-1.0, 0.0, 1.0), runs)
         bearing = rng.uniform(-np.pi, np.pi, runs)
         self.latched = _unit(bearing)
-        # discs, and every fourth a wall
+        # three quarters are discs; a very large disc stands for a wall
         self.radius = np.where(rng.uniform(size=runs) < 0.25, 1e4, rng.uniform(0.02, 1.0, runs))
         away = rng.uniform(1.0, 2.5, runs) + 4.0 * obstacle
         self.gap = self.latched * (away + self.radius)[:, None]  # vehicle → centre of the obstacle
@@ -155,7 +156,7 @@ class _World:
         self.sign = np.ones((2, runs))
 
     def look(self) -> Vector:
-        """Clearance [m]; it is remembered."""
+        """Return the clearance [m] and store it for the delayed measurement."""
         distance = np.linalg.norm(self.gap, axis=1)
         self.normal, self.clearance = self.gap / distance[:, None], distance - self.radius
         late = round(self.claim.watch.age / _STEP)
@@ -164,7 +165,7 @@ class _World:
         return self.clearance
 
     def decide(self, rule: Rule) -> NDArray[np.bool_]:
-        """What is asked for until the next decision; tells who brakes."""
+        """Set the commands until the next decision, and return which vehicles brake."""
         w, rng = self.claim.watch, self.rng
         fresh = rng.uniform(size=self.runs) < 0.05
         self.mood = np.where(fresh & ~self.worst, rng.uniform(size=self.runs), self.mood)
@@ -179,7 +180,7 @@ class _World:
         return self.braking
 
     def _free(self, across: Vector) -> Vector:
-        """Thrust of those that need not brake: on, most of the time; sideways too, up to the claim's speed."""
+        """Return the thrust of vehicles that need not brake: mostly ahead, and sideways up to the claim's speed."""
         b, claim, mood = self.claim.brakes, self.claim, self.mood
         towards = np.sum(self.velocity * self.normal, axis=1)
         aside = np.sum(self.velocity * across, axis=1)
@@ -195,21 +196,21 @@ class _World:
         return np.asarray(forward[:, None] * self.latched + sideways[:, None] * across)
 
     def _obstacle(self, across: Vector) -> Vector:
-        """Direction of the obstacle's motion: it comes on, mostly."""
+        """Return the direction of the obstacle's motion, which is mostly towards the vehicle."""
         mood = self.mood[:, None]
         on = -self.latched
         slant = (on + 0.5 * across) / np.sqrt(1.25)
         return np.where(mood < 0.5, on, np.where(mood < 0.7, slant, np.where(mood < 0.85, across, -on)))
 
     def step(self) -> None:
-        """One step of the plant: thrust with lag turns with the hull; drag at its worst along the direction."""
+        """Simulate one step of the plant: lagged thrust turns with the hull; drag is worst along the direction."""
         b, h = self.claim.brakes, _STEP
         force = self.thrust + (b.disturbance * self.latched if b.disturbance else 0.0) - self._drag()
         rate = force / self.mass[:, None]
         self.gap = self.gap + h * (self.came - self.velocity - h / 2 * rate)
         self.velocity = self.velocity + h * rate
         share = 1 - np.exp(-h / np.maximum(self.lag, 1e-6))
-        turned = _turned(self.thrust, self.turn * h)  # what was delivered goes round with the hull
+        turned = _turned(self.thrust, self.turn * h)  # the delivered thrust turns with the hull
         self.thrust = turned + share[:, None] * (self.command - turned)
         self.heading = self.heading + self.turn * h
 

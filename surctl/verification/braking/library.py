@@ -1,4 +1,4 @@
-"""The library of claims about braking: the bare rule with its tables, and the two barriers that fly."""
+"""The library of claims about braking: the bare rule with its tables, and the two barriers of the guarded law."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from surctl.verification.setting import OVERSHOOT
 __all__ = ["BRAKING_CLAIMS", "BrakingEntry", "braking_claim_named"]
 
 _SPREAD = 0.2
-_FASTEST, _CAP = 0.25, 0.22  # [m/s] own speed at most, under that cap
+_FASTEST, _CAP = 0.25, 0.22  # [m/s] largest own speed, under this speed cap
 _SPEEDS = (0.10, 0.15, 0.22)  # [m/s] own speeds of the table
 _SENSED = Watch(age=0.2, range_error=0.05, speed_error=0.01)
 _COLUMNS = (0.0, 0.05, 0.10, 0.15)  # [m/s] obstacles of the rule's table
 
 
 class BrakingEntry(NamedTuple):
-    """What a name claims, and how it is built."""
+    """The statement of a claim in words, and the function that builds the claim."""
 
     statement: str
     build: Callable[[str, Vehicle, Gains, float], BrakingClaim]
 
 
 def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
-    """Everything off by ±20 %, or the ranges of the vehicle file; linear drag off by ±20 % in both."""
+    """Return the vehicle with all parameters ±20 %, or, if `wide`, with the file's ranges and linear drag ±20 %."""
     near = brakes_of(vehicle, share=share, spread=_SPREAD)
     return replace(brakes_of(vehicle, share=share), linear=near.linear) if wide else near
 
@@ -44,7 +44,7 @@ def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains
         del gains
         check_alike(vehicle, ranges=wide)
         brakes = _true(vehicle, LEAST_THRUST, wide=wide)
-        digests = (_digest(vehicle), "0" * 64)  # of no law
+        digests = (_digest(vehicle), "0" * 64)  # there is no law
         return BrakingClaim(
             name, brakes, _SENSED, "along", _COLUMNS, _fastest(cap), sideways=sideways, speeds=_rows(cap),
             digests=digests,
@@ -65,9 +65,9 @@ def _guarded(
     def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
         check_alike(vehicle, ranges=wide)
         numbers = law_numbers(barrier, vehicle, gains)
-        # the inertia bound counts on `brake` of the thrust; the simple one needs all that is surely there
+        # the inertia bound relies on the share `brake` of the thrust; the simple one needs all guaranteed thrust
         brakes = _true(vehicle, LEAST_THRUST if barrier == "simple" else gains["brake"], wide=wide)
-        if drag == "axes":  # each axis is limited by itself: a diagonal thrust is the larger one
+        if drag == "axes":  # each axis has its own limit, so a diagonal thrust is larger
             brakes = replace(brakes, most=brakes.most * sqrt(2))
         law = build_law(barrier=barrier, movers="barrier" if obstacle else "predict")
         return BrakingClaim(
@@ -89,7 +89,7 @@ def _guarded(
 
 
 def _fastest(cap: float) -> float:
-    """Largest own speed [m/s] under a cap: the table's, or as much beyond the cap as that is beyond 0.22 m/s."""
+    """Return the largest own speed [m/s] under a cap: 0.25 m/s up to a cap of 0.22 m/s, else `OVERSHOOT` times it."""
     return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
 
 
@@ -104,41 +104,41 @@ def _digest(vehicle: Vehicle) -> str:
 
 BRAKING_CLAIMS: Mapping[str, BrakingEntry] = {
     "braking-rule-20": BrakingEntry(
-        "brake unless the range needed is there: table of ranges, all off by ±20 %, late and wrong sensors",
+        "rule that brakes unless the range needed is available: table of ranges, parameters ±20 %, sensor errors",
         _rule(wide=False),
     ),
-    "braking-rule-ranges": BrakingEntry("the same over the ranges of the vehicle file", _rule(wide=True)),
+    "braking-rule-ranges": BrakingEntry("as braking-rule-20, over the ranges of the vehicle file", _rule(wide=True)),
     "braking-rule-20-plane": BrakingEntry(
-        "the same as braking-rule-20 at up to 0.1 m/s across the direction that is latched",
+        "as braking-rule-20, with a speed of up to 0.1 m/s across the latched direction",
         _rule(wide=False, sideways=0.1),
     ),
     "braking-inertia-20": BrakingEntry(
-        "law guarded, barrier inertia, never touches what stands: all off by ±20 %, spinning, any sideways speed",
+        "law guarded, barrier inertia: no contact with obstacles at rest, parameters ±20 %, spin, any sideways speed",
         _guarded("inertia", spins=True),
     ),
     "braking-inertia-ranges": BrakingEntry(
-        "the same over the ranges of the vehicle file", _guarded("inertia", wide=True, spins=True)
+        "as braking-inertia-20, over the ranges of the vehicle file", _guarded("inertia", wide=True, spins=True)
     ),
     "braking-inertia-20-axes": BrakingEntry(
-        "the same as braking-inertia-20 with drag and thrust limits axis by axis, 0.05 m/s sideways",
+        "as braking-inertia-20, with drag and thrust limits axis by axis and up to 0.05 m/s sideways",
         _guarded("inertia", drag="axes", sideways=0.05, spins=True),
     ),
     "braking-inertia-20-movers": BrakingEntry(
-        "barrier on movers too: what comes on at 0.05 m/s, all off by ±20 %, 0.1 m/s sideways",
+        "law guarded, barrier on moving obstacles that approach at 0.05 m/s, parameters ±20 %, up to 0.1 m/s sideways",
         _guarded("inertia", obstacle=0.05, sideways=0.1),
     ),
     "braking-simple-20": BrakingEntry(
-        "the same as braking-inertia-20 of barrier simple, not spinning", _guarded("simple")
+        "as braking-inertia-20, with the barrier simple and without spinning", _guarded("simple")
     ),
 }
 
 
 def braking_claim_named(name: str, vehicle: Vehicle, gains: Gains, *, cap: float = _CAP) -> BrakingClaim:
-    """The claim about braking of that name for a vehicle, its gains and the cap on its speed [m/s].
+    """Return the claim about braking of that name for a vehicle, its gains and its speed cap [m/s].
 
     Raises:
-        InputError: no such claim, with the nearest known name.
-        NotApplicable: a vehicle or gains whose numbers violate an assumption of it.
+        InputError: there is no such claim; the message names the nearest known one.
+        NotApplicable: the vehicle or the gains violate an assumption of the claim.
     """
     if name not in BRAKING_CLAIMS:
         raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, BRAKING_CLAIMS))

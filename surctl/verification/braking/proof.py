@@ -1,4 +1,4 @@
-"""From a claim about braking to a certificate: make the table, and let the independent checker decide."""
+"""Proof of a claim about braking: compute its tables, and let the independent checker decide."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["BrakingProof", "prove_braking"]
 
 @dataclass(frozen=True)
 class BrakingProof(Certified):
-    """What an attempt to prove a claim about braking came to.
+    """The result of an attempt to prove a claim about braking.
 
     Attributes:
-        claim: what was claimed.
-        range_needed: range needed at the highest speed of the table before the quickest obstacle [m].
-        seconds: time it took [s].
-        check_seconds: the checker's share of it [s].
+        claim: the claim.
+        range_needed: range needed at the highest own speed of the table before the fastest obstacle [m].
+        seconds: total time of the attempt [s].
+        check_seconds: time of the checker [s].
     """
 
     claim: BrakingClaim
@@ -36,14 +36,14 @@ class BrakingProof(Certified):
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
         claim, quickest = self.claim, max(self.claim.obstacles)
-        what = f"obstacles that approach at up to {quickest:g} m/s" if quickest else "obstacles that stand still"
+        what = f"obstacles that approach at up to {quickest:g} m/s" if quickest else "obstacles at rest"
         return (
             f"proved: no contact with {what}, provided they are detected at {self.range_needed:.2f} m or more "
             f"(robot at {max(claim.speeds):g} m/s); checked in {self.check_seconds:.2f} s"
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the result as plain data for JSON."""
         return {
             **self.decided(),
             "range_needed_m": self.range_needed,
@@ -53,11 +53,11 @@ class BrakingProof(Certified):
 
 
 def prove_braking(claim: BrakingClaim) -> BrakingProof:
-    """Make the tables of the claim and have them checked."""
+    """Compute the tables of the claim and let the checker decide."""
     began = time.perf_counter()
     limit = largest_obstacle(claim)
     if max(claim.obstacles) >= limit:
-        reason = f"braking guarantees nothing before an obstacle of {limit:.4g} m/s or more"
+        reason = f"braking guarantees nothing for obstacles that approach at {limit:.4g} m/s or more"
         return BrakingProof(claim, "unknown", {}, reason, 0.0, time.perf_counter() - began, 0.0)
     tables = [distance_table(claim, obstacle) for obstacle in claim.obstacles]
     table = figures(claim, tables)

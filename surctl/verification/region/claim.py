@@ -1,4 +1,4 @@
-"""The claim of a region certificate: whose loop, over which ranges, how fast, how far."""
+"""The claim of a region certificate: the loop, the ranges of its parameters, the decay rate and the region."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ __all__ = ["RegionClaim", "region_claim"]
 
 Range = tuple[float, float]
 
-_AXES = {"mass_kg": "m11", "linear_drag": "Xu", "quadratic_drag": "Xuu"}  # sway has the same
+_AXES = {"mass_kg": "m11", "linear_drag": "Xu", "quadratic_drag": "Xuu"}  # sway must be equal
 
 
 @dataclass(frozen=True)
 class RegionClaim:
-    """The cruise of the law that flies, robust over a vehicle's ranges; SI units, pairs are (least, largest).
+    """The claim about the exported law's cruise, robust over a vehicle's ranges; SI units, pairs are (least, largest).
 
     Attributes:
-        name: of the claim.
+        name: name of the claim.
         mass, linear, quadratic: true mass and drag of surge and sway [kg, N s/m, N s²/m²].
-        asymmetry: largest |surge − sway| / mean of a drag coefficient; 2 leaves them independent.
-        thrust: least limit of a horizontal thrust axis, the plant's or the law's [N].
-        lag: thrust lag [s]; (0, 0) claims nothing about a lag.
-        yaw_rate: largest |r| [rad/s]; any heading motion below it.
-        current: largest speed of a current that never changes [m/s]; without lag and held commands only.
-        force: largest horizontal force beside the thrust, changing as it likes [N].
-        place_error, velocity_error: largest error of the measured place [m] and velocity [m/s], changing as they like.
-        model: mass, linear and quadratic drag as the law believes them.
-        gains: k1, lookahead, k_v, k_i, wait.
+        asymmetry: largest |surge − sway| / mean of a drag coefficient; 2 makes the two coefficients independent.
+        thrust: least thrust limit of a horizontal axis, of the plant or of the law [N].
+        lag: time constant of the thrust [s]; (0, 0) for a loop without lag.
+        yaw_rate: largest |r| [rad/s]; below it the heading may move arbitrarily.
+        current: largest speed of a constant current [m/s]; only for a loop without lag and held commands.
+        force: largest horizontal disturbance force, varying arbitrarily [N].
+        place_error, velocity_error: largest error of measured position [m] and velocity [m/s], varying arbitrarily.
+        model: mass, linear and quadratic drag in the law's model.
+        gains: the gains k1, lookahead, k_v, k_i and wait.
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
-        period: control period [s]; 0 claims nothing about sampling.
-        rate: a of V̇ ≤ −a V [1/s].
-        digests: SHA-256 of the vehicle's numbers and of the law's text.
+        period: control period [s]; 0 for a loop without held commands.
+        rate: decay rate a of V̇ ≤ −a V [1/s].
+        digests: SHA-256 of the vehicle's parameters and of the law's instructions.
     """
 
     name: str
@@ -62,7 +62,7 @@ class RegionClaim:
     velocity_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise InputError for an empty range, or integral action, which the claim does not know."""
+        """Raise InputError for a number out of bounds, NotApplicable for integral action or a cruise speed ≥ cap."""
         for key in ("mass", "linear", "quadratic", "lag"):
             low, high = getattr(self, key)
             if not 0 <= low <= high or (key == "mass" and low == 0):
@@ -74,11 +74,11 @@ class RegionClaim:
             if not getattr(self, key) > 0:
                 raise InputError("must be greater than 0", key=key, value=getattr(self, key), remedy="correct it")
         if self.gains["k_i"]:
-            raise NotApplicable("k_i is not 0 and the claim is about a loop without integral action", to="these gains")
+            raise NotApplicable("the claim is about a loop without integral action and k_i is not 0", to="these gains")
         if self.current and (self.period or self.lag[1]):
             raise InputError(
-                "is not known together with lag or held commands", key="current", value=self.current,
-                remedy="leave sampled and lagged out",
+                "is not supported together with thrust lag or held commands", key="current", value=self.current,
+                remedy="leave out sampled and lagged",
             )  # fmt: skip
         if self.cruise >= self.cap:
             why = f"the cruise speed of {self.cruise:g} m/s is not below the cap of {self.cap:g} m/s"
@@ -86,11 +86,11 @@ class RegionClaim:
 
     @property
     def size(self) -> int:
-        """Number of states: place and velocity in the path frame, and with lag the thrust."""
+        """Number of states: position and velocity in the path frame, and with lag the thrust."""
         return 6 if self.lag[1] > 0 else 4
 
     def document(self, *, offset: float, ultimate_bound: tuple[float, float]) -> dict[str, Any]:
-        """The claim as a certificate states it, with the offset [m] it holds and where it settles [m]."""
+        """Return the claim as data of a certificate, with the offset [m] and the ultimate bound [m] that it states."""
         mass, linear, quadratic = self.model
         return {
             "system": "cruise",
@@ -142,26 +142,26 @@ def region_claim(
     place_error: float = 0.0,
     velocity_error: float = 0.0,
 ) -> RegionClaim:
-    """The claim about a vehicle flown with these gains.
+    """Return the claim about the cruise of a vehicle under the exported law with these gains.
 
     Args:
-        name: of the claim.
-        vehicle: what the law believes; its surge and sway must be alike.
-        gains: of the law.
-        share: mass and drag may be off by this share; None takes the ranges of the vehicle file.
-        thrust_share: the thrust limit may be lower by this share.
-        asymmetry: of the true drag of surge and sway.
-        sampled, lagged: whether the control period and the vehicle's thrust lag are in the claim.
+        name: name of the claim.
+        vehicle: the vehicle in the law's model; its surge and sway must be equal.
+        gains: gains of the law.
+        share: relative error of mass and drag; None takes the ranges of the vehicle file.
+        thrust_share: share by which the thrust limit may be lower.
+        asymmetry: largest |surge − sway| / mean of the true drag coefficients.
+        sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
         yaw_rate: largest |r| [rad/s].
-        cruise, cap: [m/s].
-        rate: [1/s].
-        current: largest speed of a steady current [m/s].
-        force: largest force of waves and of what the thrust is off by [N].
-        place_error, velocity_error: of what is measured [m, m/s].
+        cruise, cap: speed of the path's target and largest commanded speed [m/s].
+        rate: decay rate of V [1/s].
+        current: largest speed of a constant current [m/s].
+        force: largest force of waves and thrust errors [N].
+        place_error, velocity_error: largest error of measured position [m] and velocity [m/s].
 
     Raises:
-        NotApplicable: surge and sway differ, or integral action is on.
-        InputError: a cruise speed that is not below the cap, or a current together with lag or held commands.
+        NotApplicable: surge and sway differ, integral action is on, or the cruise speed is not below the cap.
+        InputError: a number is out of bounds, or a current is combined with lag or held commands.
     """
     check_alike(vehicle, ranges=share is None)
     check_no_integral(gains)

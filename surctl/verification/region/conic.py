@@ -1,4 +1,4 @@
-"""Linear matrix inequalities by Clarabel: F0 + Σ x_i F_i ⪰ 0, many of one size at once."""
+"""Linear matrix inequalities F0 + Σ x_i F_i ⪰ 0, solved by Clarabel; inequalities of the same size form one array."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Inequality = tuple[Array, Array]
 
 
 def symmetric_basis(size: int) -> Array:
-    """Symmetric matrices (size (size + 1)/2, size, size) with one entry and its mirror, lower triangle by rows."""
+    """Return the symmetric matrices (size (size + 1)/2, size, size) with one entry and its mirror, row by row."""
     rows, columns = np.tril_indices(size)
     basis = np.zeros((len(rows), size, size))
     basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1
@@ -24,9 +24,9 @@ def symmetric_basis(size: int) -> Array:
 
 
 def minimise(cost: Array, inequalities: Sequence[Inequality], *, tolerance: float = 1e-8) -> Array | None:
-    """x (m,) that minimises cost·x under the inequalities; None where the solver finds none.
+    """Return x (m,) that minimises cost·x under the inequalities; None if the solver finds no solution.
 
-    What comes out is a proposal: whoever uses it checks it.
+    The solution is only a proposal: the caller must check it.
     """
     import clarabel
     from scipy import sparse
@@ -34,7 +34,7 @@ def minimise(cost: Array, inequalities: Sequence[Inequality], *, tolerance: floa
     rows, sides, cones = [], [], []
     for constant, slopes in inequalities:
         size = constant.shape[-1]
-        # upper triangle by columns, off the diagonal times √2
+        # upper triangle by columns, with off-diagonal entries times √2
         upper = np.tril_indices(size)
         weight = np.where(upper[0] == upper[1], 1.0, np.sqrt(2))
         sides.append((constant[:, upper[1], upper[0]] * weight).reshape(-1))

@@ -1,7 +1,7 @@
 """The heading-steered loop of eight states: its claim, and its matrices in floating point for the synthesis.
 
-Nothing of it is the checker's (`surctl.certcheck.heading_loop` derives the rows again). ξ = (x − x*, y, ψ, U_x − v,
-U_y, r) in the path frame; heave (z, w) stands by itself.
+The checker does not use these matrices: `surctl.certcheck.heading_loop` derives the rows again. In the path frame
+ξ = (x − x*, y, ψ, U_x − v, U_y, r); heave (z, w) is decoupled.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Range = tuple[float, float]
 HEADING_GAINS: Mapping[str, float] = {
     "k1": 0.15, "k_z": 0.15, "lookahead": 1.2, "k": 0.35, "k_psi": 0.8, "k_r": 1.5, "cruise": 0.15,
 }  # fmt: skip
-"""Gains of the heading-steered loop: softer than those of the law that flies, [1/s, 1/s, m, 1/s, 1/s, 1/s, m/s]."""
+"""Gains of the heading-steered loop, softer than those of the exported law [1/s, 1/s, m, 1/s, 1/s, 1/s, m/s]."""
 
 _NUMBERS = {
     "mass_kg": "m11", "heave_mass_kg": "m33", "yaw_inertia_kg_m2": "m44", "surge_linear": "Xu",
@@ -38,15 +38,15 @@ _THRUST = {"surge_n": "Fu_max", "sway_n": "Fv_max", "heave_n": "Fw_max", "yaw_nm
 
 @dataclass(frozen=True)
 class HeadingClaim:
-    """The heading-steered loop, robust over a vehicle's ranges; SI units, pairs are (least, largest).
+    """The claim about the heading-steered loop, robust over a vehicle's ranges; SI units, pairs are (least, largest).
 
     Attributes:
-        name: of the claim.
-        ranges: true numbers by their name in the certificate.
-        limits: least thrust limits.
-        law: numbers that the law believes, and its gains.
-        rate: a of V̇ ≤ −a V [1/s].
-        digest: SHA-256 of the vehicle's numbers.
+        name: name of the claim.
+        ranges: range of each true vehicle parameter, by its name in the certificate.
+        limits: least thrust limit of each axis.
+        law: mass and drag in the law's model, and the law's gains.
+        rate: decay rate a of V̇ ≤ −a V [1/s].
+        digest: SHA-256 of the vehicle's parameters.
     """
 
     name: str
@@ -58,19 +58,19 @@ class HeadingClaim:
 
     @property
     def velocity_gain(self) -> float:
-        """m k of the law [N s/m]."""
+        """Velocity gain m k of the law [N s/m]."""
         return self.law["mass_kg"] * self.law["k"]
 
     @property
     def trim(self) -> Range:
-        """Surge drag at the cruise speed [N]."""
+        """Least and largest surge drag at the cruise speed [N]."""
         v = self.law["cruise"]
         low, high = (self.ranges["surge_linear"][i] * v + self.ranges["surge_quadratic"][i] * v * v for i in (0, 1))
         return low, high
 
     @property
     def command(self) -> Range:
-        """Surge command at rest in the moving frame [m/s]."""
+        """Least and largest surge command at rest in the moving frame [m/s]."""
         v = self.law["cruise"]
         fed = self.law["linear_drag"] * v + self.law["quadratic_drag"] * v * v
         low, high = (v + (trim - fed) / self.velocity_gain for trim in self.trim)
@@ -79,7 +79,7 @@ class HeadingClaim:
     def document(
         self, *, offset: float, beside: float, extent: tuple[float, ...], depth: float, ultimate_bound: float
     ) -> dict[str, Any]:
-        """The claim as a certificate states it."""
+        """Return the claim as data of a certificate."""
         return {
             "system": "heading",
             "excludes": list(EXCLUDES),
@@ -102,18 +102,18 @@ def heading_claim(
     rate: float = 0.05,
     gains: Mapping[str, float] = HEADING_GAINS,
 ) -> HeadingClaim:
-    """The claim about a vehicle flown by the heading-steered loop.
+    """Return the claim about a vehicle under the heading-steered law.
 
     Args:
-        name: of the claim.
-        vehicle: what the law believes; surge and sway must have the same mass.
-        share: every number may be off by this share; None takes the ranges of the vehicle file.
-        thrust_share: the thrust limits may be lower by this share.
-        rate: [1/s].
-        gains: of the loop.
+        name: name of the claim.
+        vehicle: the vehicle in the law's model; its surge and sway must have the same mass.
+        share: relative error of every parameter; None takes the ranges of the vehicle file.
+        thrust_share: share by which the thrust limits may be lower.
+        rate: decay rate of V [1/s].
+        gains: gains of the loop.
 
     Raises:
-        NotApplicable: surge and sway differ in mass.
+        NotApplicable: the masses of surge and sway differ.
     """
     check_alike(vehicle, mass_alone=True, ranges=share is None)
     ranges = {}
@@ -138,7 +138,7 @@ def heading_claim(
 
 @dataclass(frozen=True)
 class Limits:
-    """What holds at places (n,): largest |u − v|, |v|, |r|; least φ of surge, sway, yaw."""
+    """Bounds at points (n,): largest |u − v|, |v| and |r|, and least thrust shares φ of surge, sway and yaw."""
 
     surge: Array
     sway: Array
@@ -147,7 +147,7 @@ class Limits:
 
 
 def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[Array, Array, Array, Array]:
-    """Rows (n, 6) of u − v, v, the surge force f_u [N] and the yaw moment f_r [N m] at (ψ, y)."""
+    """Return the rows (n, 6) of u − v, v, the surge force f_u [N] and the yaw moment f_r [N m] at points (ψ, y)."""
     law, n = claim.law, len(psi)
     v, ahead = law["cruise"], law["lookahead"]
     c, s = np.cos(psi), np.sin(psi)
@@ -166,7 +166,7 @@ def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[
 
 
 def loops_at(claim: HeadingClaim, psi: Array, y: Array, limits: Limits) -> Array:
-    """A (k, 6, 6) of all vertices at all the places (ψ, y), some of them alike; the order is always the same."""
+    """Return A (k, 6, 6) of all vertices at all points (ψ, y), in a fixed order; some matrices may be equal."""
     ranges, v, velocity_gain = claim.ranges, claim.law["cruise"], claim.velocity_gain
     one = np.ones(len(psi))
     drag = (

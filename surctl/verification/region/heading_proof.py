@@ -1,4 +1,4 @@
-"""From a claim about the heading-steered loop to a certificate: search, round, and let the checker decide."""
+"""Proof of a claim about the heading-steered loop: search a region, round it, and let the checker decide."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _SHARES = (1.0, 0.985, 0.97, 0.94, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5)  # of a propos
 
 
 def prove_heading(claim: HeadingClaim, *, rounds: int, cells: int) -> RegionProof:
-    """Look for a large region of the claim and have it checked.
+    """Search a large region for the claim and let the checker decide.
 
     Args:
-        claim: whose loop, over which ranges, at which rate.
+        claim: the claim.
         rounds: how often the region is enlarged.
-        cells: most cells that its check may take, about 400 a second.
+        cells: largest number of cells in the check, which processes about 400 cells a second.
     """
     began = time.perf_counter()
-    heave, last, reason = heave_shape(claim), None, "the search found no quadratic V of this rate"
+    heave, last, reason = heave_shape(claim), None, "the search found no quadratic V with this decay rate"
     for P in shapes(claim, rounds=rounds):
         last = P
     if heave is not None and last is not None:
@@ -69,7 +69,7 @@ def _down(value: float) -> float:
 
 
 def _certificate(claim: HeadingClaim, P: Array, heave: Array) -> dict[str, Any]:
-    """The certificate: what it states rounded to the safe side."""
+    """Return the certificate, with its stated figures rounded to the safe side."""
     covariance = np.linalg.inv(P)
     away = max(abs(claim.law["cruise"] - command) / claim.law["k1"] for command in claim.command)
     inner = 1 - P[0, 0] * away**2

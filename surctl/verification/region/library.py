@@ -1,4 +1,4 @@
-"""The library of region claims: one robot, one law, wider and wider."""
+"""The library of region claims, from the ideal loop to lag, current, disturbances and measurement errors."""
 
 from __future__ import annotations
 
@@ -22,45 +22,45 @@ def _entries(*entries: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionSt
 
 
 REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
-    ("region-cruise-20", "mass and drag off by ±20 %, any heading, saturated thrust", {"attempts": 100}),
+    ("region-cruise-20", "mass and drag uncertain by ±20 %, any heading, with thrust limits", {"attempts": 100}),
     (
         "region-cruise-20-soft",
-        "the same with k1 0.15, look-ahead 1.2 m, k_v 0.35",
+        "as region-cruise-20, with the gains k1 = 0.15/s, look-ahead 1.2 m, k_v = 0.35/s",
         {"gains": {"k1": 0.15, "lookahead": 1.2, "k_v": 0.35}},
     ),
     (
         "region-cruise-20-sampled",
-        "the same as region-cruise-20, commands held for a period",
+        "as region-cruise-20, with commands held for one control period",
         {"sampled": True, "attempts": 100},
     ),
     (
         "region-cruise-20-lag",
-        "that with the thrust's lag too, the heading turning at 0.1 rad/s at most",
+        "as region-cruise-20-sampled, with thrust lag and a yaw rate of at most 0.1 rad/s",
         {"sampled": True, "lagged": True, "yaw_rate_rad_per_s": 0.1, "attempts": 60},
     ),
     (
         "region-cruise-20-spin",
-        "the same while it looks around, turning no faster than the gain spin",
+        "as region-cruise-20-lag, but with a yaw rate up to the gain spin, at which the robot turns to look around",
         {"sampled": True, "lagged": True, "spinning": True, "attempts": 60},
     ),
     (
         "region-cruise-ranges",
-        "the ranges of the vehicle file, thrust lower by 15 %",
+        "as region-cruise-20, over the ranges of the vehicle file, with thrust limits lower by 15 %",
         {"ranges": True, "thrust_share": 0.15, "rate_per_s": 0.01, "attempts": 240},
     ),
     (
         "region-cruise-current",
-        "mass and drag off by ±20 %, a steady current of 0.05 m/s from anywhere: how close to the path it settles",
+        "as region-cruise-20, with a constant current of up to 0.05 m/s from any direction",
         {"current_m_per_s": 0.05, "rate_per_s": 0.01},
     ),
     (
         "region-cruise-20-force",
-        "the same as region-cruise-20, pushed by 0.25 N of waves and thrust error: how close it settles",
+        "as region-cruise-20, with a disturbance force of up to 0.25 N from waves and thrust errors",
         {"force_n": 0.25, "attempts": 60},
     ),
     (
         "region-cruise-20-noise",
-        "pushed by 0.1 N, its place measured to 5 mm and its velocity to 1 mm/s: how close it settles",
+        "as region-cruise-20, with a force of up to 0.1 N, a position error of 5 mm and a velocity error of 1 mm/s",
         {
             "force_n": 0.1, "place_error_m": 0.005, "velocity_error_m_per_s": 0.001, "rate_per_s": 0.01,
             "attempts": 60,
@@ -68,27 +68,27 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
     ),
     (
         "region-heading-20",
-        "the loop of 8 states steered by heading (own soft gains): every number off by ±20 %, saturated thrust",
+        "heading-steered loop of 8 states with its own soft gains, all parameters uncertain by ±20 %, thrust limits",
         {"loop": "heading", "attempts": 3, "cells": 250},
     ),
     (
         "region-heading-20-slow",
-        "the same at 0.01/s, as far out as it goes",
+        "as region-heading-20, at the lower rate of 0.01/s, with a region as large as the search finds",
         {"loop": "heading", "rate_per_s": 0.01, "attempts": 30, "cells": 2500},
     ),
     (
         "region-heading-ranges",
-        "the same over the ranges of the vehicle file, thrust lower by 15 %",
+        "as region-heading-20-slow, over the ranges of the vehicle file, with thrust limits lower by 15 %",
         {"loop": "heading", "ranges": True, "thrust_share": 0.15, "rate_per_s": 0.01, "attempts": 20},
     ),
 )  # fmt: skip
 
 
 def region_statement(name: str) -> RegionStatement:
-    """The region claim of that name.
+    """Return the region claim of that name.
 
     Raises:
-        InputError: no such claim, with the nearest known name.
+        InputError: there is no such claim; the message names the nearest known one.
     """
     if name not in REGION_CLAIMS:
         raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, REGION_CLAIMS))
@@ -104,10 +104,10 @@ def prove_statement(
     cruise: float | None = None,
     cap: float | None = None,
 ) -> RegionProof:
-    """Prove a region claim about a vehicle flown with these gains, with the effort that it states.
+    """Prove a region claim for a vehicle and gains, with the search effort that the statement sets.
 
     Raises:
-        InputError, NotApplicable: as `RegionStatement.claim`.
+        InputError, NotApplicable: for the same reasons as `RegionStatement.claim`.
     """
     claim: RegionClaim | HeadingClaim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
     if isinstance(claim, HeadingClaim):

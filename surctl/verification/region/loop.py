@@ -1,7 +1,8 @@
-"""The cruise as a linear inclusion in floating point: what the synthesis works on (the checker has its own).
+"""The cruise as a linear inclusion in floating point, used by the synthesis; the checker has its own inclusion.
 
-Path frame, deviations from the steady cruise ξ = (x, y, U_x, U_y[, F_x, F_y]). A level shell ℓ_low ≤ V ≤ ℓ_high has
-its own bounds, so that a saturated thrust counts only far out, and what the heading stirs only close by.
+Deviations from the steady cruise in the path frame: ξ = (x, y, U_x, U_y[, F_x, F_y]). Each shell ℓ_low ≤ V ≤ ℓ_high has
+its own bounds: thrust saturation matters in the outer shells only, and forces that change with the heading in the inner
+shells only.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ __all__ = ["Bounds", "Gains", "Loop", "Steady", "bounds", "force_gain", "gains_o
 
 Array = NDArray[np.float64]
 
-_SHARE = 0.85  # of quadratic drag along the path, the mean over the heading
-_SLACK = 1.005  # on what is sampled here and bounded by the checker
+_SHARE = 0.85  # mean over the heading of the share of quadratic drag along the path
+_SLACK = 1.005  # factor on bounds that are sampled here and proved by the checker
 _HEADINGS = np.linspace(0, np.pi / 2, 181)
 _DIRECTIONS = np.linspace(0, np.pi, 33)[:-1]
 
 
 @dataclass(frozen=True)
 class Steady:
-    """ω range, largest lack of the trim force [N], and that force per axis: linear c + quadratic c².
+    """Bounds of the steady cruise: ω, largest error of the trim force [N], trim force per axis linear c + quadratic c².
 
-    In a current, also the largest |ω_y|, |y*| and what they add to the force.
+    In a current there are also the largest |ω_y| and |y*|, and the force that they add.
     """
 
     omega: tuple[float, float]
@@ -45,7 +46,7 @@ class Steady:
     tilt: float = 0.0
 
     def along(self, c: Array, s: Array) -> Array:
-        """Largest trim force on an axis at cosine c from the path and s from across it."""
+        """Return the largest trim force [N] on an axis with direction cosines c along and s across the path."""
         return np.maximum(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
 
@@ -56,7 +57,7 @@ def _pairs(low: float, high: float, asymmetry: float) -> list[tuple[float, float
 
 
 def steady_cruise(claim: RegionClaim) -> Steady:
-    """Where the cruise settles, over all true parameters and headings; in a current, as the checker finds it."""
+    """Return bounds of the steady cruise over all true parameters and headings; in a current, the checker's bounds."""
     if claim.current:
         trim = steady_trim(read_claim(claim.document(offset=1.0, ultimate_bound=(1.0, 1.0))))
         return Steady(
@@ -94,7 +95,7 @@ def steady_cruise(claim: RegionClaim) -> Steady:
 
 @dataclass(frozen=True)
 class Gains:
-    """Largest |C ξ| on V ≤ 1: of place, velocity, commanded velocity, commanded and delivered force; least φ."""
+    """Largest |C ξ| on V ≤ 1 for position, velocity, commanded velocity, commanded and delivered force; least φ."""
 
     x: float
     y: float
@@ -107,7 +108,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What holds in one shell; the names are those of the inclusion."""
+    """Bounds in one shell, with the names of the linear inclusion."""
 
     steer: tuple[float, float]
     catch: tuple[float, float]
@@ -121,7 +122,7 @@ class Bounds:
 
 
 def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: float) -> Bounds | None:
-    """Bounds of the shell low ≤ V ≤ high; None where the law is another one there."""
+    """Return the bounds in the shell low ≤ V ≤ high; None if the law takes another form there."""
     mass, linear, quadratic = claim.model
     k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
     radius, floor = _SLACK * np.sqrt(high), np.sqrt(low)
@@ -145,7 +146,7 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
     still += outside - disturbance
     slant = max(np.sqrt(k1 * k1 * (1 + (wide / ahead) ** 2) + (steer[1] / ahead) ** 2), cap / ahead)
     steepest = linear + 2 * quadratic * cap
-    far = (_SLACK * gains.y + steady.aside + claim.place_error) / ahead  # V ≤ 1: what is held is of an earlier instant
+    far = (_SLACK * gains.y + steady.aside + claim.place_error) / ahead  # on V ≤ 1: the held command is earlier
     still += (velocity_gain + steepest) * np.sqrt(k1**2 * (1 + far**2) + (cap / ahead) ** 2) * claim.place_error
     still += velocity_gain * claim.velocity_error
     return Bounds(
@@ -162,7 +163,7 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
 
 
 def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float, aside: float = 0.0) -> tuple[Array, Array]:
-    """δW (2, n) and the commanded force's deviation (2, n), of ξ."""
+    """Return the matrices (2, n) that map ξ to δW and to the deviation of the commanded force."""
     desired, velocity_gain = np.zeros((2, claim.size)), claim.model[0] * claim.gains["k_v"]
     desired[0, 0], desired[1, 1] = -catch, -steer / claim.gains["lookahead"]
     desired[1, 0] = catch * aside / claim.gains["lookahead"]
@@ -170,7 +171,7 @@ def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float, asi
 
 
 def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
-    """What P gives, with the secants of its outermost shell."""
+    """Return the gains of the region V ≤ 1 of P, with the secant slopes of its outermost shell."""
     covariance, eye = np.linalg.inv(P), np.eye(claim.size)
 
     def largest(rows: Array) -> float:
@@ -200,8 +201,8 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
 class Loop:
     """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n); U̇.
 
-    With P that has no entry between x and y, the two decouple unless the thrust lags and the vehicle turns,
-    or a current sets it aside: then q = 2, else q = 1 and a loop is one of the two.
+    If P has no entry between x and y, the two axes decouple and each loop holds one axis (q = 1), except if the thrust
+    lags and the vehicle turns, or if a current displaces the vehicle (q = 2).
     """
 
     A: Array
@@ -215,7 +216,7 @@ class Loop:
 
 
 def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
-    """The vertices of a shell's inclusion."""
+    """Yield the vertices of a shell's linear inclusion."""
     size, lag, eye = claim.size, claim.lag[1] > 0, np.eye(claim.size)
     share, quarter = (1 + at.share) / 2, np.array([[0.0, -1.0], [1.0, 0.0]])
     visited: set[tuple[float, ...]] = set()
@@ -225,7 +226,7 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
     for m, s, k, r, t in product(
         sorted(set(claim.mass)), at.steer, sorted(set(at.catch)),
         (claim.yaw_rate if lag else 0.0,), sorted(set(claim.lag)),
-    ):  # fmt: skip  # turning the other way is the mirror image
+    ):  # fmt: skip  # the opposite turn is the mirror image
         desired, force = force_gain(claim, sum(at.model_drag) / 2, s, k, at.aside)
         A = np.zeros((size, size))
         A[:2, 2:4] = np.eye(2)

@@ -1,4 +1,4 @@
-"""From a claim to a certificate: search, round, and let the independent checker decide."""
+"""Proof of a region claim: search a region, round its numbers, and let the independent checker decide."""
 
 from __future__ import annotations
 
@@ -32,16 +32,17 @@ _DIGITS = 7
 
 @dataclass(frozen=True)
 class RegionProof(Certified):
-    """What an attempt to prove a region came to.
+    """The result of an attempt to prove a region claim.
 
     Attributes:
-        claim: what was claimed.
-        offset: |y_e| [m] from which the cruise is certified, at x_e = 0 and the target's velocity; 0 when unknown.
-        ultimate_bound: |x_e|, |y_e| [m] within which it ends.
-        seconds: time it took [s].
-        check_seconds: the checker's share of it [s].
+        claim: the claim.
+        offset: largest certified |y_e| [m] at x_e = 0 and the target's velocity; 0 if the verdict is unknown.
+        ultimate_bound: |x_e|, |y_e| [m] within which every motion from the region ends.
+        seconds: total time of the attempt [s].
+        check_seconds: time of the checker [s].
         extent: largest |y_e| [m] of any point of the region.
-        ratios: certified level over what the falsifier and the thrust limit allow; None where it has no model.
+        ratios: ratios of the certified level to the levels with a counterexample and with saturated thrust; None if the
+            falsifier has no model of the claim.
     """
 
     claim: RegionClaim | HeadingClaim
@@ -59,13 +60,13 @@ class RegionProof(Certified):
             return f"unknown: {self.reason}"
         x, y = self.ultimate_bound
         return (
-            f"proved: from {self.offset:.3g} m beside the path it decays at {self.claim.rate:g}/s "
-            f"to within {x:.3g} m along and {y:.3g} m across; checked in {self.check_seconds:.2f} s"
-            + ("" if self.ratios is None else f"; {self.ratios.sentence}")
+            f"proved: from {self.offset:.3g} m beside the path, the Lyapunov function decays at {self.claim.rate:g}/s "
+            f"until the robot is within {x:.3g} m along and {y:.3g} m across the path; "
+            f"checked in {self.check_seconds:.2f} s" + ("" if self.ratios is None else f"; {self.ratios.sentence}")
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the result as plain data for JSON."""
         return {
             **self.decided(),
             "offset_m": self.offset,
@@ -79,19 +80,20 @@ class RegionProof(Certified):
 
 
 def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> RegionProof:
-    """Look for the largest region of the claim and have it checked.
+    """Search the largest region for the claim and let the checker decide.
 
-    The search is kept in the cache of laws, by the claim and the sources; its result is checked each time.
+    The search result is stored in the cache of laws, under a key of the claim and the source code; the checker checks
+    it in each call.
 
     Args:
-        claim: whose loop, over which ranges, at which rate.
-        attempts: starts of the search; about eight a second.
-        seed: of the search.
+        claim: the claim.
+        attempts: number of starts of the search, about eight a second.
+        seed: seed of the search.
     """
     began = time.perf_counter()
     result, checked = _stored(claim, attempts, seed)
     document = _document(claim, result)
-    if document and checked is None:  # whoever stored it, the checker decides
+    if document and checked is None:  # a result from the cache is checked again
         checked = check_document(document)
     if checked is None or not checked.accepted:
         reason = result["reason"] if checked is None else checked.reason
@@ -105,7 +107,7 @@ def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> Re
 
 
 def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any], Checked | None]:
-    """What the search finds, or found for this claim with the same sources before; its check, if it was run now."""
+    """Return the search result, new or from the cache, and the checker's result if the search ran in this call."""
     checks: list[Checked | None] = []
 
     def build() -> bytes:
@@ -115,7 +117,7 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
 
     try:
         sources = source_digest("surctl.verification.region", "surctl.certcheck")
-    except SurctlError:  # as for laws: what is found is not known by its sources
+    except SurctlError:  # without a digest of the sources nothing is cached, as for laws
         return json.loads(build()), checks[0]
     stated = replace(claim, name="", digests=("", ""))
     parts = (sources, version("clarabel"), repr(stated), str(attempts), str(seed))
@@ -125,9 +127,9 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
 
 
 def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any], Checked | None]:
-    """The first candidate that the checker accepts, with its figures; else why there is none."""
+    """Return the first candidate that the checker accepts, with its figures, or the reason why there is none."""
     steady = steady_cruise(claim)
-    reason = "the search found no quadratic V of this rate"
+    reason = "the search found no quadratic V with this decay rate"
     for candidate in search(claim, steady, attempts=attempts, seed=seed):
         document = certificate_of(claim, steady, candidate)
         checked = check_document(document)
@@ -149,7 +151,7 @@ def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, A
 
 
 def _document(claim: RegionClaim, result: Mapping[str, Any]) -> dict[str, Any]:
-    """The certificate with the numbers that were found; empty where nothing was."""
+    """Return the certificate of a search result; empty if the search found no region."""
     if "proof" not in result:
         return {}
     x, y = result["ultimate_bound"]
@@ -157,7 +159,7 @@ def _document(claim: RegionClaim, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> dict[str, Any]:
-    """The certificate of a candidate: everything in a few decimals, what it states rounded to the safe side."""
+    """Return the certificate of a candidate: few decimals, with the stated figures rounded to the safe side."""
     scale = np.max(np.abs(candidate.P))
     P = np.round(candidate.P / scale, _DIGITS + 2) * scale
     P = np.array([[_short(entry) for entry in row] for row in P])
@@ -186,7 +188,7 @@ def _short(value: float, digits: int = _DIGITS + 1) -> float:
 
 
 def _offset(P: NDArray[np.float64], steady: Steady, claim: RegionClaim) -> float:
-    """Largest y with V ≤ 1 at x_e = 0 and the target's velocity, whatever ω is, rounded down."""
+    """Return the largest y with V ≤ 1 at x_e = 0 and the target's velocity for every ω, rounded down."""
     offsets = []
     for omega in steady.omega:
         x = omega / claim.gains["k1"]

@@ -1,7 +1,8 @@
-"""The true loops of the region claims in floating point, for the falsifier: nothing of a proof rests on them.
+"""The true loops of the region claims in floating point, for the falsifier; no proof depends on them.
 
-Each loop takes deviations ξ (n, k) from the steady cruise and draws (n, DRAWS) in [0, 1], which choose the true
-vehicle and what else the claim leaves open, and gives ξ̇ (n, k) and the largest commanded share of a thrust limit (n,).
+Each loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which choose the
+true vehicle, the heading and the other uncertain quantities. It returns ξ̇ (n, k) and the largest ratio of a commanded
+thrust to its limit (n,).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def _between(pair: tuple[float, float], share: Array) -> Array:
 
 
 def heading_loop(claim: HeadingClaim) -> Loop:
-    """The heading-steered loop with its thrust limits."""
+    """Return the heading-steered loop with its thrust limits."""
     law, limits = claim.law, claim.limits
     v, velocity_gain, ahead = law["cruise"], claim.velocity_gain, law["lookahead"]
     fed = law["linear_drag"] * v + law["quadratic_drag"] * v * v
@@ -61,7 +62,7 @@ def heading_loop(claim: HeadingClaim) -> Loop:
 
 
 def cruise_loop(claim: RegionClaim) -> Loop:
-    """The cruise without lag and hold, at any heading, with its thrust limits."""
+    """Return the cruise loop without lag and held commands, at any heading, with its thrust limits."""
     mass, hat, hat2 = claim.model
     gains, v = claim.gains, claim.cruise
     ratio = np.inf if claim.asymmetry >= 2 else (2 + claim.asymmetry) / (2 - claim.asymmetry)

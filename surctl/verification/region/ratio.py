@@ -1,4 +1,4 @@
-"""How much of what can be certified is certified: the falsifier's level and the one at which a thrust limit binds."""
+"""Ratios of the certified level to the smallest level with a counterexample and to the level of thrust saturation."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ __all__ = ["LevelRatios", "level_ratios"]
 Array = NDArray[np.float64]
 
 _LEVELS = np.geomspace(0.01, 100, 120)
-_TOGETHER = 4_000  # points a call: few enough for the cache, enough for the call to cost little
+_TOGETHER = 4_000  # points per call: they fit the processor's cache, and the overhead of a call stays small
 _SAMPLES, _BEST, _STEPS, _HALVINGS = 10_000, 300, 40, 10
 
 
 class LevelRatios(NamedTuple):
-    """Certified level over the least level at which V̇ > −a V was found, and over that at which thrust binds."""
+    """Certified level over the least level at which V̇ > −a V was found, and over the level of thrust saturation."""
 
     falsifier: float
     thrust: float
 
     @property
     def sentence(self) -> str:
-        """Both in words."""
+        """Both ratios in words."""
         return (
             f"certified level: {self.falsifier:.0%} of the smallest level with a counterexample, {self.thrust:.0%} of "
             "the level at which thrust saturates"
@@ -35,9 +35,9 @@ class LevelRatios(NamedTuple):
 
 
 def level_ratios(loop: Loop, P: Array, rate: float, *, seed: int = 0) -> LevelRatios:
-    """The ratios of V ≤ 1 for V = ξᵀPξ and the rate a = wanted, as far as a search of chance steps finds them.
+    """Return the ratios of the region V ≤ 1 for V = ξᵀPξ and the decay rate a = `rate`, found by random search.
 
-    The search can miss: the ratio to the falsifier is at least what it says.
+    The search can miss counterexamples, so that the true ratio to their smallest level may be larger.
     """
 
     def lost(at: Array, draws: Array, level: Array) -> Array:
@@ -46,17 +46,17 @@ def level_ratios(loop: Loop, P: Array, rate: float, *, seed: int = 0) -> LevelRa
     def bound(at: Array, draws: Array, level: Array) -> Array:
         return np.asarray(loop(at, draws)[1] > 1)
 
-    # a certified region is lost nowhere inside
+    # inside the certified region, level 1, there is no counterexample
     return LevelRatios(*(1 / _least(test, P, low, seed) for test, low in ((lost, 1.0), (bound, 0.0))))
 
 
 def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, seed: int) -> float:
-    """The least level above `low` at which the test is met: drawn directions and vehicles, the best improved."""
+    """Return the least level above `low` at which the test holds: random directions and vehicles, then local search."""
     draw, size = np.random.default_rng(seed), len(P)
     root, levels = np.linalg.inv(np.linalg.cholesky(P)), np.array([level for level in _LEVELS if level >= low])
 
     def least(unit: Array, draws: Array, most: Array) -> Array:
-        """The least level at which each is met, as far as `most`; inf where none is."""
+        """Return for each sample the least level up to `most` at which the test holds; inf if there is none."""
         xi, lowest = unit / np.linalg.norm(unit, axis=1, keepdims=True) @ root, np.full(len(unit), np.inf)
         left, k = np.arange(len(unit)), 0
         while k < len(levels) and left.size:
@@ -73,7 +73,7 @@ def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, s
 
     unit, draws = draw.normal(size=(_SAMPLES, size)), draw.uniform(size=(_SAMPLES, DRAWS))
     draws = np.where(draw.uniform(size=draws.shape) < 0.6, np.round(draws), draws)
-    draws[:, 5] = draw.uniform(size=len(draws))  # a heading has no ends
+    draws[:, 5] = draw.uniform(size=len(draws))  # a heading has no extreme values
     level = least(unit, draws, np.full(_SAMPLES, np.inf))
     best = np.argsort(level)[:_BEST]
     unit, draws, level = unit[best], draws[best], level[best]

@@ -1,4 +1,4 @@
-"""Search over the starts of the synthesis: limits of the region, floor, how much of the rate disturbances take."""
+"""Search over start values of the synthesis: limits of the region, floor, part of the decay rate for disturbances."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from surctl.verification.region.synthesis import (
 __all__ = ["search"]
 
 _STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3, 0.7)))
-_COARSE, _FINE = 2, 6  # shells
-_INVARIANT_FLOOR = 0.95  # floor of a region that does no more than keep itself
+_COARSE, _FINE = 2, 6  # number of shells
+_INVARIANT_FLOOR = 0.95  # floor of a region that is invariant and little more
 
 
 def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> Iterator[Candidate]:
-    """Candidates, the largest first, of that many attempts; the same for the same seed.
+    """Yield the candidates of that many attempts, the largest first; the same seed gives the same candidates.
 
-    In a current, the one that settles closest to the path first: there the attempts are the library's.
+    In a current, the candidate that ends closest to the path comes first; `attempts` and `seed` have no effect then.
     """
     if claim.current:
         yield from _holding(claim, steady)
@@ -50,7 +50,7 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
         if proposal is None:
             return
         if refining and best is not None and proposal.offset <= best[0]:
-            passed_over.append(proposal)  # it cannot be the best one: its multipliers wait until they are asked for
+            passed_over.append(proposal)  # it cannot be the best one: find its multipliers only if needed
             return
         candidate = finished(claim, steady, proposal)
         if candidate is None:
@@ -59,7 +59,7 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
         if best is None or candidate.offset > best[0]:
             best = candidate.offset, start
 
-    for share, growth, far, floor in _STARTS:  # what is out of reach is found out soon
+    for share, growth, far, floor in _STARTS:  # infeasible starts fail early
         attempt(Start(far * cruise / claim.gains["k1"], 0.46 * wide, share, floor, growth))
         if len(candidates) >= max(attempts // 3, 1):
             break
@@ -80,7 +80,7 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
             )
         )
     if best is not None:
-        for share in (8, 4, 2, 1):  # a lower floor settles nearer to the path: worth a little of the offset
+        for share in (8, 4, 2, 1):  # a lower floor ends nearer to the path, for a slightly smaller offset
             fine = synthesise(claim, steady, replace(best[1], floor=best[1].floor / share), shells=_FINE, rounds=4)
             if fine is not None and fine.offset > 0.95 * best[0]:
                 yield fine
@@ -95,10 +95,10 @@ def _largest(claim: RegionClaim, steady: Steady, candidates: list[Candidate | Pr
 
 
 def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:
-    """Regions that hold the vehicle close to the path in a current, the closest first.
+    """Yield regions that hold the vehicle close to the path in a current, the closest first.
 
-    P comes from the smallest region that keeps itself, a few times what the unsteady force moves it by if it stands;
-    then levels further out are tried with the same P.
+    P comes from the smallest invariant region, a few times as large as the static deflection by the force error. Then
+    levels further out are tried with the same P.
     """
     velocity_gain = claim.model[0] * claim.gains["k_v"]
     x, y = (
@@ -114,7 +114,7 @@ def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:
             continue
         along, across = np.sqrt(np.diag(np.linalg.inv(close.P))[:2] * _INVARIANT_FLOOR)
         away = max(map(abs, steady.omega)) / claim.gains["k1"]
-        extent = np.ceil(100 * max(along + away, across + steady.aside))  # of one centimetre the widest region
+        extent = np.ceil(100 * max(along + away, across + steady.aside))  # among equal centimetres the widest region
         for level in (2.0, 3.0, 4.0, 6.0, 9.0):
             wider = widened(claim, steady, close.P / level, levels_of(_INVARIANT_FLOOR / level, _FINE))
             if wider is None:

@@ -1,4 +1,4 @@
-"""Region claims as TOML: which loop, what is uncertain, how fast; the vehicle and the gains come when it is proved."""
+"""Region claims as TOML: the loop, its uncertainty and its decay rate; a proof adds the vehicle and the gains."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ class RegionStatement(Strict):
     """A region claim without its vehicle and gains; SI units.
 
     Attributes:
-        kind: of the file.
-        name: of the claim.
-        statement: in words.
-        loop: `cruise`, the law that flies, or `heading`, the loop of 8 states with gains of its own.
-        share: by which mass and drag (`heading`: every number) may be off.
-        ranges: whether the ranges of the vehicle file take the place of `share`.
-        thrust_share: by which the thrust limits may be lower.
-        asymmetry: largest difference of surge's and sway's true drag, as a share.
-        sampled, lagged: whether the control period, and the vehicle's thrust lag, are in the claim.
-        yaw_rate_rad_per_s: largest turn rate.
-        spinning: whether the gain `spin` takes the place of `yaw_rate_rad_per_s`.
-        cruise_m_per_s, cap_m_per_s: speed of the path's target, largest commanded speed.
-        rate_per_s: a of V̇ ≤ −a V.
-        current_m_per_s: largest steady current.
-        force_n: largest force of waves and thrust errors, changing as it likes.
-        place_error_m, velocity_error_m_per_s: of what is measured, changing as they like.
-        gains: in the place of the gain file's.
-        attempts: effort of the search: starts (`heading`: rounds).
-        cells: of `heading`, most cells of a proof.
+        kind: kind of the file.
+        name: name of the claim.
+        statement: the claim in words.
+        loop: `cruise` for the exported law, `heading` for the heading-steered loop of 8 states with its own gains.
+        share: relative error of mass and drag (`heading`: of every parameter).
+        ranges: whether the ranges of the vehicle file replace `share`.
+        thrust_share: share by which the thrust limits may be lower.
+        asymmetry: largest |surge − sway| / mean of the true drag coefficients.
+        sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
+        yaw_rate_rad_per_s: largest yaw rate.
+        spinning: whether the gain `spin` replaces `yaw_rate_rad_per_s`.
+        cruise_m_per_s, cap_m_per_s: speed of the path's target, and largest commanded speed.
+        rate_per_s: decay rate a of V̇ ≤ −a V.
+        current_m_per_s: largest constant current.
+        force_n: largest force of waves and thrust errors, varying arbitrarily.
+        place_error_m, velocity_error_m_per_s: largest errors of measured position and velocity, varying arbitrarily.
+        gains: gains that replace those of the gain file.
+        attempts: effort of the search: number of starts (`heading`: of rounds).
+        cells: largest number of cells of a proof (`heading` only).
     """
 
     kind: Literal["region"] = "region"
@@ -73,12 +73,14 @@ class RegionStatement(Strict):
     def claim(
         self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None
     ) -> RegionClaim | HeadingClaim:
-        """The claim about this vehicle and these gains; at another speed [m/s] where the claim names none itself.
+        """Return the claim about this vehicle and these gains; `cruise` and `cap` [m/s] replace the default speeds.
+
+        If the claim file sets one of the two speeds, both remain as the file states them.
 
         Raises:
-            InputError: a gain that it does not know, a cruise speed that is not below the cap, or a key that the
-                heading-steered loop does not know.
-            NotApplicable: a vehicle or gains whose numbers violate an assumption of the claim.
+            InputError: a gain is unknown, the cruise speed is not below the cap, or the heading-steered loop does not
+                use one of the keys.
+            NotApplicable: the vehicle or the gains violate an assumption of the claim.
         """
         share = None if self.ranges else self.share
         own = {key for key in ("cruise_m_per_s", "cap_m_per_s") if key in self.model_fields_set}
@@ -86,9 +88,9 @@ class RegionStatement(Strict):
             return self._heading(vehicle, share, cruise)
         cruise = self.cruise_m_per_s if cruise is None or own else cruise
         cap = self.cap_m_per_s if cap is None or own else cap
-        if own and cruise >= cap:  # a mistake of whoever wrote the claim, not of the speeds at hand
+        if own and cruise >= cap:  # a mistake in the claim file, not in the caller's speeds
             raise InputError("must be below the cap", key="cruise", value=cruise, remedy="raise the cap")
-        law_gains = replace(gains, source="").with_values(self.gains)  # a wrong one is not the gain file's
+        law_gains = replace(gains, source="").with_values(self.gains)  # a message must not name the gain file
         turn = law_gains["spin"] if self.spinning else self.yaw_rate_rad_per_s
         return region_claim(
             self.name, vehicle, law_gains, share=share, thrust_share=self.thrust_share, asymmetry=self.asymmetry,
@@ -101,11 +103,14 @@ class RegionStatement(Strict):
         for key in sorted(self.model_fields_set - _HEADING_KNOWS):
             if getattr(self, key) != type(self).model_fields[key].default:
                 raise InputError(
-                    "is not known of the heading-steered loop", key=key, value=getattr(self, key), remedy="leave it out"
+                    "has no effect on the heading-steered loop",
+                    key=key,
+                    value=getattr(self, key),
+                    remedy="leave it out",
                 )
         for key in sorted(set(self.gains) - set(HEADING_GAINS)):
             remedy = f"known: {', '.join(HEADING_GAINS)}"
-            raise InputError("is no gain of the heading-steered loop", key=f"gains.{key}", remedy=remedy)
+            raise InputError("is not a gain of the heading-steered loop", key=f"gains.{key}", remedy=remedy)
         for key, value in self.gains.items():
             if not value > 0:
                 raise InputError("must be greater than 0", key=f"gains.{key}", value=value, remedy="correct it")
@@ -116,28 +121,28 @@ class RegionStatement(Strict):
 
 
 def load_region(path: Path) -> RegionStatement:
-    """A region claim from a TOML file.
+    """Read a region claim from a TOML file.
 
     ::
 
         kind = "region"
         name = "my-region"
-        share = 0.3                # mass and drag may be off by ±30 %; or ranges = true, those of the vehicle file
-        force_n = 0.2              # of waves and thrust errors
+        share = 0.3                # mass and drag uncertain by ±30 %; `ranges = true` takes those of the vehicle file
+        force_n = 0.2              # largest force of waves and thrust errors
         rate_per_s = 0.01
-        [gains]                    # in the place of the gain file's
+        [gains]                    # gains that replace those of the gain file
         k_v = 0.5
 
-    Every key is an attribute of `RegionStatement`; what is left out is as stated there.
+    Every key is an attribute of `RegionStatement`; a key that is left out has its default value.
 
     Raises:
-        InputError: naming file, key, value and the remedy.
+        InputError: the file is not a region claim; the message names file, key, value and remedy.
     """
     return load_model(path, RegionStatement)
 
 
 def write_region(statement: RegionStatement) -> str:
-    """The statement as the text of such a file, every key; `load_region` reads it back as the same."""
+    """Return the statement as TOML text with every key; `load_region` reads the same statement from it."""
 
     def literal(value: object) -> str:
         if isinstance(value, bool):

@@ -36,15 +36,15 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _WINDS = (1, 2, 3, 5, 6)
-_SPLIT, _TURN_SPLIT = 1 / 3, 1 / 5  # as the checker splits squares of sums
-_GROWTH = 0.4  # 1/s: most that disturbances take of the rate
+_SPLIT, _TURN_SPLIT = 1 / 3, 1 / 5  # the checker's weights for squares of sums
+_GROWTH = 0.4  # [1/s] largest part of the decay rate that disturbances use up
 _SPREAD = 1e-3  # weight of the other entries of P beside P_yy
-_FREE = 3  # multipliers of structured w_j; those of w_5, w_6 come with P
+_FREE = 3  # number of free multipliers, those of w_1, w_2, w_3; those of w_5, w_6 follow from P
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where the search begins: |x| and |y| on V ≤ 1 at most [m], least φ, floor, share of the rate that w_5 takes."""
+    """Start of the search: largest |x|, |y| on V ≤ 1 [m], least φ, floor, part of the decay rate that w_5 uses up."""
 
     x: float
     y: float
@@ -56,7 +56,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """P (n, n), levels (k + 1,) from the floor to 1, multipliers (k, 5), ρ of what is held; not yet checked."""
+    """P (n, n), levels (k + 1,) from the floor to 1, multipliers (k, 5), weight ρ of held commands; not yet checked."""
 
     P: Array
     levels: tuple[float, ...]
@@ -71,7 +71,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A P (n, n) and ρ that the inequalities of the first round allow; whether every shell has multipliers is open."""
+    """P (n, n) and ρ that satisfy the inequalities of the first round; the multipliers of the shells are still open."""
 
     P: Array
     hold: float
@@ -80,17 +80,17 @@ class Proposal:
 
     @property
     def offset(self) -> float:
-        """As that of the candidate it may become."""
+        """|y_e| [m] on V ≤ 1 with every other deviation 0, as for a candidate."""
         return float(1 / np.sqrt(self.P[1, 1]))
 
 
 def levels_of(floor: float, count: int) -> tuple[float, ...]:
-    """Levels from the floor to 1 in equal ratios."""
+    """Return levels from the floor to 1 in equal ratios."""
     return tuple(float(f"{level:.6g}") for level in np.geomspace(floor, 1.0, count + 1))
 
 
 def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
-    """∂M/∂λ_j (N, N) of w_1, w_2, w_3; of w_5 and w_6 without the term in P."""
+    """Return ∂M/∂λ_j (N, N) for w_1, w_2 and w_3, and for w_5 and w_6 without the term in P."""
     size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.desired)
     start = {j: size + q * k for k, j in enumerate(loop.wind)}
     derivatives = {}
@@ -112,7 +112,7 @@ def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
 
 
 def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
-    """∂M/∂ρ: what a command that is held costs, and what it owes to |w_4|²."""
+    """Return ∂M/∂ρ (N, N), the terms of a held command: its cost and its bound on |w_4|²."""
     size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.desired)
     slope = np.zeros((total, total))
     if 4 not in loop.wind:
@@ -131,7 +131,7 @@ def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
 
 
 def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
-    """[[AᵀP + PA + growth P, PB], [BᵀP, 0]] (…, N, N) of P (…, n, n)."""
+    """Return [[AᵀP + PA + growth P, PB], [BᵀP, 0]] (…, N, N) of P (…, n, n)."""
     P = P[..., loop.states[:, None], loop.states]
     half, side = P @ loop.A, P @ loop.B
     size, total = len(loop.A), len(loop.A) + loop.B.shape[1]
@@ -142,7 +142,10 @@ def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
 
 
 def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tuple[Array, float] | None:
-    """λ (5,) of a shell with the largest further rate [1/s] that is left, in units in which P is I."""
+    """Return the multipliers λ (5,) of a shell that leave the largest decay rate in reserve, and that reserve [1/s].
+
+    The inequalities are scaled so that P becomes the identity; None if the solver finds no solution.
+    """
     matrices: dict[int, tuple[list[Array], list[Array]]] = {}
     for loop in loops(claim, at):
         size, total = len(loop.A), len(loop.A) + loop.B.shape[1]
@@ -166,9 +169,9 @@ def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tup
 def shape(
     claim: RegionClaim, steady: Steady, gains: Gains, shells: list[Bounds], growth: Array, *, spread: float
 ) -> tuple[Array, float] | None:
-    """P with the least P_yy for these bounds; growth (k, 2): what w_5 and w_6 take of each shell's rate."""
+    """Return P with the least P_yy for these bounds, and ρ; growth (k, 2) is the rate that w_5, w_6 use in a shell."""
     basis = symmetric_basis(claim.size)
-    # a region that is no mirror image of itself can be averaged with its image: x and y need no common entry
+    # the average of a region with its mirror image is as good: entries between x and y are not needed
     basis = basis[[not np.any(one[::2, 1::2]) for one in basis]]
     count = len(basis)
     unknowns = count + _FREE * len(shells) + 1
@@ -206,7 +209,7 @@ def shape(
 
 
 def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[Array]:
-    """Rows c with |c ξ| ≤ 1 on V ≤ 1: place, and thrust in every direction."""
+    """Return rows c with |c ξ| ≤ 1 on V ≤ 1, for the position and for the thrust in every direction."""
     eye, rows = np.eye(claim.size), []
     rows += [eye[0] / gains.x, eye[1] / gains.y]
     for angle in np.linspace(0, np.pi / 2, 9):
@@ -220,7 +223,7 @@ def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[
 
 
 def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
-    """Rows C (2, n) with |C ξ| ≤ 1 on V ≤ 1: velocity, wish, force."""
+    """Return rows C (2, n) with |C ξ| ≤ 1 on V ≤ 1, for velocity, commanded velocity and force."""
     eye, middle = np.eye(claim.size), sum(at.model_drag) / 2
     rows = [eye[2:4] / gains.velocity]
     for s in at.steer:
@@ -235,7 +238,7 @@ def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
 def synthesise(
     claim: RegionClaim, steady: Steady, start: Start, *, shells: int = 5, rounds: int = 3, spread: float = _SPREAD
 ) -> Candidate | None:
-    """P, levels and multipliers that should be accepted; None where nothing was found from this start."""
+    """Return a candidate that the checker should accept; None if the search from this start finds none."""
     levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
     growth = np.full((shells, 2), start.growth)
     best: Candidate | None = None
@@ -257,14 +260,14 @@ def synthesise(
 
 
 def proposed(claim: RegionClaim, steady: Steady, start: Start, *, shells: int) -> Proposal | None:
-    """The first half of one round of `synthesise`: how far it would reach is known, at a third of the cost."""
+    """Return the proposal of the first half of one `synthesise` round; it has the offset at a third of the cost."""
     levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
     shaped = _shaped(claim, steady, gains, levels, np.full((shells, 2), start.growth), _SPREAD)
     return None if shaped is None else Proposal(*shaped, gains, levels)
 
 
 def finished(claim: RegionClaim, steady: Steady, proposal: Proposal) -> Candidate | None:
-    """The second half: the candidate, if every shell has multipliers."""
+    """Return the candidate of a proposal (second half of a round); None if a shell has no multipliers."""
     return _finished(claim, steady, proposal.P, proposal.hold, proposal.gains, proposal.levels)[0]
 
 
@@ -284,7 +287,7 @@ def _shaped(
 
 
 def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:
-    """The candidate of a given P and levels, with no command held, if every shell has multipliers."""
+    """Return the candidate of P and levels without held commands; None if a shell has no multipliers."""
     extent = np.sqrt(np.diag(np.linalg.inv(P)))
     velocity_gain = claim.model[0] * claim.gains["k_v"]
     gains = Gains(
@@ -298,7 +301,7 @@ def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, .
 def _finished(
     claim: RegionClaim, steady: Steady, P: Array, hold: float, gains: Gains, levels: tuple[float, ...]
 ) -> tuple[Candidate | None, Gains, Array | None]:
-    """The candidate with its multipliers, if every shell has some; its gains; what w_5, w_6 took of the rate."""
+    """Return the candidate (None if a shell has no multipliers), its gains, and the rates that w_5 and w_6 use up."""
     outer = bounds(claim, steady, gains, levels[-2], levels[-1])
     assert outer is not None
     fitted = gains_of(claim, steady, P, outer)

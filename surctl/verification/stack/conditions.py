@@ -1,21 +1,22 @@
-"""When every task of a stack converges under the null-space law (16), for targets at rest.
+"""Conditions under which every task of a stack converges under the null-space law (16), for targets at rest.
 
-With σ̃ the stacked errors the law gives dσ̃/dt = −M K σ̃, M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ (successive projection, as
-printed; Antonelli 2009, Stability analysis for prioritized closed-loop inverse kinematic algorithms, has the
-conditions on orthogonality and independence that these are built on). Row by row:
+With σ̃ the stacked errors, the law gives dσ̃/dt = −M K σ̃, M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ (successive projection, as
+printed). The conditions extend those on orthogonality and independence by Antonelli (2009, Stability analysis for
+prioritized closed-loop inverse kinematic algorithms):
 
-- M_ij, j > i: a lower task disturbs a higher one. Zero where the projectors of the levels commute, which orthogonal
-  tasks do. With it M is a lower block triangle, a cascade: no gain can spoil it, however the gains are chosen.
-- M_ii = J_i N_1 ⋯ N_{i−1} J_i⁺: what a task keeps of itself. Where the projectors commute its eigenvalues are sin² of
-  the angles to the rows above: positive where the task is independent of all above it together
-  (rank [J_1; …; J_i] is the sum of the ranks), and 1 where it is orthogonal to them.
-- where lower tasks do disturb, the comparison matrix (least eigenvalue of the symmetric part of M_ii on the diagonal,
-  −max‖M_ij‖ beside it) decides: if it is a non-singular M-matrix, all errors converge for all scalar gains
-  (vector Lyapunov function Σ p_i‖σ̃_i‖; a gain scales a column, which keeps the property).
+- M_ij with j > i is the disturbance of a higher task by a lower one. It is zero if the projectors of the levels
+  commute, as those of orthogonal tasks do. Then M is lower block triangular: a cascade, which is stable for any
+  positive gains.
+- M_ii = J_i N_1 ⋯ N_{i−1} J_i⁺ is the share of its own motion that a task keeps. If the projectors commute, its
+  eigenvalues are sin² of the angles to the rows above. They are positive if the task is independent of all tasks above
+  it together (rank [J_1; …; J_i] is the sum of the ranks), and 1 if it is orthogonal to them.
+- If lower tasks do disturb higher ones, the comparison matrix decides. Its diagonal holds the least eigenvalues of the
+  symmetric parts of M_ii, the other entries are −max‖M_ij‖. If it is a non-singular M-matrix, all errors converge for
+  all scalar gains (vector Lyapunov function Σ p_i‖σ̃_i‖; a gain scales a column, which preserves the property).
 
-Orthogonality is an identity of the expressions. Independence is proved by interval branch and bound on
-det[J_a; J_b][J_a; J_b]ᵀ ≥ s² det(J_aJ_aᵀ) det(J_bJ_bᵀ), the sines' product squared, checked by the independent checker;
-where that does not close, what samples and local searches show is said to be that.
+Orthogonality is decided by an identity of the expressions. Independence is proved by interval branch and bound on
+det[J_a; J_b][J_a; J_b]ᵀ ≥ s² det(J_aJ_aᵀ) det(J_bJ_bᵀ), where s bounds the product of the sines from below, and
+checked by the independent checker. If this proof fails, the verdict rests on samples and local searches, and says so.
 """
 
 from __future__ import annotations
@@ -41,20 +42,22 @@ Kind = Literal["orthogonal", "independent", "dependent"]
 Shown = Literal["identity", "proved", "samples", "witness"]
 Outcome = Literal["converges", "converges on samples", "need not converge"]
 
-_DEPENDENT = 1e-3  # a sine below this counts as none
-_PROVED_SHARE = 0.9  # of the least sine of the samples: what the prover is asked for
+_DEPENDENT = 1e-3  # a sine below this value counts as 0
+_PROVED_SHARE = 0.9  # share of the least sampled sine that the prover tries to prove
 
 
 @dataclass(frozen=True)
 class PairCondition:
-    """How two tasks lie to each other over the region.
+    """The relation of two tasks over the region.
 
     Attributes:
-        first, second: names, the higher priority first.
-        kind: orthogonal: neither disturbs the other; independent: both can be met; dependent: somewhere they cannot.
-        shown: by an identity of the expressions, by a proof, by samples alone, or by a witness state.
-        sine: of the smallest angle: what is shown, the least found, or 0.
-        where: the witness of `dependent`, else the state of the least sine found; empty for an identity.
+        first, second: names of the tasks, the higher priority first.
+        kind: orthogonal: neither task disturbs the other; independent: both tasks can be achieved at once; dependent:
+            in some state they cannot.
+        shown: how the kind is shown: by an identity of the expressions, a proof, samples alone, or a witness state.
+        sine: sine of the smallest angle between the tasks: the proved bound, else the least sampled value; 0 for
+            `dependent`.
+        where: for `dependent` the witness state, otherwise the state of the least sampled sine; empty for an identity.
     """
 
     first: str
@@ -77,17 +80,17 @@ class PairCondition:
 
 @dataclass(frozen=True)
 class LevelCondition:
-    """What a task does under the law.
+    """The convergence of one task under the law.
 
     Attributes:
-        task: its name.
-        outcome: for a target at rest, while the state stays in the region.
-        shown: the weakest of what the outcome rests on.
-        tracks: a moving target is followed exactly as well: nothing above or below touches the task.
-        keeps: share of its own gain that the task keeps, at least; 0 where it may lose a direction.
-        disturbed_by: lower tasks that disturb it, the largest ‖M_ij‖ of the samples each.
-        reason: in words.
-        where: a state where it loses a direction; empty otherwise.
+        task: name of the task.
+        outcome: convergence for a target at rest, while the state stays in the region.
+        shown: the weakest kind of evidence that the outcome depends on.
+        tracks: whether a moving target is tracked exactly too, because no other task acts on this one.
+        keeps: lower bound on the share of its own gain that the task keeps; 0 if it may lose a direction.
+        disturbed_by: largest sampled ‖M_ij‖ of each lower task that disturbs it, by name.
+        reason: reason for the outcome, in words.
+        where: a state in which the task loses a direction; empty if there is none.
     """
 
     task: str
@@ -109,15 +112,15 @@ class LevelCondition:
 
 @dataclass(frozen=True)
 class StackConditions:
-    """The conditions of a whole stack.
+    """The convergence conditions of a whole stack.
 
     Attributes:
-        tasks: names, highest priority first.
-        pairs: every two of them.
-        levels: every one of them.
-        triangular: no lower task disturbs a higher one: any positive gains do.
-        small_gain: where some does, whether the comparison matrix of the samples is an M-matrix.
-        samples: number of samples that numbers rest on.
+        tasks: names of the tasks, highest priority first.
+        pairs: one condition for each pair of tasks.
+        levels: one condition for each task.
+        triangular: whether no lower task disturbs a higher one, so that any positive gains are allowed.
+        small_gain: whether the comparison matrix of the samples is a non-singular M-matrix.
+        samples: number of samples behind the sampled numbers.
     """
 
     tasks: tuple[str, ...]
@@ -129,16 +132,16 @@ class StackConditions:
 
     @property
     def converges(self) -> bool:
-        """Whether every task does, if only on the samples."""
+        """Whether every task converges, by proof or on the samples."""
         return all(level.outcome != "need not converge" for level in self.levels)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the conditions as plain data for JSON."""
         return {**asdict(self), "converges": self.converges}
 
     def lines(self) -> list[str]:
-        """What to print."""
-        gains = "any positive gains" if self.triangular else "lower tasks disturb higher ones"
+        """Return the lines of a printed report."""
+        gains = "any positive gains are allowed" if self.triangular else "lower tasks disturb higher ones"
         lines = [f"stack {' > '.join(self.tasks)}: {gains}"]
         lines += [f"  {level.sentence}" for level in self.levels]
         return lines + [f"  {pair.sentence}" for pair in self.pairs]
@@ -153,18 +156,18 @@ def stack_conditions(
     seed: int = 0,
     time_limit: float = 5.0,
 ) -> StackConditions:
-    """Verdict per pair and per task, over a region of states.
+    """Decide for each pair and for each task of a stack whether it converges over a region of states.
 
     Args:
         stack: tasks with one reference each.
         region: lower and upper corner of η, (4,) each [m, m, m, rad] in {E}.
-        parameters: (symbol, lower, upper) of every further symbol of the tasks.
+        parameters: (symbol, lower, upper) of every other symbol in the tasks.
         samples: number of samples.
-        seed: of the samples.
-        time_limit: seconds of each proof of independence.
+        seed: seed of the samples.
+        time_limit: time limit of each proof of independence [s].
 
     Raises:
-        InputError: as `surctl.priority.diagnosis.diagnose`.
+        InputError: for the same reasons as `surctl.priority.diagnosis.diagnose`.
     """
     diagnosis = diagnose(stack, region, parameters=parameters, samples=samples, seed=seed)
     box = build_region(stack, region, parameters)
@@ -179,7 +182,7 @@ def stack_conditions(
     }
     levels: list[LevelCondition] = []
     for i, task in enumerate(stack.tasks):
-        assert isinstance(task, Task)  # `diagnose` refuses the others
+        assert isinstance(task, Task)  # `diagnose` refuses set-based tasks
         above = [pairs[j, i] for j in range(i)]
         own = partial(prove_strength, stack, box, i, time_limit=time_limit)
         levels.append(_level(stack, diagnosis, coupled, above, i, partial(proved, range(i), i), own))
@@ -188,7 +191,8 @@ def stack_conditions(
         if lost and level.outcome != "need not converge" and not level.tracks:
             levels[i] = LevelCondition(
                 level.task, "need not converge", "samples", False, level.keeps, level.disturbed_by,
-                f"{level.reason}; but {', '.join(lost)} above it may not, and disturbs it", level.where,
+                f"{level.reason}; but it is disturbed by {', '.join(lost)} above it, which need not converge",
+                level.where,
             )  # fmt: skip
     touched = [names_in(box, task) for task in stack.tasks]
     shown = [_only(pair, touched[i] | touched[j]) for (i, j), pair in pairs.items()]
@@ -199,7 +203,7 @@ def stack_conditions(
 
 
 def _only(condition: Any, names: set[str]) -> Any:
-    """The finding with its state cut down to the variables that its tasks depend on."""
+    """Return the condition with its state reduced to the variables on which its tasks depend."""
     return replace(condition, where={name: value for name, value in condition.where.items() if name in names})
 
 
@@ -240,25 +244,25 @@ def _level(
 
     if kinematic is not None:
         where = kinematic.poses[0]
-        return said("need not converge", "witness", 0.0, "it is singular by itself", where)
+        return said("need not converge", "witness", 0.0, "its own Jacobian is singular", where)
     if lost is not None or dependent or diagnosis.levels[i].rank < stack.tasks[i].size:
         where = lost.poses[0] if lost is not None else coupled.worst[i]
-        return said("need not converge", "witness", 0.0, "the tasks above take a direction", where)
+        return said("need not converge", "witness", 0.0, "the tasks above use one of its directions", where)
     if free:
         shown: Shown = "identity" if all(p.shown == "identity" for p in above) else "samples"
         sure = shown == "identity" and coupled.untouched_below(i) and regular()
         word: Outcome = "converges" if sure else "converges on samples"
-        return said(word, shown if sure else "samples", 1.0, "nothing above takes any of it, its rate is its own gain")
+        return said(word, shown if sure else "samples", 1.0, "no task above acts on it, so its rate is its own gain")
     if disturbed and not coupled.small_gain:
-        return said("need not converge", "samples", own, f"disturbed by {', '.join(disturbed)} beyond the small gain")
+        return said("need not converge", "samples", own, f"the small-gain condition fails for {', '.join(disturbed)}")
     if disturbed:
-        reason = f"disturbed by {', '.join(disturbed)}, within the small gain: for all scalar gains"
+        reason = f"disturbed by {', '.join(disturbed)}, but the small-gain condition holds for all scalar gains"
         return said("converges on samples", "samples", own, reason)
     sine = coupled.sine[i]
     formed = gram_is_constant(stack, i) and gains_are_equal(stack, i)
     shown_sine = proved(sine) if coupled.untouched_below(i) and coupled.commuting_above(i) and formed else 0.0
     if shown_sine > 0:
-        reason = f"independent of all above it, keeps at least {shown_sine**2:.3g} of its gain"
+        reason = f"independent of all tasks above it, it keeps at least {shown_sine**2:.3g} of its gain"
         return said("converges", "proved", shown_sine**2, reason)
-    why = "" if formed else ", J Jᵀ or its gains are not of the form that a proof needs"
-    return said("converges on samples", "samples", own, f"keeps at least {own:.3g} of its gain on the samples{why}")
+    why = "" if formed else "; a proof needs a constant J Jᵀ and equal, constant gains"
+    return said("converges on samples", "samples", own, f"it keeps at least {own:.3g} of its gain on the samples{why}")

@@ -23,14 +23,14 @@ _ZERO = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """How the tasks of a stack act on each other's errors.
+    """Effect of the tasks of a stack on each other's errors.
 
     Attributes:
         own: (n,) least eigenvalue of the symmetric part of M_ii over the samples.
-        sine: (n,) least product of sines between a task and all above it together.
-        worst: states of that.
+        sine: (n,) least product of sines between a task and all tasks above it together.
+        worst: state of the least product for each task.
         most: (n, n) largest ‖M_ij‖ off the diagonal.
-        commuting: levels whose projector commutes as an expression.
+        commuting: whether the projector of each level commutes with the others as an expression.
         orthogonal: pairs (i, j), i < j, that are orthogonal as expressions.
     """
 
@@ -43,12 +43,12 @@ class Coupling:
 
     @property
     def exact(self) -> bool:
-        """Whether no lower task disturbs a higher one by identity."""
+        """Whether it is an identity that no lower task disturbs a higher one."""
         return all(self.commuting)
 
     @property
     def triangular(self) -> bool:
-        """Whether none does, on the samples at least."""
+        """Whether no lower task disturbs a higher one on the samples."""
         return not any(self.from_below(i) for i in range(len(self.own)))
 
     @property
@@ -57,19 +57,21 @@ class Coupling:
         return comparison_converges(np.array(self.own), self.most)
 
     def from_below(self, i: int) -> dict[int, float]:
-        """Lower tasks that disturb task i, with the size of it."""
+        """Return the lower tasks that disturb task i, with the size ‖M_ij‖ of each disturbance."""
         if self.exact:
             return {}
         return {j: float(self.most[i, j]) for j in range(i + 1, len(self.own)) if self.most[i, j] > _ZERO}
 
     def untouched_below(self, i: int) -> bool:
-        """Whether by identity no lower task disturbs task i: all projectors commute, or all below it are orthogonal
-        to everything before them; nothing disturbs the first."""
+        """Whether it is an identity that no lower task disturbs task i.
+
+        This holds for the first task, if all projectors commute, or if each lower task is orthogonal to all before it.
+        """
         apart = ((a, b) in self.orthogonal for b in range(i + 1, len(self.own)) for a in range(b))
         return self.exact or i == 0 or all(apart)
 
     def commuting_above(self, i: int) -> bool:
-        """Whether N_1 ⋯ N_{i−1} is one projector by identity: then M_ii has the squared sines as eigenvalues."""
+        """Whether N_1 ⋯ N_{i−1} is a projector by identity, so that the eigenvalues of M_ii are squared sines."""
         return all(self.commuting[:i])
 
 
@@ -80,13 +82,13 @@ def comparison_converges(own: Array, most: Array) -> bool:
 
 
 def couplings(stack: Stack, region: Region, *, samples: int, seed: int) -> Coupling:
-    """The coupling of a stack over a region.
+    """Return the coupling of a stack over a region.
 
     Args:
         stack: tasks with one reference each.
-        region: made for it.
+        region: region of the stack's states and parameters.
         samples: number of samples.
-        seed: of the samples.
+        seed: seed of the samples.
     """
     field = build_field(stack, region)
     points = region.place(region.sample(samples, seed))

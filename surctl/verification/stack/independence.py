@@ -1,4 +1,4 @@
-"""Proof that a task is independent of others on a whole region: its angle to their rows has a least sine."""
+"""Proof that a task is independent of other tasks on a whole region: a lower bound on the sine of their angle."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from surctl.verification.stack.simplification import simplified
 
 __all__ = ["independence_claims", "prove_sine", "prove_strength"]
 
-_LEAST_STRENGTH = 1e-6  # of det J Jᵀ: below it a task counts as singular by itself
+_LEAST_STRENGTH = 1e-6  # least det J Jᵀ of a task whose Jacobian counts as regular
 
 
 def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float, time_limit: float) -> float:
-    """`sine` where it is proved that the product of the sines between task i and those above is that much; else 0.
+    """Return `sine` if it is a proved lower bound on the product of the sines between task i and those above, else 0.
 
-    The proof is by interval branch and bound, and the independent checker accepts it.
+    The proof is by interval branch and bound, and the independent checker must accept it.
     """
     for claim in independence_claims(stack, region, above, i, sine=sine):
         certificate = prove(claim, time_limit=time_limit).certificate
@@ -32,7 +32,7 @@ def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, si
 
 
 def prove_strength(stack: Stack, region: Region, i: int, *, time_limit: float) -> bool:
-    """Whether it is proved that the task is regular by itself on the whole region: det J Jᵀ ≥ 1e-6."""
+    """Whether it is proved that the task's own Jacobian is regular on the whole region: det J Jᵀ ≥ 1e-6."""
     strength = _gram(_jacobian(stack, region, i))
     if strength.is_constant():
         return bool(float(strength) >= _LEAST_STRENGTH)
@@ -43,10 +43,13 @@ def prove_strength(stack: Stack, region: Region, i: int, *, time_limit: float) -
 def independence_claims(
     stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float
 ) -> tuple[Claim, ...]:
-    """det[A; B][A; B]ᵀ ≥ s² det(AAᵀ) det(BBᵀ), and det of each not 0; A above, B task i, in {E}, where ψ is gone."""
+    """Return the claims det[A; B][A; B]ᵀ ≥ s² det(AAᵀ) det(BBᵀ), det AAᵀ > 0 and det BBᵀ > 0.
+
+    A holds the Jacobians of the tasks above, and B that of task i, both in {E}, where they do not depend on ψ.
+    """
     A, B = ca.vertcat(*[_jacobian(stack, region, k) for k in above]), _jacobian(stack, region, i)
     if A.shape[0] + B.shape[0] > A.shape[1]:
-        return (_claim(region, "dimension", ca.SX(1), ca.SX(0)),)  # more rows than velocities: it cannot hold
+        return (_claim(region, "dimension", ca.SX(1), ca.SX(0)),)  # false: more rows than velocities
     both, first, second = (_gram(part) for part in (ca.vertcat(A, B), A, B))
     floor = ca.SX(_LEAST_STRENGTH)
     return (
@@ -57,11 +60,11 @@ def independence_claims(
 
 
 def _jacobian(stack: Stack, region: Region, k: int) -> ca.SX:
-    """∂σ/∂η, free of the branches that the region settles."""
+    """Return ∂σ/∂η of task k, without the branches that are decided on the region."""
     sigma = stack.tasks[k].sigma
     try:
         smooth = simplified(sigma, region, tuple(map(_name, region.names)))
-    except InputError:  # an operation that the claim grammar does not have: the prover will say so
+    except InputError:  # an operation that the claim grammar does not have: the prover reports it
         smooth = sigma
     return ca.jacobian(smooth, stack.eta)
 
@@ -78,9 +81,9 @@ def _claim(region: Region, name: str, left: ca.SX, right: ca.SX) -> Claim:
         for k, name in enumerate(region.names)
         if region.symbols[k].element_hash() in used or k == 0
     )
-    return Claim(name, "a task is independent of those above it", "(16)", (), "proved", variables, left, right, "1")
+    return Claim(name, "a task is independent of the tasks above it", "(16)", (), "proved", variables, left, right, "1")
 
 
 def _name(name: str) -> str:
-    """A name that the certificate's grammar reads."""
+    """Return a name that the certificate's grammar accepts."""
     return "".join(c if c.isalnum() or c == "_" else "_" for c in name)

@@ -1,4 +1,4 @@
-"""The stacks that the shipped laws solve, with everything that they are told as parameters of a region."""
+"""The stacks that the shipped laws solve; the inputs of the laws are parameters of the region."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surctl.tasks import Stack, clearance_task, depth_task, heading_task, veloci
 __all__ = ["SHIPPED_STACKS", "ShippedStack", "shipped_stack"]
 
 SHIPPED_STACKS: Mapping[str, str] = {
-    "guarded": "velocity, depth, heading; obstacles and walls are rows of the priority problem, not tasks",
+    "guarded": "velocity, depth, heading; obstacles and walls are constraints of the priority problem, not tasks",
     "paper": "four sensor sub-tasks (17) by urgency, velocity, depth, heading",
 }
 
@@ -25,12 +25,12 @@ _ECHOES = {
     "behind": ([-3.0, -1.0], [-1.0, 1.0]),
     "right": ([-1.0, -3.0], [1.0, -1.0]),
 }
-"""Where the echo of each quadrant lies [m]: on its own side of the robot, up to 3 m away."""
+"""Lower and upper corner of the echo position in each quadrant [m]: on its own side of the robot, up to 3 m away."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShippedStack:
-    """A stack with the region of η and the parameters that it is looked at over."""
+    """A stack with the region of η and of the parameters over which its conditions are decided."""
 
     stack: Stack
     region: Bounds
@@ -38,16 +38,17 @@ class ShippedStack:
 
 
 def shipped_stack(name: str) -> ShippedStack:
-    """The stack of a shipped law, by the law's name.
+    """Return the stack of a shipped law, by the law's name.
 
-    Gains and targets do not touch the Jacobians: they are 1 and within the region. The robot is near the origin, with
-    one echo in each quadrant; by urgency they may come in any order, which pairs do not depend on.
+    Gains and targets do not affect the Jacobians; they are 1 and within the region. The robot is near the origin, with
+    one echo in each quadrant. Urgency may put the sensor sub-tasks in any order; the conditions of pairs do not depend
+    on the order.
 
     Raises:
-        InputError: an unknown name.
+        InputError: the name is unknown.
     """
     if name not in SHIPPED_STACKS:
-        raise InputError("has no such stack", key="stack", value=name, remedy=nearest(name, SHIPPED_STACKS))
+        raise InputError("is not a shipped stack", key="stack", value=name, remedy=nearest(name, SHIPPED_STACKS))
     eta, desired = ca.SX.sym("eta", 4), ca.SX.sym("desired", 2)
     lower = (velocity_task(eta, desired), depth_task(eta, -0.5), heading_task(eta, 0.0))
     parameters: list[Parameter] = [(desired, -0.25, 0.25)]

@@ -1,4 +1,4 @@
-"""Expressions on a box where their branches are settled: a max is one of its operands where the other cannot win."""
+"""Expressions without the branches that are decided on a box: a max becomes the operand that is always the larger."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ __all__ = ["simplified"]
 
 
 def simplified(expression: ca.SX, region: Region, names: tuple[str, ...]) -> ca.SX:
-    """The column, equal on the region, without the min, max, abs and select that interval arithmetic decides there.
+    """Return a column that is equal on the region, without each min, max, abs and select that intervals decide there.
 
-    Derivatives of what is left have no comparisons in them.
+    Without these branches, derivatives of the column contain no comparisons.
 
     Raises:
-        UnsupportedOperation: an operation that the claim grammar does not have.
+        UnsupportedOperation: the expression has an operation that the claim grammar does not have.
     """
     box = region.lower[:, None], region.upper[:, None]
 
     def above(a: Node, b: Node) -> int:
-        """1 where a ≥ b on the whole box, −1 where a ≤ b, 0 where neither is certain."""
+        """Return 1 if a ≥ b on the whole box, −1 if a ≤ b on it, and 0 if neither is certain."""
         read = build_tape(names, [a - b]).run(box)
         low, high = (float(end[0]) for end in read.jets[0].value)
         if not read.defined[0][0]:
@@ -37,7 +37,7 @@ def simplified(expression: ca.SX, region: Region, names: tuple[str, ...]) -> ca.
         sign = above(first, second)
         if not sign:
             return same
-        if node.op == "select":  # the operands' difference may be 0, where a ≤ b counts
+        if node.op == "select":  # for equal operands select takes the case a ≤ b
             return args[2] if sign < 0 else same
         wins = sign > 0 if node.op != "min" else sign < 0
         return first if wins else second

@@ -1,4 +1,4 @@
-"""What the expressions of a task say without numbers."""
+"""Properties of a task that follow from its expressions, without numbers."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ __all__ = ["gains_are_equal", "gram_is_constant", "names_in"]
 
 
 def names_in(region: Region, task: Task | SetTask) -> set[str]:
-    """Variables of the region that the task's σ depends on."""
+    """Return the variables of the region on which the task's σ depends."""
     return {name for k, name in enumerate(region.names) if ca.depends_on(task.sigma, region.symbols[k])}
 
 
 def gram_is_constant(stack: Stack, i: int) -> bool:
-    """Whether J_i J_iᵀ is a number, or one number: then V = σ̃ᵀ(JJᵀ)⁻¹σ̃ falls where the eigenvalues say."""
+    """Whether J_i J_iᵀ is constant or 1 × 1, so that V = σ̃ᵀ(JJᵀ)⁻¹σ̃ falls if the eigenvalues of M_ii are positive."""
     A = world_jacobians(stack)[i]
     return bool(A.shape[0] == 1 or ca.simplify(A @ A.T).is_constant())
 
 
 def gains_are_equal(stack: Stack, i: int) -> bool:
-    """Whether the task has one gain for all its rows, which does not depend on the state."""
+    """Whether the gains of all rows of the task are equal and do not depend on the state."""
     task = stack.tasks[i]
     if not isinstance(task, Task):
         return False
