@@ -20,50 +20,14 @@ SOURCES = sorted((ROOT / "surctl").rglob("*.py"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").rglob("*.md"))]
 
 NAMES = frozenset(
-    [
-        "told",
-        "given",
-        "seen",
-        "heard",
-        "wish",
-        "wishes",
-        "wanted",
-        "asked",
-        "flown",
-        "fly",
-        "flies",
-        "flight",
-        "made",
-        "kept",
-        "taken",
-        "found",
-        "drawn",
-        "answer",
-        "push",
-        "way",
-        "reach",
-        "tick",
-        "ladder",
-        "rung",
-        "trap",
-        "stood",
-        "halted",
-        "knob",
-        "lean",
-        "senses",
-        "chart",
-        "sheet",
-        "blame",
-        "served",
-        "stirred",
-        "sift",
-        "rival",
-        "doubt",
-        "room",
-        "twin",
-        "settle",
-        "settled",
-    ]
+    re.findall(
+        r"\w+",
+        """
+        told given seen heard wish wishes wanted asked flown fly flies flight made kept taken found drawn answer push way
+        reach tick ladder rung trap stood halted knob lean senses chart sheet blame served stirred sift rival doubt room
+        twin settle settled
+        """,
+    )
 )
 ALLOWED = frozenset({"ticks", "_ticks", "_TICKS"})  # of a plot's axis
 
