@@ -119,7 +119,7 @@ def test_arrays_that_are_no_log_are_told_with_file_and_remedy(tmp_path: Path) ->
 
 def test_a_frame_other_than_the_file_s_is_refused(tmp_path: Path) -> None:
     path = save_record(_run(), tmp_path, kind="csv", frame="ned")
-    with pytest.raises(InputError, match=r"frame = 'enu'.*what the file says \(ned\)"):
+    with pytest.raises(InputError, match=r"frame = 'enu'.*the file states \(ned\)"):
         read_motion_log(path, frame="enu")
     with pytest.raises(InputError, match="'nwu'"):
         read_motion_log(path, frame="nwu")
