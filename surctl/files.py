@@ -278,7 +278,9 @@ def quoted(text: str) -> str:
 
 
 def write_file(target: Path, content: str | bytes) -> Path:
-    """Write a file and return its path; a failure leaves the old file, because a temporary file is renamed at the end.
+    """Write a file and return its path; if writing fails, the old file does not change.
+
+    The function writes a temporary file and renames it at the end.
 
     Raises:
         InputError: the disk is full, or the folder cannot be written.

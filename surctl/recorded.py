@@ -107,7 +107,7 @@ def shown(path: object) -> str:
 def read_recorded(path: Path) -> Recorded:
     """Read a comma-separated file with a header; blank lines, and lines with # above the header, are skipped.
 
-    In a file that ends in .mat or .nc, each vector is a column (see `recorded_arrays`) and each index from 1 a line.
+    In a file that ends in .mat or .nc, each vector is a column (see `recorded_arrays`), and row k counts as line k.
 
     Raises:
         InputError: the file does not exist, is not UTF-8 text or has no header or no rows; or a row has a different

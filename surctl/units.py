@@ -33,13 +33,13 @@ _UNIT = re.compile(r"[A-Za-zµΩ°%][\w\s*/^().°%µ-]*|1(?:\s*/\s*[\w\s*/^().-]
 
 @cache
 def _registry() -> UnitRegistry[Any]:
-    import pint  # half a second, and only files in other units need it
+    import pint  # imported here because it takes half a second and only files in other units need it
 
     return pint.UnitRegistry()
 
 
 def number_and_unit(text: str) -> tuple[float, str]:
-    """Split a text such as "0.54 m" into its number and its unit (0.54, "m"); the unit may be empty.
+    """Split a text such as "0.54 m" into its number and its unit, here (0.54, "m"); the unit may be empty.
 
     Raises:
         InputError: the text does not start with a number.

@@ -94,7 +94,7 @@ def build_law(
             `guidance.crosstrack`.
         barrier: bound of `guarded` on its closing speed: `simple`, from the braking distance s²/(2a) + s t, or
             `inertia`, the closed form of `guidance.braking` for the worst case of the vehicle's parameter ranges.
-            With sonars, `inertia` does not get through the pool, where gaps leave only centimetres.
+            With sonars and `inertia`, the robot does not get through the pool, where clearances are a few centimetres.
         movers: how `guarded` avoids moving obstacles: `predict` their path and sidestep, or use the `barrier`.
         depths: whether `guarded` may leave a dead end at another depth; then it needs the free water above and below
             as input `column` (see `control.layers`). Other laws always stay at the path's depth.

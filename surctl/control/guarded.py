@@ -1,7 +1,8 @@
-"""The guarded law: a velocity near the path's desired velocity that respects every braking barrier; depth; heading.
+"""The guarded law: follow the path at a velocity that respects the braking barrier of every contact.
 
-The tasks have this order of priority. In the priority modes with inequalities, the same barriers are also limit rows.
-With sonars, the law turns all the time instead of holding a heading, and it stops before unknown space.
+Its tasks, in order of priority, are the free velocity nearest to the desired one, the depth, and the heading. In the
+priority modes with inequalities, the same barriers are also limit rows. With sonars, the robot turns all the time
+instead of holding a heading, and it stops before unknown space.
 """
 
 from __future__ import annotations

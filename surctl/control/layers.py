@@ -8,8 +8,8 @@ gives up. The robot returns in the same way once it is past the dead end by one 
 path and the water back to the path's depth is free.
 
 The horizontal sonars do not measure the water above or below. The robot moves only through water that its echo sounders
-measure as free (`column`), at a speed from which it can stop within that water, and holds its horizontal place. This is
-safe under two assumptions: the sounders detect everything above or below the hull, and the mission allows that depth.
+measure as free (`column`), at a speed from which it can stop within that water, and holds its horizontal position. This
+is safe if the sounders detect everything above or below the hull, and if the mission allows that depth.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ _MODEL = (
         "stopping",
         (6,),
         "kg, N, s, N s/m, N s^2/m^2",
-        "worst of the ranges: least and largest mass, largest thrust, thrust lag, largest linear and quadratic drag",
+        "worst case: least and largest mass, largest thrust, thrust lag, largest linear and quadratic drag",
         1.0,
     ),
     Port(

@@ -272,7 +272,7 @@ def _swing(brakes: Brakes, thrust: float | None) -> float:
 
 
 class _Above(NamedTuple):
-    """An upper bound of B' over each step, and the ends of the steps, of which the first is 0."""
+    """An upper bound of B' over each step, and the ends of the steps, starting with 0."""
 
     step: float
     places: NDArray[np.float64]

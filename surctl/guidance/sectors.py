@@ -74,14 +74,14 @@ def choose_velocity(
     """Return the velocity on the free course nearest to the desired velocity.
 
     The candidates are the desired course and both edges of every sector and cone. While a moving contact approaches,
-    the desired course at reduced speed and rest are candidates too. If all of these lead back or leave the latched
-    side, `slower` is 1, no contact moves and no bound requires a retreat, then courses on either side of the desired
-    one at reduced speed are candidates too: between two contacts that both limit the speed, often no course is free at
-    full speed. If no candidate is free, the one with the smallest violation is chosen.
+    the desired course at reduced speed and zero velocity are candidates too. Courses on either side of the desired one
+    at reduced speed are candidates if all others lead back or leave the latched side, `slower` is 1, no contact moves
+    and no bound requires a retreat: between two contacts that both limit the speed, often no course is free at full
+    speed. If no candidate is free, the one with the smallest violation is chosen.
 
     The speed is the desired speed. It is at most `cruise` while the desired velocity is blocked, so the robot does not
     catch up between obstacles. It is higher, up to `cap`, while a bound requires a retreat, and the other bounds reduce
-    it. If rest violates the bounds less than every course, the robot stops.
+    it. If zero velocity violates the bounds less than every course, the robot stops.
 
     Args:
         desired: desired velocity (2, 1) [m/s] in {E}.
@@ -134,7 +134,7 @@ def choose_velocity(
         current = best
         best = _Best(*only_if("slower", slower, lambda: search.slower(current), current))
     velocity = ca.fmax(ca.fmin(around.free_speed(best.course, speed), best.pace), retreat) * best.course
-    # boxed in: the robot stops if every course violates the bounds more than rest does
+    # boxed in: the robot stops if every course violates the bounds more than zero velocity does
     worse = around.excess(velocity) > around.excess(ca.SX.zeros(2)) + TOLERANCE
     velocity = ca.if_else(ca.logic_and(best.missed > TOLERANCE, worse), 0, velocity)
     return Choice(velocity, ca.if_else(blocked, best.side, 0), blocked, ca.fmax(best.missed, 0), worst)
@@ -165,7 +165,7 @@ class _Search:
     latched: ca.SX
 
     def waiting(self, best: _Best) -> _Best:
-        """Try the desired course at the speed that the sectors allow, and rest."""
+        """Try the desired course at the speed that the sectors allow, and zero velocity."""
         for slow in (self.around.free_speed(self.ahead, self.speed), ca.SX(0)):
             missed = self.around.excess(slow * self.ahead)
             cost = 1 - slow / self.speed + _WAIT + _missed_cost(missed)

@@ -54,7 +54,7 @@ def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tup
 
     The costs grow with the crosswise velocity relative to the contact that must be reversed. So the robot completes a
     manoeuvre that it has begun, and from rest it passes behind a crossing contact and not in front of it. If the thrust
-    cannot reverse the velocity in half the time until the meeting, the rest counts as a violation. In a head-on
+    cannot reverse the velocity in half the time until the meeting, the remainder counts as a violation. In a head-on
     encounter both costs are 0, so that noise does not choose the side.
 
     Args:

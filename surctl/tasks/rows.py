@@ -1,4 +1,4 @@
-"""Named rows l ≤ a·v ≤ u, of which every limit consists, and checks of their values."""
+"""Named rows l ≤ a·v ≤ u, the common form of all limits, and checks of their values."""
 
 from __future__ import annotations
 

@@ -245,7 +245,7 @@ def test_the_law_that_senses_is_readable_and_small() -> None:
         "fix_fresh": "[1] 1 if a fix has arrived since the last step, else 0",
         "yaw": "[rad] heading psi of {B} in {E}, counter-clockwise",
         "yaw_rate": "[rad/s] yaw rate r in {B}",
-        "contacts[8][6]": "[m, m/s, 1] moving obstacles in {E} that the base station measured 0.1 s before, one per row",
+        "contacts[8][6]": "[m, m/s, 1] moving obstacles in {E} that the base station measured 0.1 s before",
         "contacts_fresh": "[1] 1 if a message with contacts has arrived since the last step, else 0",
         "samples[4][5]": "[m] raw ranges of each sonar's last firing, one sonar per row; axes at 0, 90, 180, -90 deg",
         "fresh[4]": "[1] 1 if a firing of the sonar has arrived since the last step, else 0",

@@ -30,7 +30,7 @@ EXTRA = 0.02
 """Distance [m] added to the margin (tuned from 0 to 0.15), because the velocity lags behind the command."""
 
 FAN = 24
-"""Number of courses at full speed that are tried, in addition to rest, if no velocity satisfies all rows."""
+"""Number of courses at full speed that are tried, in addition to zero velocity, if no velocity satisfies all rows."""
 
 _ROUNDING = 1e-9  # [m/s] tolerance of a row for rounding
 

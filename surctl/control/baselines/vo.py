@@ -39,7 +39,7 @@ The first of two equal candidates is chosen, so a head-on contact stays on the r
 """
 
 SPEEDS = (1.0, 0.5)
-"""Candidate speeds as shares of the desired speed; other candidates are rest and full speed (the cap)."""
+"""Candidate speeds as shares of the desired speed; zero velocity and full speed (the cap) are candidates too."""
 
 _FORBIDDEN = 1e3
 
