@@ -111,8 +111,8 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths:
             ),
             Port("yaw_rate", (1,), "rad/s", "yaw rate r in {B}, from the IMU"),
         )
-    late = equipment.station.messages.latency
-    meaning = f"moving obstacles in {{E}} that the base station measured {late:g} s before"
+    delay = equipment.station.messages.latency
+    meaning = f"moving obstacles in {{E}} that the base station measured {delay:g} s before"
     known = (
         Port("contacts", (contacts, 6), "m, m/s, 1", f"{meaning}, one per row: x, y, radius, vx, vy, valid (0 or 1)"),
         Port("contacts_fresh", (1,), "1", "1 if a message with contacts has arrived since the last step, else 0"),
