@@ -1,4 +1,4 @@
-"""Reading TOML, writing files, making folders: every mistake becomes one line with file, key, value and remedy."""
+"""Read TOML files, write files, create folders; every mistake becomes one line with file, key, value and remedy."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ __all__ = [
 
 
 class Strict(BaseModel):
-    """Base of every file's model: frozen, finite, and no unknown keys."""
+    """Base class of the models of all files: immutable, only finite numbers, no unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Quantity(Strict):
-    """A number with its unit, and what is known of it; a file may write it short, as "0.54 m"."""
+    """A number with its unit, range and provenance; a file may abbreviate it to a text such as "0.54 m"."""
 
     value: StrictFloat
     unit: str
@@ -60,10 +60,10 @@ class Quantity(Strict):
         return {"value": value, "unit": unit}
 
     def within(self, unit: str) -> Quantity:
-        """The same in another unit, its range too; itself if it is in that unit.
+        """Return the quantity, with its range, converted to `unit`; the object itself if it already has that unit.
 
         Raises:
-            InputError: an unknown unit, or one of another dimension.
+            InputError: the unit is unknown or has another dimension.
         """
         if self.unit == unit:
             return self
@@ -75,10 +75,10 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The file's table; a text like "15 cm" under a key like `depth_m` comes as a number in the key's unit.
+    """Read a TOML file as a table; a text like "15 cm" under a key like `depth_m` becomes a number in the key's unit.
 
     Raises:
-        InputError: a missing, unreadable, empty, binary or malformed file, or a length in seconds.
+        InputError: the file is missing, unreadable, empty, binary or malformed, or a unit has the wrong dimension.
 
     Example:
         >>> from pathlib import Path
@@ -100,20 +100,20 @@ def read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise InputError("is not text (UTF-8)", file=path, remedy="give a TOML file") from None
     if "\0" in text:
-        raise InputError("is not text (it holds a NUL byte)", file=path, remedy="give a TOML file")
+        raise InputError("is not text (it contains a NUL byte)", file=path, remedy="give a TOML file")
     try:
         return dict(pickle.loads(_parsed(text)))
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not valid TOML: {error}", file=path, remedy="mend that line") from None
+        raise InputError(f"is not valid TOML: {error}", file=path, remedy="correct that line") from None
     except RecursionError:
-        raise InputError("is not valid TOML: nested too deep", file=path, remedy="give a TOML file") from None
+        raise InputError("is not valid TOML: nested too deeply", file=path, remedy="give a TOML file") from None
     except InputError as error:
         raise error.inside(path) from None
 
 
 @lru_cache(maxsize=64)
 def _parsed(text: str) -> bytes:
-    """The table of a TOML text, read once; pickled, so that whoever asks gets a table of his own."""
+    """Parse a TOML text once; the table is pickled, so that each caller gets a separate copy."""
     table = tomllib.loads(text)
     if not table:
         raise InputError("is empty", remedy="start from a built-in file: surctl list --show NAME")
@@ -137,7 +137,7 @@ def load_model(path: Path, model: type[M]) -> M:
 
 
 def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
-    """Validate a table against `model`; the first mistake becomes an InputError, the rest are counted.
+    """Validate a table against `model`; the InputError describes the first mistake and counts the others.
 
     Example:
         >>> from pydantic import BaseModel
@@ -154,16 +154,16 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
     try:
         return model.model_validate(current_table(table, file=file))
     except ValidationError as error:
-        # of a union "quantity or text" only the quantity is of use to the reader
+        # for a union "quantity or text", only the problem with the quantity helps the user
         problems = [p for p in error.errors(include_url=False) if p["loc"][-1:] != ("str",)]
-        # a list counts as too short by the members that are wrong
+        # pydantic also reports a list as too short when some of its members are invalid
         problems = [p for p in problems if p["type"] != "too_short" or not _inside(p["loc"], problems)]
-        # another kind of file explains everything else; an unknown key the missing one beside it
+        # a wrong kind of file explains all other problems; an unknown key explains a missing key beside it
         first = min(problems, key=lambda p: (p["loc"] != ("kind",), p["type"] != "extra_forbidden"))
-        # a union's member types stand in the path like keys
+        # pydantic inserts the member types of a union into the path as if they were keys
         key = ".".join(str(part) for part in first["loc"] if part not in ("Quantity", "str")) or None
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        # of the whole file no value is told
+        # the message omits the value if the mistake concerns the whole file
         value = None if first["type"] == "missing" or key is None else first["input"]
         if first["type"] == "extra_forbidden":
             known = _fields_at(model, first["loc"][:-1])
@@ -188,7 +188,7 @@ def _inside(path: tuple[int | str, ...], problems: Sequence[ErrorDetails]) -> bo
 
 
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    """Field names of the (nested) model that a validation path leads to."""
+    """Return the field names of the (nested) model at the end of a validation path."""
     here: Any = model
     for part in path:
         if isinstance(part, int):
@@ -213,10 +213,10 @@ def _model_in(annotation: Any) -> Any:
 
 
 def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
-    """Make the output folder, or say in one line why that cannot be; `key` is the option that names it.
+    """Create the output folder; an error message names the option `key`.
 
     Raises:
-        InputError: it is a file, or cannot be written.
+        InputError: the path is a file, or the folder cannot be written.
 
     Example:
         >>> from pathlib import Path
@@ -243,9 +243,9 @@ def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
 
 
 def pick(name_or_path: str, library: Path, *, what: str) -> Path:
-    """The built-in file of that name, or the user's file at that path.
+    """Return the path of the built-in file with this name, or the user's own path.
 
-    A bare name (no suffix, no separator) is looked up in `library`; anything else is a path.
+    A bare name (no suffix, no separator) is looked up in the folder `library`; any other text is a path.
 
     Example:
         >>> from pathlib import Path
@@ -268,7 +268,7 @@ def pick(name_or_path: str, library: Path, *, what: str) -> Path:
 
 
 def quoted(text: str) -> str:
-    """A TOML basic string: JSON's escapes, and DEL, which JSON leaves bare.
+    """Return the text as a TOML basic string: with JSON's escapes, and with DEL escaped as well.
 
     Example:
         >>> from surctl.files import quoted
@@ -279,10 +279,12 @@ def quoted(text: str) -> str:
 
 
 def write_file(target: Path, content: str | bytes) -> Path:
-    """Write a file by way of a temporary one beside it, so that it is there as a whole or as it was; the path.
+    """Write a file and return its path; if writing fails, the old file does not change.
+
+    The function writes a temporary file and renames it at the end.
 
     Raises:
-        InputError: there is no room, or the folder cannot be written.
+        InputError: the disk is full, or the folder cannot be written.
 
     Example:
         >>> from pathlib import Path
@@ -299,11 +301,11 @@ def write_file(target: Path, content: str | bytes) -> Path:
             os.fsync(file.fileno())
         staging.replace(target)
     except OSError as error:
-        with suppress(OSError):  # that it cannot be removed, or never was, is not worth a second error
+        with suppress(OSError):  # no second error if the temporary file does not exist or cannot be removed
             staging.unlink()
         raise InputError(
             f"cannot be written ({error.strerror})",
             file=target,
-            remedy="make room, or choose a folder that you may write to",
+            remedy="free disk space, or choose a folder that you may write to",
         ) from None
     return target

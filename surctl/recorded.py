@@ -1,4 +1,4 @@
-"""A recording: a CSV file with a header and rows, a .mat or netCDF file; each mistake is told with file and line."""
+"""Read a recording: a CSV file with a header and rows, a .mat or a netCDF file; errors name the file and line."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from surctl.recorded_arrays import ARRAY_FILES, read_arrays
 __all__ = ["Recorded", "read_recorded", "shown"]
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
-_MISSING = {"", "na", "n/a", "null", "none"}  # cells that stand for "no number" beside nan
+_MISSING = {"", "na", "n/a", "null", "none"}  # cells that mean "no number", in addition to nan
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """The rows of a file, as text.
+    """The rows of a recorded file, as text.
 
     Attributes:
         path: the file.
-        columns: header, in the file's order, to its cells.
-        lines: (n,) line of each row in the file, from 1.
+        columns: the cells of each column by header, in the order of the file.
+        lines: (n,) line number of each row in the file, from 1.
         about: the comments above the header, without their #.
     """
 
@@ -39,20 +39,20 @@ class Recorded:
 
     @property
     def name(self) -> str:
-        """The file's path as one printable line."""
+        """The path of the file as one printable line."""
         return shown(self.path)
 
     def need(self, names: Iterable[str]) -> None:
-        """InputError, with the nearest column that is there, when one of the names is no column."""
+        """Raise InputError if one of the names is not a column; the message suggests the most similar column."""
         for name in names:
             if name not in self.columns:
                 raise InputError(f"column {name!r} is missing", file=self.name, remedy=nearest(name, self.columns))
 
     def numbers(self, column: str) -> NDArray[np.float64]:
-        """(n,) the column's numbers; NaN where a cell is empty, NaN or infinite.
+        """Return the numbers (n,) of a column; NaN where a cell is empty, NaN or infinite.
 
         Raises:
-            InputError: a cell that is no number, with its line.
+            InputError: a cell is not a number; the message gives its line.
         """
         cells = self.columns[column]
         try:
@@ -64,7 +64,7 @@ class Recorded:
         return np.where(np.isfinite(values), values, np.nan)
 
     def at(self, row: int) -> str:
-        """The row's place: file and line."""
+        """Return the location of a row as "file:line"."""
         return f"{self.name}:{self.lines[row]}"
 
     def _number(self, column: str, row: int) -> float:
@@ -82,18 +82,18 @@ class Recorded:
 
 
 def _number_remedy(cell: str) -> str:
-    """What to write instead; a comma between groups of three digits is not taken for a decimal one."""
+    """Return a remedy for a cell; a comma between groups of three digits is not read as a decimal comma."""
     plain = cell.replace(",", "")
     if _GROUPED.fullmatch(cell):
         if cell.count(",") == 1 and "." not in cell:
             point = cell.replace(",", ".")
-            return f"write {plain} if the comma separates thousands, {point} if it is the decimal one"
-        return f"write {plain}: no commas between thousands"
+            return f"write {plain} if the comma separates thousands, {point} if it is a decimal comma"
+        return f"write {plain} without commas between thousands"
     return "write a decimal point" if "," in cell else "write a number, or leave the cell empty"
 
 
 def shown(path: object) -> str:
-    """A path or name as one line that any terminal and UTF-8 file takes: other characters become '?'.
+    """Return a path or name as one printable line of valid UTF-8; every other character becomes '?'.
 
     Example:
         >>> from surctl.recorded import shown
@@ -105,12 +105,13 @@ def shown(path: object) -> str:
 
 
 def read_recorded(path: Path) -> Recorded:
-    """Read a comma-separated file with a header; blank lines, and lines with # above the header, are left out.
+    """Read a comma-separated file with a header; blank lines, and lines with # above the header, are skipped.
 
-    A file that ends in .mat or .nc gives its vectors as columns (see `recorded_arrays`), their place as lines.
+    In a file that ends in .mat or .nc, each vector is a column (see `recorded_arrays`), and row k counts as line k.
 
     Raises:
-        InputError: no such file, not UTF-8 text, no header, no rows, a row of another length, a column twice.
+        InputError: the file does not exist, is not UTF-8 text or has no header or no rows; or a row has a different
+            number of cells than the header; or a column appears twice.
 
     Example:
         >>> from pathlib import Path
@@ -143,16 +144,16 @@ def read_recorded(path: Path) -> Recorded:
                 raise InputError(
                     f"has {len(row)} cells where the header has {len(header)}",
                     file=f"{shown(path)}:{skipped + reader.line_num}",
-                    remedy="mend that row",
+                    remedy="correct that row",
                 )
             rows.append(row)
             lines.append(skipped + reader.line_num)
     except csv.Error as error:
         raise InputError(
-            f"is not CSV: {error}", file=f"{shown(path)}:{skipped + reader.line_num}", remedy="mend the quotes there"
+            f"is not CSV: {error}", file=f"{shown(path)}:{skipped + reader.line_num}", remedy="correct its quotes"
         ) from None
     if not rows:
-        raise InputError("has a header and no rows", file=shown(path), remedy="add rows")
+        raise InputError("has a header but no rows", file=shown(path), remedy="add rows")
     columns = dict(zip(header, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
     return Recorded(path=path, columns=columns, lines=np.array(lines), about=about)
 
@@ -173,14 +174,14 @@ def _text(path: Path) -> str:
         line = len(re.findall(rb"\r\n|\r|\n", raw[: error.start])) + 1
         raise InputError("is not text (UTF-8)", file=f"{shown(path)}:{line}", remedy="save it as UTF-8") from None
     if "\0" in text:
-        raise InputError("is not text (it holds a NUL byte)", file=shown(path), remedy="give a CSV file")
+        raise InputError("is not text (it contains a NUL byte)", file=shown(path), remedy="give a CSV file")
     if not text.strip():
         raise InputError("is empty", file=shown(path), remedy="give a CSV file with a header and rows")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _comments(text: str) -> tuple[tuple[str, ...], str]:
-    """The lines with # that stand first, and the rest."""
+    """Split a text into its leading comment lines (without their #) and the rest."""
     about = []
     while text.startswith("#"):
         line, _, text = text.partition("\n")
@@ -205,7 +206,7 @@ def _checked_header(place: str, row: list[str]) -> list[str]:
         raise InputError("has no header", file=place, remedy="name the columns in the first line")
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
-        raise InputError(f"column {twice[0]!r} stands there twice", file=place, remedy="leave one of them")
+        raise InputError(f"column {twice[0]!r} appears twice", file=place, remedy="remove one of them")
     return header
 
 

@@ -45,10 +45,10 @@ def test_comments_and_lines_with_any_line_ends(tmp_path: Path, ends: str) -> Non
 @pytest.mark.parametrize(
     ("cell", "remedy"),
     [
-        ("1,000", "write 1000 if the comma separates thousands, 1.000 if it is the decimal one"),
-        ("-12,345", "write -12345 if the comma separates thousands, -12.345 if it is the decimal one"),
-        ("1,234,567", "write 1234567: no commas between thousands"),
-        ("1,234.5", "write 1234.5: no commas between thousands"),
+        ("1,000", "write 1000 if the comma separates thousands, 1.000 if it is a decimal comma"),
+        ("-12,345", "write -12345 if the comma separates thousands, -12.345 if it is a decimal comma"),
+        ("1,234,567", "write 1234567 without commas between thousands"),
+        ("1,234.5", "write 1234.5 without commas between thousands"),
         ("1,5", "write a decimal point"),
         ("0,125", "write a decimal point"),
         ("12,3456", "write a decimal point"),
@@ -84,9 +84,9 @@ def test_cells_without_a_number_are_nan(tmp_path: Path) -> None:
 REFUSED = {
     "empty": (b"", "is empty"),
     "only a mark": (b"\xef\xbb\xbf\n\n", "is empty"),
-    "no rows": (b"a,b\n\n", "header and no rows"),
+    "no rows": (b"a,b\n\n", "header but no rows"),
     "no header": (b"1,2\n3,4\n", "a.csv:1: has no header"),
-    "a column twice": (b"a,b,a\n1,2,3\n", "'a' stands there twice"),
+    "a column twice": (b"a,b,a\n1,2,3\n", "'a' appears twice"),
     "a cell too many": (b"a,b\n1,2\n1,2,3\n", "a.csv:3: has 3 cells where the header has 2"),
     "a cell too few": (b"a,b\n1\n", "a.csv:2: has 1 cells"),
     "semicolons": (b"a;b\n1,5;2\n", "semicolons; save it with commas"),

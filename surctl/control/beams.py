@@ -1,4 +1,4 @@
-"""The sonars as the law sees them: where they look, what they should hear, and which firing is honest. In symbols."""
+"""The law's symbolic model of its sonars: beam geometry, expected ranges, and which firings are plausible."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from surctl.vehicle import planar_rotation
 __all__ = ["SILENT", "Around", "beams", "corrected", "expected", "honest"]
 
 SILENT = 0.1
-"""[m] below the maximum: no echo."""
+"""A reading less than this distance [m] below the maximum range counts as no echo."""
 
 
 class Around(NamedTuple):
-    """Pose and known obstacles of one step, symbolic."""
+    """Pose, velocity and known moving obstacles of one step, in symbols."""
 
     eta: ca.SX
     nu: ca.SX
@@ -31,12 +31,12 @@ class Around(NamedTuple):
 
     @property
     def heading(self) -> ca.SX:
-        """(2, 1) cosine and sine of ψ."""
+        """The heading as a unit vector (2, 1): cosine and sine of ψ."""
         return ca.vertcat(ca.cos(self.eta[3]), ca.sin(self.eta[3]))
 
 
 def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
-    """Axis, apex and half angle of each sonar's open cone."""
+    """Return axis, apex and half angle of the part of each sonar's cone that the hull does not block."""
     axes, apexes, halves = [], [], []
     for i, azimuth in enumerate(array.azimuths):
         offset, half = array.cones[i][0]
@@ -51,7 +51,7 @@ def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], 
 
 
 def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """(n,) ranges at which the walls, and the moving obstacles, would give an echo [m]."""
+    """Return two vectors (n,) of expected ranges [m]: echoes of the walls, and echoes of the moving obstacles."""
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
@@ -81,7 +81,7 @@ def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapp
 
 
 def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
-    """Samples without the known bias and scale; what reads the maximum, or nothing, stays."""
+    """Return the samples without the known bias and scale; a sample without an echo does not change."""
     if array.scale == 1.0 and array.bias == 0.0:
         return samples
     top = array.maximum - 0.5 * array.resolution
@@ -91,8 +91,12 @@ def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
 
 
 def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, repeats: int) -> ca.SX:
-    """Whether a firing may change the map: no sensor that is stuck, late, reads nothing or through a wall, or has
-    what another one heard. One that jumps may: the map itself is cleared by three readings in a row only."""
+    """Return whether a firing may change the map.
+
+    It may not if its sensor is stuck or late, reads less than its shortest range or more than the distance of a wall,
+    or repeats the samples of another sensor. A firing of a sensor whose readings jump may change the map, because only
+    three readings in a row clear a cell.
+    """
     state = ranging.state
     reading, least = ranging.reading[sensor], array.lowest / array.scale
     fine: ca.SX = ca.logic_and(reading >= least - 1.5 * array.resolution, state["sonar_late"][sensor] < 0.5)

@@ -60,7 +60,7 @@ _STEP_INPUTS = ("J", "reference", "rows", "box")
 _SOURCES = tuple(
     f"surctl.{name}" for name in ("control", "errors", "guidance", "ir", "priority", "sensing", "tasks", "vehicle")
 )
-"""What the text of a law depends on."""
+"""Packages whose source code determines the instructions of a law."""
 
 
 def build_law(
@@ -79,30 +79,30 @@ def build_law(
     depths: bool = False,
     fallback: str = "exact",
 ) -> Law:
-    """Assemble a law once; the gains stay symbols.
+    """Assemble a law, or return it if it was assembled before; the gains remain inputs of the law.
 
     Args:
-        law: `guarded`, the printed stack `paper`, or a textbook law: `apf`, `dwa`, `vo`, `cbf` (`control.baselines`).
-        avoidance: form of (20); all but `paper` take `corrected` alone.
-        mode: `nsb`, which knows no limits, or one that keeps them: `filter`, `projected`, `lexicographic`.
+        law: `guarded`, the paper's law `paper`, `closed_form`, or a textbook law: `apf`, `dwa`, `vo`, `cbf`.
+        avoidance: form of equation (20); all laws except `paper` accept only `corrected`.
+        mode: priority mode: `nsb` ignores limits; `filter`, `projected` and `lexicographic` respect them.
         dt: control period [s].
-        contacts: slots for known obstacles; a law with fewer does the same as long as they suffice.
-        sonar: whether it listens to the sonars; without them it needs true positions.
-        equipment: what a law with sonars believes it senses with; `paper` has the paper's four sonars.
-        moving: whether a known obstacle may move; without that it does the same as long as none does.
-        guidance: how the path is followed: `los`, or with memory against a steady push, `ilos` or `alos`, see
+        contacts: number of slots for known obstacles; it does not change the result as long as it suffices.
+        sonar: whether the law uses the sonars; without them it needs true obstacle positions.
+        equipment: the sensors that a law with sonars assumes; law `paper` always has the paper's four sonars.
+        moving: whether known obstacles may move; False gives the same result as long as none moves.
+        guidance: path following: `los`, or `ilos` or `alos`, which adapt to a steady disturbance, see
             `guidance.crosstrack`.
-        barrier: of `guarded`, how fast it lets itself come nearer: `simple`, s²/(2a) + s t, or `inertia`, the closed
-            form of `guidance.braking` at the worst of the vehicle's ranges.
-            With sonars `inertia` does not get through the pool, where there are centimetres only.
-        movers: what `guarded` does about what moves: `predict` its way and sidestep, or keep the `barrier` to it too.
-        depths: whether `guarded` may leave a dead end by another depth; it is then told of the water above and below
-            (`column`, see `control.layers`). Other laws keep to the path's depth.
-        ladder: of modes `filter` and `projected`, where limits and task 1 cannot all be kept: `exact`, or `bounded`,
-            with a safe answer within a fixed number of operations; the status has `DEGRADED` then.
+        barrier: bound of `guarded` on its closing speed: `simple`, from the braking distance s²/(2a) + s t, or
+            `inertia`, the closed form of `guidance.braking` for the worst case of the vehicle's parameter ranges.
+            With sonars and `inertia`, the robot does not get through the pool, where clearances are a few centimetres.
+        movers: how `guarded` avoids moving obstacles: `predict` their path and sidestep, or use the `barrier`.
+        depths: whether `guarded` may leave a dead end at another depth; then it needs the free water above and below
+            as input `column` (see `control.layers`). Other laws always stay at the path's depth.
+        fallback: what modes `filter` and `projected` do if they cannot satisfy all limits and task 1: `exact`, or
+            `bounded`, which gives a safe result within a fixed number of operations and sets `DEGRADED` in the status.
 
     Raises:
-        InputError: an unknown name, or a form that the law does not take.
+        InputError: a name is unknown, or the law does not support the chosen option.
 
     Example:
         >>> from surctl.control import build_law
@@ -123,25 +123,25 @@ def build_law(
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
         if key in ("barrier", "movers") and law != "guarded" and value != known[0]:
-            raise InputError(f"law {law} has none", key=key, value=value, remedy="fly law guarded")
+            raise InputError(f"law {law} has no such option", key=key, value=value, remedy="use law guarded")
     check_guidance(guidance)
     check_fallback(fallback, mode=mode)
     if law != "paper" and avoidance != "corrected":
         raise InputError(
-            f"law {law} takes the corrected form only",
+            f"law {law} accepts only the corrected form",
             key="avoidance",
             value=avoidance,
-            remedy="compare the forms with law paper",
+            remedy="use law paper to compare the forms",
         )
     if law == "paper" and sonar and equipment.array != DEFAULT_ARRAY:
-        raise InputError("law paper has the four sonars of the paper", key="array", remedy="fly law guarded")
+        raise InputError("law paper always has the four sonars of the paper", key="array", remedy="use law guarded")
     depths = depths and law == "guarded"
     if law == "closed_form":
         if sonar or mode != "nsb":
             raise InputError(
-                "law closed_form senses nothing, and keeps no limits",
+                "law closed_form uses no sensors and respects no limits",
                 key="sensing" if sonar else "priority-mode",
-                remedy="--sensing truth, --priority-mode nsb",
+                remedy="set --sensing truth and --priority-mode nsb",
             )
         contacts = 1
     return _cached_law(
@@ -165,7 +165,7 @@ def build_law(
 
 @dataclass(frozen=True)
 class _Configuration:
-    """The arguments of `build_law` once they are checked: laws of equal ones are one."""
+    """The checked arguments of `build_law`; equal arguments give the same law object."""
 
     law: LawName
     avoidance: AvoidanceForm
@@ -184,10 +184,10 @@ class _Configuration:
 
 @cache
 def _cached_law(chosen: _Configuration) -> Law:
-    """The law from the cache on disk, where an earlier process with the same sources has built it."""
+    """Return the law from the cache on disk if a process with the same source code built it before; else build it."""
     try:
         sources = source_digest(*_SOURCES)
-    except SurctlError:  # no sources, or they changed under this process: what is built is not known by them
+    except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached law
         return _built(chosen)
     built: list[Law] = []
 
@@ -212,14 +212,17 @@ def _built(c: _Configuration) -> Law:
 
 
 def _with_perception(decide: Law, perception: PerceptionStage) -> Law:
-    """The whole law: what the senses tell, decided on."""
+    """Return the complete law: perception, then the decision on its outputs."""
     state = Layout((*decide.state.ports, *perception.state.ports))
     block = sensing(decide.block, decide.state, perception)
     return replace(decide, state=state, inputs=perception.inputs, block=block, perception=perception)
 
 
 def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, moving: bool = True) -> Law:
-    """The law, or what of it comes after the senses; there everything may move."""
+    """Return the law without perception; for a law that scans, this is the part after perception.
+
+    After perception, every contact may move.
+    """
     law, avoidance, mode, dt, guidance = chosen.law, chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
     scans = "unknown" in inputs
@@ -275,7 +278,7 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
             reported["trapped"] = dead_end["trapped"]
         if depths:
             reported["depth_reference"] = layer_depth
-            # as beside the path: what is flown there is no error of following it
+            # while the law follows another depth, the distance to the path is not a tracking error
             reported["avoiding"] = ca.logic_or(reported["avoiding"], ca.fabs(xs["layer"]) > 0)
         flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
         flags += TRAPPED * reported.get("trapped", 0)
@@ -301,7 +304,7 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
         inputs=inputs,
         gains=PARAMETERS,
         outputs=outputs,
-        # the same bytes from every compiler on every processor
+        # without the mathematical library, every compiler and processor gives identical results
         block=without_libm(
             closed if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), fallback=fallback)
         ),
@@ -316,13 +319,13 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
 
 
 def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
-    """The velocity box, then the barriers."""
+    """Return the limit rows: first the velocity box, then the barriers."""
     most = ca.vertcat(p["cap"], p["cap"], CLIMB, yaw_limit(p))
     return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
 
 
 def _step_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
-    """J row by row, references, rows (a, lower, upper, may open), box."""
+    """Return J row by row, the references, the limit rows (a, lower, upper, may be relaxed), and the velocity box."""
     flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
     box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
     J = ca.vertcat(*(level.J for level in decision.levels))
@@ -339,10 +342,10 @@ def _state_layout(
     dt: float, guidance: Guidance, *, gives_up: bool, sonar: bool, depths: bool, decided: tuple[Port, ...]
 ) -> Layout:
     unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
-    memory = (Port("drift", (1,), unit, f"what guidance {guidance} has learnt of a steady push"),) if unit else ()
+    memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
     return Layout(
         (
-            Port("progress", (1,), "m", "arc length of the path's target"),
+            Port("progress", (1,), "m", "arc length of the target point on the path"),
             Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
             *memory,
             *(DEAD_END_PORTS if gives_up else ()),

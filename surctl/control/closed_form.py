@@ -1,9 +1,10 @@
-"""The smallest law that avoids: the paper's stack for the one obstacle that it is told, in closed form and provable.
+"""The smallest law that avoids obstacles: the paper's tasks for one known obstacle, in closed form and provable.
 
-Guidance (8)-(12), one sensor sub-task, the corrected course (20), depth and heading, by the null-space projection (16).
-Finding the obstacle is somebody else's work; walls are the path's. (20) needs no angle: with r = sat((v_o·n + κ l) / u)
-its velocity is u (r n + λ2 √(1 − r²) n⊥). Every quotient has a floor and every direction stays within [−1, 1], so that
-interval arithmetic proves the C free of run-time errors.
+It combines guidance (8)-(12), one sensor sub-task, the corrected course (20), depth and heading by the null-space
+projection (16). The position of the obstacle is an input, and the path must avoid the walls. Equation (20) needs no
+angle: with r = sat((v_o·n + κ l) / u) its velocity is u (r n + λ2 √(1 − r²) n⊥). Every denominator has a lower bound
+and every direction component stays within [−1, 1], so interval arithmetic can prove that the C code has no run-time
+errors.
 """
 
 from __future__ import annotations
@@ -23,24 +24,26 @@ from surctl.vehicle import planar_rotation
 __all__ = ["CLOSED_FORM_PORTS", "DAMPING", "closed_form_law", "known_obstacle"]
 
 DAMPING = 1e-3
-"""λ of the damped projection; off by λ² of a velocity."""
+"""λ of the damped projection; the relative error of a velocity is λ²."""
 
 CLOSED_FORM_PORTS = tuple(port for port in DECISION_PORTS if port.name == "side")
 
 _SENSE_RANGE = 1.0  # [m] below which the sub-task may act
 _OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
-_NEAR = 1e-3  # [m] least distance to the obstacle's centre that has a direction
+_NEAR = 1e-3  # [m] smallest distance to the obstacle's centre at which its direction is defined
 
 
 def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception:
-    """The one contact of input `contacts` (1, 6), its direction within [-1, 1] whatever the rounding; no walls.
+    """Return a perception that contains only the obstacle of input `contacts` (1, 6); it has no walls.
+
+    The components of the direction are clamped to [-1, 1], so that rounding cannot exceed these bounds.
 
     Raises:
-        InputError: another number of slots.
+        InputError: the law does not have exactly one obstacle slot.
     """
     slots = u["contacts"].shape[0] if "contacts" in u else 0
     if slots != 1:
-        raise InputError("law closed_form knows one obstacle", key="contacts", value=slots, remedy="give 1 slot")
+        raise InputError("law closed_form takes one obstacle", key="contacts", value=slots, remedy="give 1 slot")
     row = u["contacts"].T
     offset = row[:2] - u["eta"][:2]
     distance = ca.sqrt(ca.sumsqr(offset))
@@ -55,11 +58,11 @@ def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception
 def closed_form_law(
     desired: DesiredMotion, perceived: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]
 ) -> Decision:
-    """What to ask the damped projection for.
+    """Return the decision for the damped projection.
 
     Args:
-        wish: the undisturbed command.
-        seen: as `told_obstacle` has it.
+        desired: the motion along the path without obstacles.
+        perceived: the result of `known_obstacle`.
         x: state `side`.
         eta: (4, 1) pose.
         p: gains `margin`, `kappa`, mission `cruise`, `cap`.
@@ -76,7 +79,7 @@ def closed_form_law(
     chosen = ca.if_else(avoiding, course, desired.velocity)
     to_body = planar_rotation(eta[3]).T
     row = ca.if_else(avoiding, -(to_body @ n), 0)
-    # in {B} its Jacobian is constant, and so is the projection that belongs to it
+    # in {B} the Jacobian is constant, and so is its projection
     ahead = TaskLevel("velocity", ca.horzcat(ca.SX.eye(2), ca.SX.zeros(2, 2)), to_body @ chosen, "m/s")
     levels = [
         TaskLevel("sensor", ca.horzcat(row.T, 0, 0), ca.if_else(avoiding, -bound, 0), "m/s"),

@@ -1,4 +1,4 @@
-"""The last stage of every law: from the velocity that the priority solver gives to thrust, status and telemetry."""
+"""The last stage of every law: compute thrust, status and telemetry from the priority solver's velocity."""
 
 from __future__ import annotations
 
@@ -16,24 +16,28 @@ from surctl.priority.solver.fallback import RELAXED
 __all__ = ["CLIMB", "Closing", "Memory", "yaw_limit"]
 
 CLIMB = 0.1
-"""[m/s] largest heave command."""
+"""Largest heave velocity command [m/s]."""
 
 
 def _has_degraded(flags: ca.SX) -> ca.SX:
-    """Whether the bit `DEGRADED` is set; only `TRAPPED` is above it."""
+    """Return whether the bit `DEGRADED` is set; the only higher bit is `TRAPPED`."""
     return flags - TRAPPED * (flags >= TRAPPED) >= DEGRADED
 
 
 def yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
-    """Yaw rate [rad/s] that 85 % of the yaw thrust holds."""
+    """Return the steady yaw rate [rad/s] that 85 % of the largest yaw moment sustains against drag."""
     moment, linear, quadratic = YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
     root = ca.sqrt(linear * linear + 4 * quadratic * moment)
-    # the form without a difference of near-equal numbers, and defined without quadratic drag
+    # this form avoids a difference of nearly equal numbers, and it is defined without quadratic drag
     return 2 * moment / ca.fmax(linear + root, 1e-6)
 
 
 class Memory(NamedTuple):
-    """What is known before the priority decision: next state but for the integral, telemetry after the wish, flags."""
+    """The values known before the priority decision.
+
+    `carried` is the next state without the new integral, `reported` the telemetry after `nu_reference`, and `flags` the
+    status bits.
+    """
 
     carried: ca.SX
     reported: ca.SX
@@ -42,7 +46,7 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class Closing:
-    """Last stage: limit the wanted velocity, velocity control, and put the outputs together."""
+    """The last stage: limit the velocity reference, control the velocity, and assemble the outputs."""
 
     state: Layout
     outputs: Layout
@@ -53,7 +57,7 @@ class Closing:
     dt: float
 
     def block(self) -> Block:
-        """(u, p, carried, reported, flags, nu_reference, stage) → (tau, x_next, status, telemetry)."""
+        """Return a block (u, p, carried, reported, flags, nu_reference, stage) → (tau, x_next, status, telemetry)."""
         sizes = (self.state.size, self.outputs.size - 8, 1)
         memory = Memory(*(ca.SX.sym(name, size) for name, size in zip(Memory._fields, sizes, strict=True)))
         nu_reference, stage = ca.SX.sym("nu_reference", 4), ca.SX.sym("stage")
@@ -61,7 +65,10 @@ class Closing:
         return Recording().block("post", inputs, self.outputs_of(memory, nu_reference, stage))
 
     def outputs_of(self, memory: Memory, nu_reference: ca.SX, stage: ca.SX) -> dict[str, ca.SX]:
-        """tau, x_next, status, telemetry of a wanted velocity; rung of the priority tick, 0 if there was none."""
+        """Return tau, x_next, status and telemetry for a velocity reference.
+
+        `stage` is the fallback stage of the priority solver, 0 if it did not run.
+        """
         carried = self.state.split(memory.carried)
         tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"])
         opened = ca.logic_and(stage >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))

@@ -1,10 +1,11 @@
-"""Dead ends: where the robot gets on neither along its path nor into new water, it says so and stands.
+"""Dead ends: if the robot makes no progress for too long, the law reports a dead end and holds its place.
 
-Getting on is one of two things: the projection on the path comes further than ever, or the box around all places since
-then grows. A search that goes to and fro between the arms of a U does neither. The time without both is counted, but
-not while something that moves is near, at the path's end, or while the law halts for want of knowledge, which it
-reports by itself; after `patience` the robot is trapped, for good: it stays where it is, and still gives way to what
-moves. Where other depths are allowed they are tried before (`control.layers`).
+Progress is one of two events: the projection on the path moves further than before, or the box around all positions
+since then grows. A search that goes back and forth between the arms of a U does neither. The law counts the time
+without progress. The count pauses while a moving obstacle is near, at the end of the path, and while the law stops
+because it does not know what is ahead (the output `stopped` reports this). After `patience` the status `TRAPPED` is
+permanent: the robot holds its place and still avoids moving obstacles. If other depths are allowed, the robot tries
+them first (`control.layers`).
 """
 
 from __future__ import annotations
@@ -21,26 +22,26 @@ from surctl.ir import Port
 
 __all__ = ["DEAD_END_PORTS", "dead_end_next", "standing"]
 
-NEW = 0.1  # [m] by which the robot must get on; several times what its position is uncertain by
-NEAR = 1.5  # [m] clearance within which something that moves is waited for
-MOVES = 0.05  # [m/s] from which it does
-ARRIVED = 0.2  # [m] from the path's end within which there is nowhere to get on to
-HOLD = 0.5  # [1/s] gain with which the place is kept
+NEW = 0.1  # [m] smallest distance that counts as progress; several times the uncertainty of the position
+NEAR = 1.5  # [m] clearance of a moving contact below which the robot waits for it
+MOVES = 0.05  # [m/s] speed above which a contact counts as moving
+ARRIVED = 0.2  # [m] distance to the end of the path below which no further progress is expected
+HOLD = 0.5  # [1/s] gain with which the robot holds its place
 
 DEAD_END_PORTS = (
-    Port("furthest", (1,), "m", "arc length of the path that was reached at most", -100.0),
-    Port("searched", (4,), "m", "x_min, x_max, y_min, y_max of the places since then; once trapped, the place to keep"),
-    Port("stalled", (1,), "s", "time without getting on"),
-    Port("trapped", (1,), "1", "1 from when the law gave up"),
+    Port("furthest", (1,), "m", "largest arc length that the robot has reached on its path", -100.0),
+    Port("searched", (4,), "m", "x_min, x_max, y_min, y_max of the positions since then, or the place to hold"),
+    Port("stalled", (1,), "s", "time without progress"),
+    Port("trapped", (1,), "1", "1 after the law gave up in a dead end"),
 )
 
 
 def standing(desired: DesiredMotion, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> DesiredMotion:
-    """The wish, or to stay where the robot gave up, or where it changes its depth.
+    """Return the desired motion; it holds the robot's place after the law gave up and during a change of depth.
 
     Args:
-        wish: what it would do.
-        x: state, `TRAP_PORTS` among it, and `LAYER_PORTS` where other depths are allowed.
+        desired: the motion along the path.
+        x: state with `DEAD_END_PORTS`, and with `LAYER_PORTS` if other depths are allowed.
         eta: (4, 1) pose in {E}.
         p: `cruise`.
     """
@@ -63,17 +64,17 @@ def dead_end_next(
     *,
     dt: float,
 ) -> dict[str, ca.SX]:
-    """`TRAP_PORTS` one control period later, and `LAYER_PORTS` where other depths are allowed.
+    """Return the values of `DEAD_END_PORTS` after one control period, and of `LAYER_PORTS` if depths may change.
 
     Args:
-        wish: of this step.
-        contacts: known ones that may move.
+        desired: the desired motion of this step.
+        contacts: known obstacles that may move.
         x: state.
         eta: (4, 1) pose in {E}.
-        halted: 1 while the law stands for want of knowledge.
-        p: `patience`, 0 for never, and `waypoints`; for other depths what `layers.aimed_depth` needs.
-        nu: (4, 1) velocity in {B}, for other depths.
-        column: (2, 1) free water above and below the hull [m]; None: the path's depth alone.
+        stopped: 1 while the law stops because it does not know what is ahead.
+        p: `patience` (0: never give up) and `waypoints`; for other depths also the inputs of `layers.aimed_depth`.
+        nu: (4, 1) velocity in {B}; required for other depths.
+        column: (2, 1) free water above and below the hull [m]; None: only the path's depth is allowed.
         dt: control period [s].
     """
     here = ca.vertcat(eta[0], eta[0], eta[1], eta[1])
@@ -92,7 +93,7 @@ def dead_end_next(
     stalled = ca.if_else(new, 0, x["stalled"] + ca.if_else(waits, 0, dt))
     was = x["trapped"] > 0.5
     now = ca.logic_or(was, ca.logic_and(p["patience"] > 0, stalled >= p["patience"]))
-    # in steps, so that a slow drift of the estimate is no progress, and a slow robot's is
+    # the box grows in steps of `NEW`, so that a drift of the estimate does not count as progress but slow motion does
     box = ca.if_else(grown > NEW, here, x["searched"])
     box = ca.if_else(further, here, box)
     box = ca.if_else(ca.logic_and(now, ca.logic_not(was)), here, ca.if_else(was, x["searched"], box))

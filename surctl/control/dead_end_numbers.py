@@ -1,5 +1,7 @@
-"""Dead ends and layers in plain Python: the same numbers as `control.trap` and `control.layers`, written apart from
-them, case by case as a reader would tell it."""
+"""Reference implementation of dead ends and layers in plain Python.
+
+It gives the same numbers as `control.dead_end` and `control.layers`, but it is written independently, case by case.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,11 @@ __all__ = ["Aim", "DeadEnd", "Mission", "Mover", "Place", "aim", "dead_end_step"
 
 @dataclass(frozen=True, kw_only=True)
 class Mission:
-    """Numbers of the law: gains, model and mission, as `PARAMETERS` names them.
+    """Gains, model and mission numbers of the law, with the names of `PARAMETERS`.
 
     Attributes:
         acceleration: brake · largest heave thrust / heave mass [m/s²].
-        end: (2,) the path's end in {E} [m].
+        end: (2,) end of the path in {E} [m].
     """
 
     patience: float
@@ -34,19 +36,19 @@ class Mission:
 
     @property
     def pitch(self) -> float:
-        """From one layer to the next [m]."""
+        """The depth difference between adjacent layers [m]."""
         return 2 * self.hull + self.margin
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where the robot is in one step.
+    """Position and surroundings of the robot in one step.
 
     Attributes:
         eta, nu: (4,) pose in {E} and velocity in {B}.
-        reached: arc length of its projection on the path [m].
-        halted: whether the law stands for want of knowledge.
-        column: free water above and below the hull [m]; None: the path's depth alone.
+        reached: arc length of the robot's projection on the path [m].
+        stopped: whether the law stops because it does not know what is ahead.
+        column: free water above and below the hull [m]; None: only the path's depth is allowed.
     """
 
     eta: tuple[float, float, float, float]
@@ -57,20 +59,20 @@ class Place:
 
     @property
     def fast(self) -> bool:
-        """Whether it moves too fast horizontally to change its depth."""
+        """Whether the robot moves too fast horizontally to change its depth."""
         c, s = cos(self.eta[3]), sin(self.eta[3])
         x, y = c * self.nu[0] - s * self.nu[1], s * self.nu[0] + c * self.nu[1]
         return x * x + y * y > FAST**2
 
     def free(self, rise: float, margin: float) -> bool:
-        """Whether the water is free as far as a rise [m], negative downwards."""
+        """Return whether the water is free for a rise of this height [m]; a negative rise goes down."""
         assert self.column is not None
         return abs(rise) <= (self.column[0] if rise > 0 else self.column[1]) - margin + SLACK
 
 
 @dataclass(frozen=True)
 class Mover:
-    """A known obstacle: clearance to the hull [m], and speed [m/s]."""
+    """A known obstacle with its clearance to the hull [m] and its speed [m/s]."""
 
     clearance: float
     speed: float
@@ -78,7 +80,7 @@ class Mover:
 
 @dataclass(frozen=True)
 class DeadEnd:
-    """`TRAP_PORTS` and `LAYER_PORTS`."""
+    """The state of `DEAD_END_PORTS` and `LAYER_PORTS`."""
 
     furthest: float = -100.0
     searched: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -91,12 +93,12 @@ class DeadEnd:
 
 @dataclass(frozen=True)
 class Aim:
-    """What is asked for while it stands or changes its depth.
+    """The commands while the robot holds its place or changes its depth.
 
     Attributes:
-        velocity: (2,) towards the place it keeps [m/s] in {E}, or None: the wish is left alone.
+        velocity: (2,) velocity towards the place to hold [m/s] in {E}; None: the desired velocity does not change.
         layer: z of the layer [m].
-        depth: z for the depth task [m].
+        depth: reference z of the depth task [m].
     """
 
     velocity: tuple[float, float] | None
@@ -105,7 +107,7 @@ class Aim:
 
 
 def aim(dead_end: DeadEnd, place: Place, mission: Mission) -> Aim:
-    """`trap.standing` and `layers.aimed_depth`."""
+    """Return the results of `dead_end.standing` and `layers.aimed_depth`."""
     velocity = None
     if dead_end.trapped or dead_end.changing > 0.5:
         dx, dy = dead_end.searched[0] - place.eta[0], dead_end.searched[2] - place.eta[1]
@@ -121,20 +123,20 @@ def aim(dead_end: DeadEnd, place: Place, mission: Mission) -> Aim:
 
 
 def dead_end_step(dead_end: DeadEnd, place: Place, movers: Iterable[Mover], mission: Mission, *, dt: float) -> DeadEnd:
-    """One control period later.
+    """Return the state after one control period.
 
     Args:
-        trap: now.
-        place: of this step.
+        dead_end: present state.
+        place: position and surroundings in this step.
         movers: known obstacles that may move.
-        mission: numbers of the law.
+        mission: gains, model and mission numbers of the law.
         dt: control period [s].
     """
     after, ended = _searching(dead_end, place, movers, mission, dt)
     after = replace(after, changing=max(dead_end.changing, 0.0))
     if place.column is None or dead_end.trapped:
         return after
-    # a dead end at one depth is none yet
+    # a dead end at one depth is not final: other depths are tried first
     dead, after = after.trapped, replace(after, trapped=False)
     here = (place.eta[0], place.eta[0], place.eta[1], place.eta[1])
     if dead_end.changing > 0.5:
@@ -159,7 +161,7 @@ def dead_end_step(dead_end: DeadEnd, place: Place, movers: Iterable[Mover], miss
 def _searching(
     dead_end: DeadEnd, place: Place, movers: Iterable[Mover], mission: Mission, dt: float
 ) -> tuple[DeadEnd, bool]:
-    """Without layers, and whether it is at the path's end."""
+    """Return the next state without layers, and whether the robot is at the end of the path."""
     x, y = place.eta[:2]
     west, east, south, north = dead_end.searched
     further = place.reached > dead_end.furthest + NEW
@@ -183,14 +185,14 @@ def _searching(
 
 
 def _changing(before: DeadEnd, after: DeadEnd, place: Place, mission: Mission, dead: bool) -> DeadEnd:
-    """On the way to another depth, whose place is already kept in `after`."""
+    """Return the next state during a change of depth; `after` already contains the place to hold."""
     returns = before.changing > 1.5
     rise = _goal(before, mission) - place.eta[2]
     if abs(rise) <= AT:
         return replace(after, changing=-1.0, stalled=0.0, layer=0.0 if returns else before.layer)
     if place.free(rise, mission.margin) and not dead:
         return replace(after, stalled=0.0) if abs(place.nu[2]) > RISES else after
-    if returns:  # something came under it: back to the layer
+    if returns:  # the water back to the path's depth is no longer free: go back to the layer
         return replace(after, changing=1.0, stalled=0.0)
     if before.layer < 0:
         abandoned_layer = (place.eta[2] - mission.depth) / mission.pitch
@@ -203,6 +205,6 @@ def _goal(dead_end: DeadEnd, mission: Mission) -> float:
 
 
 def _stops(distance: float, mission: Mission) -> float:
-    """Speed [m/s] from which it stops within a distance [m]; see `guidance.allowed_closing_speed`."""
+    """Return the speed [m/s] from which the robot stops within a distance [m]; see `guidance.allowed_closing_speed`."""
     at = mission.acceleration * mission.reaction
     return sqrt(at * at + 2 * mission.acceleration * max(distance, 0.0)) - at

@@ -1,4 +1,4 @@
-"""What a law decides: tasks by priority, barriers, and its next state; and the symbols that all laws share."""
+"""The decision of a law: tasks by priority, barriers and next state; and symbols that all laws share."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["DECISION_PORTS", "Decision", "Scan", "TaskLevel", "lower_levels", "w
 
 DECISION_PORTS = (
     Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left"),
-    Port("blocker", (2,), "m", "what blocked the wish at the last step, x, y in {E}"),
-    Port("last_velocity", (2,), "m/s", "horizontal velocity commanded at the last step, in {E}"),
+    Port("blocker", (2,), "m", "x, y in {E} of the contact that blocked the desired velocity in the last step"),
+    Port("last_velocity", (2,), "m/s", "horizontal velocity commanded in the last step, in {E}"),
 )
 
 
 class TaskLevel(NamedTuple):
-    """A priority level in symbols: J ν should be `reference` (k, 1) [unit]; J (k, 4)."""
+    """A priority level in symbols: J ν should equal `reference` (k, 1) [unit]; J has shape (k, 4)."""
 
     name: str
     J: ca.SX
@@ -31,22 +31,22 @@ class TaskLevel(NamedTuple):
 
     @staticmethod
     def of(task: Task) -> TaskLevel:
-        """What a task asks for."""
+        """Return the priority level of a task."""
         return TaskLevel(task.name, task.jacobian(), task.reference(), task.rate_unit)
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What a law asks the priority solver for.
+    """The priority problem and the next state that a law decides on.
 
     Attributes:
-        levels: tasks, highest first; a level may be switched off by a zero Jacobian and reference.
-        rows: barriers on ν for modes that take inequalities.
-        velocity: horizontal velocity asked for (2, 1) in {E} [m/s].
-        avoiding: 1 while a contact changes the wish.
-        degraded: 1 when no course satisfied every contact.
+        levels: tasks, highest priority first; a zero Jacobian and reference switch a level off.
+        rows: barriers on ν for the modes with inequalities.
+        velocity: commanded horizontal velocity (2, 1) in {E} [m/s].
+        avoiding: 1 while a contact changes the desired velocity.
+        degraded: 1 if no course satisfies the bounds of all contacts.
         state: next state by port name.
-        halted: 1 while it stands, or nearly so, because it does not know what is ahead.
+        stopped: 1 while the robot stops, or nearly stops, because it does not know what is ahead.
     """
 
     levels: Sequence[TaskLevel]
@@ -59,7 +59,7 @@ class Decision:
 
 
 class Scan(NamedTuple):
-    """What a law that scans is told beside the contacts, as `ports.scan_inputs` has it."""
+    """The inputs of a law that scans, other than the contacts; see `ports.scan_inputs`."""
 
     unknown: ca.SX
     sonars: ca.SX
@@ -69,10 +69,10 @@ class Scan(NamedTuple):
 def lower_levels(
     eta: ca.SX, desired: DesiredMotion, p: Mapping[str, ca.SX], scan: Scan | None = None
 ) -> tuple[TaskLevel, TaskLevel]:
-    """Below the velocity: depth, then heading.
+    """Return the priority levels below the velocity: depth, then heading.
 
-    A law with sonars turns all the time in place of the heading, with `spin` or as fast as the yaw thrust holds, and
-    keeps its depth rate at 0 while it does not know where it is.
+    A law with sonars turns all the time instead of holding a heading. Its yaw rate is `spin`, or less if the yaw
+    thrusters cannot sustain it. While it does not know its position, it keeps its depth rate at 0.
     """
     depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
     if scan is None:
@@ -83,5 +83,5 @@ def lower_levels(
 
 
 def weakest_acceleration(p: Mapping[str, ca.SX]) -> ca.SX:
-    """What the horizontal thrust gives at the least [m/s²]."""
+    """Return the smallest horizontal acceleration [m/s²] at full thrust: smaller thrust over larger mass."""
     return ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])

@@ -1,4 +1,4 @@
-"""What a law without a memory knows to be around it: base station, sonar echoes that nothing known explains, walls."""
+"""Contacts of a law without a map: known obstacles, unexplained sonar echoes, and walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FILTER = SensorFilter(array=_ARRAY)
 
 
 def perception_ports(dt: float, *, sonar: bool = True) -> tuple[Port, ...]:
-    """State of filters and echo memory for a law that runs every `dt` [s]; none without sonars."""
+    """Return the state ports of the sonar filters and echo memory for control period `dt` [s]; none without sonars."""
     if not sonar:
         return ()
     return (*_FILTER.ports("sonar_"), *ContactMemory(dt=dt).ports("sonar_"))
@@ -26,13 +26,13 @@ def perception_ports(dt: float, *, sonar: bool = True) -> tuple[Port, ...]:
 
 @dataclass(frozen=True)
 class Perception:
-    """Contacts around the robot and the next state of what found them.
+    """The contacts around the robot, and the next state of the filters.
 
     Attributes:
-        known: the base station's obstacles.
-        echoes: one a sonar, `FAR` when silent or explained; none without sonars.
+        known: obstacles known from the base station.
+        echoes: one contact per sonar, at clearance `FAR` if its echo is missing or explained; empty without sonars.
         walls: the site's four walls.
-        ranges: filtered ranges (4, 1) [m]; the maximum without sonars.
+        ranges: filtered ranges (4, 1) [m]; the maximum range without sonars.
         state: next state by port name.
     """
 
@@ -44,14 +44,14 @@ class Perception:
 
     @property
     def all(self) -> list[Contact]:
-        """Every contact."""
+        """All contacts in one list."""
         return [*self.known, *self.echoes, *self.walls]
 
 
 def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.SX], *, dt: float) -> Perception:
-    """Filter the sonar, drop what walls and known obstacles explain, list what is left.
+    """Filter the sonar ranges, remove echoes that walls and known obstacles explain, and return all contacts.
 
-    An input without `contacts` knows of none, one without `samples` has no sonars.
+    Without input `contacts` no obstacle is known; without input `samples` the law has no sonars.
 
     Args:
         x: state by port name (`perception_ports`).

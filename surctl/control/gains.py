@@ -20,7 +20,10 @@ LIBRARY = Path(__file__).parent / "library"
 
 @dataclass(frozen=True)
 class GainSpec:
-    """Unit, meaning, whether 0 switches the feature off (else it must be > 0), and the value a file may leave out."""
+    """Unit and meaning of a gain, and its bounds.
+
+    If `zero_allowed` is False, the gain must be greater than 0. A file may omit a gain that has a `default`.
+    """
 
     unit: str
     meaning: str
@@ -35,20 +38,20 @@ GAINS: Mapping[str, GainSpec] = {
     "lookahead": GainSpec("m", "look-ahead distance Delta_h of the LOS law"),
     "ilos_sigma": GainSpec("m/s", "integral gain sigma of guidance ilos", default=0.05),
     "alos_gamma": GainSpec("1/m^2", "adaptation gain gamma of guidance alos", default=0.4),
-    "wait": GainSpec("m", "the path's target stops when the robot is this far behind it"),
-    "patience": GainSpec("s", "time without getting on after which it is a dead end; 0 for never", True, default=60.0),
+    "wait": GainSpec("m", "distance behind the path's target point at which the target stops"),
+    "patience": GainSpec("s", "time without progress that counts as a dead end; 0 for never", True, default=60.0),
     "k_psi": GainSpec("1/s", "heading gain"),
-    "spin": GainSpec("rad/s", "yaw rate at which a law with sonars looks around", zero_allowed=True),
-    "k_v": GainSpec("1/s", "bandwidth of the velocity loops surge, sway, heave"),
+    "spin": GainSpec("rad/s", "yaw rate at which a law with sonars turns to scan", zero_allowed=True),
+    "k_v": GainSpec("1/s", "bandwidth of the velocity loops in surge, sway and heave"),
     "k_r": GainSpec("1/s", "bandwidth of the yaw-rate loop"),
-    "k_i": GainSpec("1/s^2", "integral action of the velocity loops, 0 for none", zero_allowed=True),
-    "margin": GainSpec("m", "stand-off d_s added to every clearance"),
+    "k_i": GainSpec("1/s^2", "integral gain of the velocity loops; 0 for none", zero_allowed=True),
+    "margin": GainSpec("m", "stand-off distance d_s to be kept from every contact"),
     "reaction": GainSpec("s", "reaction time in the braking distance: lag, sampling and velocity loop"),
-    "brake": GainSpec("1", "share of the thrust that the braking distance counts on", below=1.0),
+    "brake": GainSpec("1", "share of the thrust that the braking distance assumes", below=1.0),
     "kappa": GainSpec("1/s", "gain of the sensor sub-tasks and of the corrected avoidance form"),
     "k3": GainSpec("1", "convergence coefficient of (20)"),
-    "delta": GainSpec("m", "offset delta of (20); a positive one lets the robot in (E11)", zero_allowed=True),
-    "lambda1": GainSpec("1", "gate width of (5) in standard deviations; 0 always takes the mean", zero_allowed=True),
+    "delta": GainSpec("m", "offset delta of (20); a positive value allows closer approach (E11)", zero_allowed=True),
+    "lambda1": GainSpec("1", "gate width of (5) in standard deviations; 0 always uses the mean", zero_allowed=True),
     "lms_step": GainSpec("1", "share of the optimal LMS step", below=1.0),
     "beta_max": GainSpec("1", "largest historical-memory factor of (6)", zero_allowed=True, below=0.5),
 }
@@ -64,7 +67,7 @@ class _GainFile(Strict):
 
 @dataclass(frozen=True)
 class Gains:
-    """A named, complete set of gains (SI units); values by name, and the ranges that the file states."""
+    """A named, complete set of gains in SI units: the values by name, and the ranges from the gain file."""
 
     name: str
     values: Mapping[str, float]
@@ -73,14 +76,14 @@ class Gains:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> float:
-        """Value of the gain; InputError with the nearest known name."""
+        """Return the value of a gain; an unknown name raises InputError and the message suggests a similar name."""
         check_name(name, self.source)
         return self.values[name]
 
     def with_values(
         self, values: Mapping[str, float], *, provenance: str | None = None, how: str | None = None
     ) -> Gains:
-        """A copy with some gains changed, each checked for its sign and bound; `how` is added to its name."""
+        """Return a copy with some gains changed; each value is checked, and `how` is appended to the set's name."""
         for name, value in values.items():
             check_name(name, self.source)
             check_value(name, float(value), self.source)
@@ -90,13 +93,13 @@ class Gains:
 
 
 def check_name(name: str, source: object) -> None:
-    """InputError with the nearest known name unless `name` is a gain."""
+    """Raise InputError, with a similar known name, if `name` is not a gain."""
     if name not in GAINS:
         raise InputError("no such gain", file=source or None, key=f"gains.{name}", remedy=nearest(name, GAINS))
 
 
 def check_value(name: str, value: float, source: object) -> None:
-    """InputError unless the value is finite, of the right sign and below its bound."""
+    """Raise InputError if the value of a gain is not finite, has the wrong sign or exceeds its bound."""
     spec = GAINS[name]
     low_ok = value >= 0 if spec.zero_allowed else value > 0
     if not np.isfinite(value) or not low_ok or value > spec.below:
@@ -112,10 +115,10 @@ def check_value(name: str, value: float, source: object) -> None:
 
 
 def load_gains(name_or_path: str) -> Gains:
-    """A built-in gain file by name, or a gain file by path; every gain without a default must be in it.
+    """Load a built-in gain file by name, or another gain file by path; it must contain every gain without a default.
 
     Raises:
-        InputError: unreadable file, unknown or missing gain, wrong unit, or a value out of its bounds.
+        InputError: the file is unreadable, a gain is unknown or missing, a unit is wrong, or a value is out of bounds.
 
     Example:
         >>> from surctl.control import load_gains
@@ -144,7 +147,7 @@ def load_gains(name_or_path: str) -> Gains:
                     file=path,
                     key=f"gains.{name}",
                     value=stated.value,
-                    remedy=f"{stated.range[0]:g} to {stated.range[1]:g} is stated",
+                    remedy=f"the stated range is {stated.range[0]:g} to {stated.range[1]:g}",
                 )
             ranges[name] = stated.range
     for name, spec in GAINS.items():
@@ -160,7 +163,7 @@ def load_gains(name_or_path: str) -> Gains:
 
 
 def write_gains(gains: Gains) -> str:
-    """The gain file's text; reading it gives the same values back, and the ranges that they are inside of.
+    """Return the text of a gain file; reading it gives the same values, and each range that contains its value.
 
     Example:
         >>> from pathlib import Path
@@ -178,7 +181,7 @@ def write_gains(gains: Gains) -> str:
         "[gains]",
     ]
     for name, value in gains.values.items():
-        low, high = gains.ranges.get(name, (np.inf, -np.inf))  # a value that was moved out of its range has none
+        low, high = gains.ranges.get(name, (np.inf, -np.inf))  # a range that no longer contains the value is omitted
         stated = f", range = [{low!r}, {high!r}]" if low <= value <= high else ""
         lines.append(
             f'{name} = {{ value = {float(value)!r}, unit = "{GAINS[name].unit}"{stated} }} # {GAINS[name].meaning}'

@@ -1,7 +1,8 @@
-"""The guarded law: the path's wish, bent around every contact by the braking barrier, then depth, then heading.
+"""The guarded law: follow the path at a velocity that respects the braking barrier of every contact.
 
-The same barriers stand as rows for the priority modes that take inequalities. With sonars it turns, in place of a
-heading, and stops before what it knows nothing of.
+Its tasks, in order of priority, are the free velocity nearest to the desired one, the depth, and the heading. In the
+priority modes with inequalities, the same barriers are also limit rows. With sonars, the robot turns all the time
+instead of holding a heading, and it stops before unknown space.
 """
 
 from __future__ import annotations
@@ -33,22 +34,22 @@ from surctl.vehicle import planar_rotation
 
 __all__ = ["guarded_law"]
 
-_CRAWL = 0.01  # [m/s] below which it stands
-_GROPING = 0.5  # of the cruise speed: most towards where a sonar is not to be believed
-_NO_BOUND = 10.0  # [m/s]
-_ONE_ENCOUNTER = 1e3  # [m]
-_LAUNCHED = 0.3  # [m] from the start within which what stood in the sonars' blind range was perhaps never ranged
-_STALLED = 15.0  # [s] without getting on; then no slower course: creeping about a dead end would look like getting on
-_BACK_OFF = 0.05  # [m/s] with which the robot backs off from a mark; half of what is marked near the hull is not there
-_MOVES = 0.05  # [m/s] from which something moves: slower things are kept off by their braking distance
-_PASSING = 0.1  # [m] beyond the margin, at which something that moves is passed
-_HORIZON = 12.0  # [s] ahead for which it is
-_BEHIND = 0.7  # cosine from which something comes from behind: it is outrun
-_AFTER = 3.0  # [s] after the arrival for which it is
-_URGENT = 4.0  # [s] before it is met
-_DEEP = 0.01  # [m/s] in a cone at which the robot goes on where it would wait to look
-_WAITING = 0.5  # share of its speed below which it waits for what is unknown
-_BESIDE = 0.03  # [m] off the path from which a way past the unknown must not lead further off
+_CRAWL = 0.01  # [m/s] commanded speed below which the robot counts as stopped
+_GROPING = 0.5  # share of the cruise speed that is allowed in the direction of a sonar that is not trusted
+_NO_BOUND = 10.0  # [m/s] a speed bound that never binds
+_ONE_ENCOUNTER = 1e3  # [m] so large that two blockers always belong to the same encounter
+_LAUNCHED = 0.3  # [m] from the start, within which the sonars may never have measured an obstacle in their blind range
+_STALLED = 15.0  # [s] without progress that rules out slower courses: creeping in a dead end would look like progress
+_BACK_OFF = 0.05  # [m/s] largest speed away from a mark; about half of the marks near the hull are no real obstacles
+_MOVES = 0.05  # [m/s] speed above which a contact counts as moving; for slower ones the braking distance suffices
+_PASSING = 0.1  # [m] clearance beyond the margin with which a moving contact is passed
+_HORIZON = 12.0  # [s] prediction time for moving contacts
+_BEHIND = 0.7  # cosine of the angle above which a contact comes from behind; the robot outruns it
+_AFTER = 3.0  # [s] after the robot's arrival, until which moving contacts are predicted
+_URGENT = 4.0  # [s] time until a moving contact is met, below which the robot does not wait for unknown space
+_DEEP = 0.01  # [m/s] depth inside a collision cone, above which the robot does not wait for unknown space
+_WAITING = 0.5  # share of the chosen speed below which the robot counts as waiting for unknown space
+_BESIDE = 0.03  # [m] from the path, above which a detour around unknown space must not lead further away
 
 
 def guarded_law(
@@ -63,9 +64,10 @@ def guarded_law(
     scan: Scan | None = None,
     moving: bool = True,
 ) -> Decision:
-    """Path wish on the free course nearest to it; every contact bounds the closing speed by its braking distance.
+    """Return the decision of the guarded law: the free course nearest to the desired velocity of the path.
 
-    With sonars it turns all the time, and goes only where it can stop before the first place it knows nothing of.
+    The braking distance to each contact limits the closing speed. With sonars, the robot turns all the time, and it
+    moves only as fast as it can stop before unknown space.
     """
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0
@@ -78,7 +80,7 @@ def guarded_law(
         sectors += _standing(contacts, eta, p, stop, retreat=retreat)
     over_ground = planar_rotation(eta[3]) @ nu[:2]
     slower = None
-    if scan is not None:  # what drifts beside the start unheard is passed with the room that the whole speed asks for
+    if scan is not None:  # near the start an obstacle may drift undetected: keep the clearance of the full speed there
         away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
         slower = ca.logic_and(ca.logic_and(scan.placed, away), x["stalled"] < _STALLED)
     choice = choose_velocity(
@@ -88,7 +90,7 @@ def guarded_law(
         blocker=x["blocker"],
         cruise=p["cruise"],
         cap=p["cap"],
-        # of a wall the map knows points, so the blocker jumps: one encounter lasts as long as the wish is blocked
+        # the map represents a wall by points and the blocking point jumps: it is one encounter until nothing blocks
         same=SAME_CONTACT if scan is None else _ONE_ENCOUNTER,
         cones=cones,
         walls=perceived.walls,
@@ -106,7 +108,7 @@ def guarded_law(
         chased = fold(
             "chased", lambda other, row: ca.logic_or(other, row[2] < 0), ca.SX(0), tabulated(sectors[:marks], 5)
         )
-        # beside what blocks the wish, a way past the unknown would leave the side that is latched
+        # while a contact blocks the desired velocity, a detour around unknown space would leave the latched side
         past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
         past = ca.if_else(ca.logic_or(choice.blocked, _strays(desired, past, stop)), velocity, past)
         cautious = slowed(past, caution)
@@ -124,9 +126,8 @@ def guarded_law(
         calm = ca.logic_not(chased)
         velocity = braked(velocity, over_ground, bounds[:marks], calm=calm)
         velocity = braked(velocity, over_ground, [*bounds[marks:], *caution], calm=calm)
-        for sector in sectors[
-            -len(perceived.walls) :
-        ]:  # whose normals are at right angles: one after the other is exact
+        # the walls' normals are at right angles, so one projection after the other is exact
+        for sector in sectors[-len(perceived.walls) :]:
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
         lost = ca.logic_or(blind, ca.logic_not(scan.placed))
         velocity = ca.if_else(lost, 0, velocity)
@@ -149,9 +150,9 @@ def guarded_law(
 
 
 def _back_first(desired: DesiredMotion, velocity: ca.SX, caution: Bounds, bounds: Bounds) -> ca.SX:
-    """As slow as caution asks, but what leads back to the path last: that need not wait for what is unknown ahead.
+    """Slow a velocity down to the caution bounds, but reduce the component that leads back to the path separately.
 
-    The course turns by that, and keeps the other bounds once more.
+    That component need not wait for unknown space ahead. This turns the course, so the other bounds are applied again.
     """
     sideways = ca.vertcat(-desired.tangent[1], desired.tangent[0])
     across = ca.dot(sideways, velocity)
@@ -161,14 +162,14 @@ def _back_first(desired: DesiredMotion, velocity: ca.SX, caution: Bounds, bounds
 
 
 def _strays(desired: DesiredMotion, velocity: ca.SX, stop: Stop) -> ca.SX:
-    """Whether a velocity leads off the path, where the robot already is beside it or could not stop before it is."""
+    """Return whether a velocity leads away from the path faster than the robot could stop within `_BESIDE` of it."""
     across = desired.tangent[0] * velocity[1] - desired.tangent[1] * velocity[0]
     distance = _BESIDE - ca.if_else(across < 0, -desired.y_e, desired.y_e)
     return ca.fabs(across) > ca.fmax(stop(distance, ca.SX(0)), 0)
 
 
 def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
-    """(normal, largest speed along it): stop before what is unknown, slow where a sonar is not to be trusted."""
+    """Return bounds (normal, largest speed along it): stop before unknown space, be slow where no sonar is trusted."""
 
     def before(row: ca.SX) -> tuple[ca.SX]:
         return (ca.vertcat(row[:2], ca.fmax(stop(ca.fmax(row[2], 0), ca.SX(0)), 0)),)
@@ -184,7 +185,10 @@ def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tup
 def _movers(
     contacts: Sequence[Contact], desired: DesiredMotion, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop
 ) -> tuple[list[Sector], list[Cone]]:
-    """What may move: evaded by its cone, or kept off by its braking distance."""
+    """Return sectors and cones of the contacts that may move.
+
+    The robot evades a contact by its collision cone, or keeps its braking distance from it.
+    """
 
     def both(row: ca.SX) -> tuple[ca.SX, ca.SX]:
         contact = Contact.of(row)
@@ -203,7 +207,10 @@ def _movers(
 def _standing(
     contacts: Sequence[Contact], eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop, *, retreat: float
 ) -> list[Sector]:
-    """What stands: kept off by its braking distance; from too near the robot backs off with `retreat` [m/s] at most."""
+    """Return the sectors of contacts at rest, from their braking distance.
+
+    If a contact is closer than the margin, the robot backs off with at most `retreat` [m/s].
+    """
 
     def one(row: ca.SX) -> tuple[ca.SX]:
         normal, bound, point = _sector(Contact.of(row), eta, p, stop)
@@ -221,7 +228,10 @@ def _sector(contact: Contact, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop) ->
 
 
 def _evaded(contact: Contact, desired: DesiredMotion) -> ca.SX:
-    """Whether a contact moves and does not come from behind: then it is evaded sideways, else outrun."""
+    """Return whether a contact moves and does not come from behind.
+
+    The robot evades such a contact sideways; it outruns a contact from behind.
+    """
     speed = ca.sqrt(ca.sumsqr(desired.velocity))
     ahead = ca.dot(desired.velocity, contact.normal) > -_BEHIND * speed
     moves = ca.logic_and(ca.sumsqr(contact.velocity) > _MOVES**2, contact.clearance < FAR)
@@ -229,7 +239,7 @@ def _evaded(contact: Contact, desired: DesiredMotion) -> ca.SX:
 
 
 def _cone(contact: Contact, evaded: ca.SX, point: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]) -> Cone:
-    """Velocities that meet the contact before the mission is over, or soon."""
+    """Return the collision cone: velocities that meet the contact within the horizon and before the mission ends."""
     left = ca.sqrt(ca.sumsqr(p["waypoints"][-1, :].T - eta[:2]))
     return collision_cone(
         contact,

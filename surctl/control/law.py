@@ -1,8 +1,9 @@
 """The law: filter, guidance, tasks, priority and velocity control as one object with explicit state.
 
-`closed` is the closed form (16). In the modes that keep limits the law is cut open at the priority solver: `pre`
-before it, the solver as a routine with bounded loops, `post` after it. `block` is what runs and what is generated as
-C, in every mode. Python, C, verification and tuning all see these instructions and no others.
+The block `closed` solves the priorities by the closed form (16). In the modes that respect limits, the law has three
+parts: the block `pre`, then the priority solver as a routine with bounded loops, then the block `post`. In every mode
+`block` is the complete law that runs and that is exported as C. Python, C, verification and tuning all use the same
+instructions.
 """
 
 from __future__ import annotations
@@ -32,42 +33,42 @@ NONFINITE = -2
 
 TELEMETRY = (
     Port("tau", (4,), "N, N m", "thrust command F_u, F_v, F_w, F_r in {B}"),
-    Port("nu_reference", (4,), "m/s, rad/s", "velocity that the priority solver asked for, in {B}"),
-    Port("path_error", (2,), "m", "x_e and y_e of (8)"),
-    Port("avoiding", (1,), "1", "1 while a contact changes the wish"),
-    Port("nearest", (1,), "m", "smallest clearance that the law knows of"),
+    Port("nu_reference", (4,), "m/s, rad/s", "velocity reference from the priority solver, limited, in {B}"),
+    Port("path_error", (2,), "m", "along-track error x_e and cross-track error y_e of (8)"),
+    Port("avoiding", (1,), "1", "1 while a contact changes the desired velocity"),
+    Port("nearest", (1,), "m", "smallest clearance to any contact that the law knows"),
     Port("ranges", (4,), "m", "filtered sonar ranges"),
 )
 
 TRAPPED_PORT = Port(
-    "trapped", (1,), "1", "1 from when it gave up in a dead end: it stands, and gives way to what moves"
+    "trapped", (1,), "1", "1 after the law gave up in a dead end: it holds its place and avoids moving obstacles"
 )
 
 DEPTH_PORT = Port(
-    "depth_reference", (1,), "m", "z in {E} that it flies at or changes to; not the path's while it passes a dead end"
+    "depth_reference", (1,), "m", "commanded z in {E}; it differs from the path's z while the robot passes a dead end"
 )
 
 
 def scan_telemetry(sensors: int) -> tuple[Port, ...]:
-    """The telemetry of a law that scans with so many sonars."""
+    """Return the telemetry ports of a law that scans with this number of sonars."""
     return (
         *(port for port in TELEMETRY if port.name != "ranges"),
         Port("ranges", (sensors,), "m", "filtered sonar ranges"),
-        Port("bounds", (sensors,), "m", "by how much a range may be wrong"),
-        Port("healthy", (sensors,), "1", "1 where a sonar may be believed"),
-        Port("stopped", (1,), "1", "1 while it stands because it does not know what is ahead"),
+        Port("bounds", (sensors,), "m", "largest error of each range"),
+        Port("healthy", (sensors,), "1", "1 where the law trusts the sonar"),
+        Port("stopped", (1,), "1", "1 while the robot stops because it does not know what is ahead"),
     )
 
 
 class LawStep(NamedTuple):
-    """One control step.
+    """The result of one control step.
 
     Attributes:
-        tau: (4,) [N, N m] in {B}.
-        x_next: next state, flat.
-        status: 0, bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`, or `NONFINITE` (then tau is 0, the state
-            stays).
-        telemetry: flat, the ports of `Law.outputs` after tau.
+        tau: thrust command (4,) [N, N m] in {B}.
+        x_next: next state as a flat vector.
+        status: 0, or a sum of the bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`; or `NONFINITE`, and then tau
+            is 0 and the state does not change.
+        telemetry: flat vector of all ports of `Law.outputs` after tau.
     """
 
     tau: Vector
@@ -77,13 +78,15 @@ class LawStep(NamedTuple):
 
 
 class Stages:
-    """Parts of a law, each made when it is first asked for; with the mathematical library's functions.
+    """Parts of a law, each built when it is first used; they call the functions of the mathematical library.
 
     Attributes:
-        closed: (x, u, p) → (tau, x_next, status, telemetry) in closed form (16), whatever the law's mode.
-        pre: (x, u, p) → (J row by row, references, rows of the priority tick, velocity box (8,)), and what else is
-            known before the priority decision: next state but for the integral, telemetry after the wish, flags.
-        post: (u, p, those three, nu_reference, stage of the priority tick) → as `closed`.
+        closed: (x, u, p) → (tau, x_next, status, telemetry) by the closed form (16), in every mode of the law.
+        pre: (x, u, p) → (J row by row, references, limit rows of the priority problem, velocity box (8,), carried,
+            reported, flags). The last three are the next state without the integral, the telemetry after
+            `nu_reference`, and the status bits.
+        post: (u, p, carried, reported, flags, nu_reference, fallback stage of the priority solver) → the same outputs
+            as `closed`.
     """
 
     def __init__(self, closed: Callable[[], Block], pre: Callable[[], Block], post: Callable[[], Block]) -> None:
@@ -91,40 +94,39 @@ class Stages:
 
     @cached_property
     def closed(self) -> Block:
-        """See the attributes."""
+        """The law with the closed form (16)."""
         return self._closed()
 
     @cached_property
     def pre(self) -> Block:
-        """See the attributes."""
+        """The part of the law before the priority solver."""
         return self._pre()
 
     @cached_property
     def post(self) -> Block:
-        """See the attributes."""
+        """The part of the law after the priority solver."""
         return self._post()
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A controller: (state, input, gains) → (τ, next state, status).
+    """A controller: (state, input, parameters) → (τ, next state, status, telemetry).
 
     Attributes:
         name: C identifier.
-        avoidance: form of (20).
+        avoidance: form of equation (20).
         mode: priority mode.
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
-        block: (x, u, p) → (tau, x_next, status, telemetry): `closed` in mode nsb; otherwise `pre`, the
-            priority tick and `post` as one routine. Without the mathematical library: sin, cos and atan2 are written
-            out in exact operations.
-        stages: the law in closed form, and what stands before the priority solver and after it.
+        block: (x, u, p) → (tau, x_next, status, telemetry). In mode nsb it is `closed`; in other modes it combines
+            `pre`, the priority solver and `post`. It needs no mathematical library, because sin, cos and atan2 are
+            replaced by elementary operations.
+        stages: the law in closed form, and its parts before and after the priority solver.
         levels: (name, rows, unit) of each priority level, highest first.
-        rows: names of the rows: box, then barriers.
-        barrier, movers, ladder: as `build_law` has them.
-        senses: what runs before the decision, or None; the stages then take the decision's own state
-            and what the senses tell as x and u.
-        guidance: how the path is followed.
+        rows: names of the limit rows: first the velocity box, then the barriers.
+        perception: the stage that runs before the decision, or None. With it, the x and u of `stages` are the state of
+            the decision and the outputs of perception.
+        guidance, barrier, movers, fallback: the arguments of `build_law`.
     """
 
     name: str
@@ -147,18 +149,20 @@ class Law:
 
     @cached_property
     def function(self) -> ca.Function:
-        """The closed form for CasADi: expressions, derivatives, numbers."""
+        """The closed form as a CasADi function, for expressions, derivatives and numbers."""
         return to_casadi(self.stages.closed)
 
     def initial_state(self) -> Vector:
-        """State before the first step."""
+        """Return the state before the first step."""
         return self.state.pack()
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """One step. NaN never becomes a command: a non-finite number anywhere gives zero thrust, `NONFINITE`.
+        """Compute one control step.
+
+        A number that is not finite, in an input or in a result, gives zero thrust and the status `NONFINITE`.
 
         Raises:
-            InputError: a vector that has not the size of its layout.
+            InputError: a vector does not have the size of its layout.
         """
         x, u, p = self._vectors(x, u, p)
         if not (np.isfinite(x).all() and np.isfinite(u).all() and np.isfinite(p).all()):
@@ -171,13 +175,16 @@ class Law:
 
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
-        """CasADi's machine for the closed form; C for a block with loops, or its replay: the same numbers, slower."""
+        """The law as a function of vectors: CasADi evaluates the closed form; a block with loops runs as compiled C.
+
+        Without a compiler the block is replayed in Python, which gives the same numbers more slowly.
+        """
         closed = self.mode == "nsb" and self.perception is None
         return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block)
 
     @cached_property
     def _before(self) -> Callable[..., list[Vector]]:
-        """The stage before the solver in CasADi's machine."""
+        """The stage before the priority solver, evaluated by CasADi."""
         return on_vectors(to_casadi(self.stages.pre).expand())
 
     @cached_property
@@ -186,23 +193,23 @@ class Law:
         return runnable(self.perception.block)
 
     def telemetry_slice(self, name: str) -> slice:
-        """Where an output port lies in the telemetry, which leaves tau out."""
+        """Return the slice of an output port in the telemetry vector, which does not contain tau."""
         where = self.outputs.slice(name)
         return slice(where.start - 4, where.stop - 4)
 
     def problem(self, x: Vector, u: Vector, p: Vector) -> PriorityProblem:
-        """The priority problem of one tick, as data with names on every row.
+        """Return the priority problem of one control step, with a name for every row.
 
         Raises:
-            InputError: a vector of another size than its layout's, or numbers that lead to one that is not finite.
+            InputError: a vector does not have the size of its layout, or the problem contains a non-finite number.
         """
         x, u, p = self._vectors(x, u, p)
         if self.perception is not None:
             x, u = x[: -self.perception.state.size], self.decision_inputs(x, u, p)
         J, references, rows, *_ = self._before(x, u, p)
-        # the bounds of a row may be absent: ±inf, but no NaN
+        # a row without a bound has ±inf there, but a NaN is an error
         if not np.isfinite(J).all() or not np.isfinite(references).all() or np.isnan(rows).any():
-            raise InputError("is not finite", key=f"{self.name}.problem", remedy="`step` refuses such a tick")
+            raise InputError("is not finite", key=f"{self.name}.problem", remedy="check x, u and p")
         levels, at = [], 0
         for name, count, unit in self.levels:
             here = slice(at, at + count)
@@ -212,14 +219,16 @@ class Law:
             Row(name, "barrier" if row[6] else "actuator", row[:4], float(row[4]), float(row[5]))
             for name, row in zip(self.rows, rows.reshape(-1, 7), strict=True)
         ]
-        # built by this class from finite numbers: the checks of build_problem were made once, at assembly
+        # the numbers are finite and the law was checked at assembly, so the checks of build_problem are not repeated
         return PriorityProblem(tuple(levels), tuple(limits))
 
     def decision_inputs(self, x: Vector, u: Vector, p: Vector) -> Vector:
-        """What the senses tell the decision in one tick, flat as `senses.told` packs it; u for a law without senses.
+        """Return the inputs of the decision in one control step, flat, in the layout `perception.outputs`.
+
+        A law without perception returns u.
 
         Raises:
-            InputError: a vector that has not the size of its layout.
+            InputError: a vector does not have the size of its layout.
         """
         x, u, p = self._vectors(x, u, p)
         if self.perception is None:
@@ -229,17 +238,17 @@ class Law:
         return np.asarray(outputs, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
-        """The priority decision of one tick with names and words: what `step` does, solved again in NumPy.
+        """Solve the priority problem of one control step again in NumPy; the solution names tasks, rows and causes.
 
         Raises:
-            InputError: a law with a bounded ladder, whose answers are not those of `solve` wherever it counts.
+            InputError: the law has the bounded fallback, whose result can differ from that of `solve`.
         """
         if self.fallback != "exact":
-            raise InputError("is not explained", key="fallback", value=self.fallback, remedy="fly the exact one")
+            raise InputError("is not explained", key="fallback", value=self.fallback, remedy="use the exact fallback")
         return solve(self.problem(x, u, p), mode=self.mode)
 
     def _vectors(self, *vectors: Vector) -> list[Vector]:
-        """x, u, p as flat vectors of the right sizes."""
+        """Return x, u and p as flat vectors with the sizes of their layouts."""
         flat = []
         for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
             array = np.asarray(vector)
@@ -247,7 +256,7 @@ class Law:
                 raise InputError(
                     f"has shape {array.shape} of {array.dtype}",
                     key=f"{self.name}.{name}",
-                    remedy=f"give {layout.size} real numbers, as its layout packs them",
+                    remedy=f"give {layout.size} real numbers in the order of its layout",
                 )
             flat.append(array.astype(float, copy=False).reshape(-1))
         return flat

@@ -1,15 +1,15 @@
-"""Escape by depth: from a dead end the robot tries the water above the path's depth, then that below, layer by layer.
+"""Escape by depth: from a dead end, the robot tries layers above the path's depth, then layers below it.
 
-The paper lets an obstacle be passed "by changing the depth and/or moving horizontally". Horizontal ways come first:
-only where `control.trap` finds a dead end does the robot change its depth, by a hull's diameter and a margin at a time.
-It stops, goes up or down in place, forgets what the sonars told of the other depth, and looks for a way again. Above
-all layers that it can reach from there come first, nearest first, then those below; after the last one it gives up.
-Once it is further along its path than the dead end, by the hull's diameter and a margin, and the water back to the
-path's depth is free, it returns in the same way.
+The paper allows a robot to pass an obstacle "by changing the depth and/or moving horizontally". The robot first tries
+horizontal escapes. Only if `control.dead_end` finds a dead end does it change its depth, by one hull diameter plus a
+margin at a time. It stops, moves up or down in place, deletes its sonar map of the old depth, and searches for a path
+again. It tries all layers that it can reach above, the nearest first, then the layers below. After the last one it
+gives up. The robot returns in the same way once it is past the dead end by one hull diameter plus a margin along its
+path and the water back to the path's depth is free.
 
-Sonars that look ahead say nothing of the water above or below. It moves there only as far as its echo sounders find
-it free (`column`), no faster than it can stop short of their end, and keeps to its place meanwhile. So what it rests on
-is that the sounders hear all that stands over or under the hull, and that the mission allows that water.
+The horizontal sonars do not measure the water above or below. The robot moves only through water that its echo sounders
+measure as free (`column`), at a speed from which it can stop within that water, and holds its horizontal position. This
+is safe if the sounders detect everything above or below the hull, and if the mission allows that depth.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from surctl.vehicle import planar_rotation
 
 __all__ = ["LAYER_PORTS", "aimed_depth", "forgetting", "layers_next"]
 
-AT = 0.03  # [m] from a layer's depth at which it is there
-SLACK = 0.015  # [m] by which the free water may be too short: depth and sounders are not that exact
-FAST = 0.05  # [m/s] horizontally, above which it stops before it changes its depth
-RISES = 0.01  # [m/s] up or down, above which it gets on with a change of its depth
+AT = 0.03  # [m] distance from a layer's depth below which the robot has reached it
+SLACK = 0.015  # [m] tolerance for too little free water, because depth and sounders are not more precise
+FAST = 0.05  # [m/s] horizontal speed above which the robot stops before it changes its depth
+RISES = 0.01  # [m/s] vertical speed above which a change of depth makes progress
 ANEW, STANDS, MOVES, RETURNS = -1.0, 0.0, 1.0, 2.0
 
 LAYER_PORTS = (
-    Port("layer", (1,), "1", "depth it flies at: layers above the path's, negative below; 0 the path's own"),
+    Port("layer", (1,), "1", "number of the depth layer: 0 at the path's depth, positive above, negative below"),
     Port(
         "changing",
         (1,),
         "1",
-        "1 while it changes to that depth in place, 2 while it returns to the path's, -1 once there",
+        "1 while the robot changes to its layer, 2 while it returns to the path's depth, -1 when it has arrived",
     ),
-    Port("beyond", (1,), "m", "arc length past which it may return"),
+    Port("beyond", (1,), "m", "arc length on the path after which the robot may return to the path's depth"),
 )
 
 
@@ -48,7 +48,7 @@ def _goal(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
 
 
 def _pitch(p: Mapping[str, ca.SX]) -> ca.SX:
-    """From one layer to the next [m]."""
+    """Return the depth difference between adjacent layers [m]."""
     return 2 * p["hull"] + p["margin"]
 
 
@@ -59,12 +59,12 @@ def _fast(eta: ca.SX, nu: ca.SX) -> ca.SX:
 def aimed_depth(
     x: Mapping[str, ca.SX], eta: ca.SX, nu: ca.SX, column: ca.SX, p: Mapping[str, ca.SX]
 ) -> tuple[ca.SX, ca.SX]:
-    """(z of the layer it flies at or changes to, z that the depth task is given) [m].
+    """Return z of the robot's layer, or of the layer that it changes to, and the reference z of the depth task [m].
 
-    The second is no further away than the robot, at gain `k2`, may go to and still stop in the water that is free.
+    The reference is limited: at gain `k2`, the robot never moves faster than it can stop within the free water.
 
     Args:
-        x: state, `LAYER_PORTS` among it.
+        x: state with `LAYER_PORTS`.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
         column: (2, 1) free water above and below the hull [m].
         p: `depth`, `hull`, `margin`, `k2`, `brake`, `reaction`, thrust and mass.
@@ -82,7 +82,10 @@ def aimed_depth(
 
 
 def forgetting(state: Layout) -> Program:
-    """Decision's state → `anew`: 1 in the step after another depth was reached, in which the map starts anew."""
+    """Return a program from the decision's state to `anew`.
+
+    `anew` is 1 in the step after the robot has reached another depth; in this step the map is cleared.
+    """
     x, by_name = state.symbols("x")
     return lower(ca.Function("forgetting", [x], [by_name["changing"] < ANEW / 2], ["x"], ["anew"]))
 
@@ -98,16 +101,16 @@ def layers_next(
     reached: ca.SX,
     ended: ca.SX,
 ) -> dict[str, ca.SX]:
-    """`trap.TRAP_PORTS` and `LAYER_PORTS` one control period later.
+    """Return the values of `dead_end.DEAD_END_PORTS` and `LAYER_PORTS` after one control period.
 
     Args:
-        trap: what `trap_next` has without layers; its `trapped` is a dead end at this layer.
+        dead_end: the values of `DEAD_END_PORTS` without layers; `trapped` means a dead end at the present layer.
         x: state.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
         column: (2, 1) free water above and below the hull [m].
-        p: as `aimed_depth`.
+        p: see `aimed_depth`.
         reached: arc length of the robot's projection on its path [m].
-        ended: 1 at the path's end.
+        ended: 1 at the end of the path.
     """
     was, layer, changing = x["trapped"] > 0.5, x["layer"], x["changing"]
     moves, returns = changing > 0.5, changing > 1.5
@@ -129,7 +132,7 @@ def layers_next(
     following = ca.if_else(further, layer + ca.if_else(layer < 0, -1, 1), layer)
     following = ca.if_else(unreached, -1, following)
     following = ca.if_else(ca.logic_and(there, returns), 0, following)
-    following = ca.if_else(abandoned, -back / _pitch(p), following)  # of the place it stands at
+    following = ca.if_else(abandoned, -back / _pitch(p), following)  # the present depth, in layers
     state = ca.if_else(ca.logic_or(further, failed), MOVES, ca.fmax(changing, STANDS))
     state = ca.if_else(home, RETURNS, state)
     state = ca.if_else(abandoned, STANDS, ca.if_else(there, ANEW, state))

@@ -1,6 +1,6 @@
-"""The paper's law: each sensor a sub-task σ_i = l_dm,i in order of urgency, below them velocity, depth and heading.
+"""The paper's law: one sub-task σ_i = l_dm,i for each sensor in order of urgency, then velocity, depth and heading.
 
-The velocity is the avoidance velocity (20) or the cruise velocity (III-B to III-D).
+The velocity task uses the avoidance velocity (20) or the cruise velocity (III-B to III-D).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def paper_law(
     *,
     dt: float,
 ) -> Decision:
-    """The printed stack, made definite: sensor sub-tasks by urgency, (20) or cruise, depth, heading."""
+    """Return the decision of the paper's law: sensor sub-tasks by urgency, (20) or cruise velocity, depth, heading."""
     heading = ca.vertcat(ca.cos(eta[3]), ca.sin(eta[3]))
     left = ca.vertcat(-heading[1], heading[0])
     sensed = nearest_in_quadrants(perceived.all, [heading, left, -heading, -left])
@@ -58,12 +58,12 @@ def paper_law(
 
 
 def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
-    """Speed towards the contact that σ̇ = −κ σ asks for [m/s]."""
+    """Return the speed towards the contact [m/s] that σ̇ = −κ σ requires."""
     return p["kappa"] * (contact.clearance - p["margin"])
 
 
 def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:
-    """Time to contact [s], smallest first; a contact that is not approached is never urgent."""
+    """Return the time to contact [s]; it is very large if the robot does not approach the contact."""
     rate = ca.fmax(speed - contact.closing, 1e-3)
     return ca.fmax(contact.clearance, 0) / rate
 
@@ -92,7 +92,7 @@ def _avoidance_velocity(
     *,
     dt: float,
 ) -> tuple[ca.SX, ca.SX]:
-    """(20) with λ2 latched for the encounter, inside the window (19); and the next λ2."""
+    """Return the velocity of (20) within the window (19), and the next λ2, which is latched during an encounter."""
     met = encounter_side(desired.velocity - contact.velocity, contact.normal)
     side = ca.if_else(ca.fabs(x["side"]) > 0.5, x["side"], met)
     speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
@@ -114,7 +114,7 @@ def _avoidance_velocity(
 
 
 def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[str, ca.SX], *, dt: float) -> ca.SX:
-    """The window (19): speed within a·t, course within √(a/R_OB)·t (E17) of the last command."""
+    """Limit a velocity to the window (19): speed within a·t and course within √(a/R_OB)·t (E17) of the last command."""
     acceleration = weakest_acceleration(p)
     previous = ca.sqrt(ca.sumsqr(last))
     step = acceleration * dt
@@ -122,7 +122,7 @@ def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[
     turn = course - ca.atan2(last[1], last[0])
     turn = turn - 2 * np.pi * ca.floor((turn + np.pi) / (2 * np.pi))
     widest = ca.sqrt(acceleration / radius) * dt
-    # a robot that hardly moves has no course to stay near
+    # a robot that hardly moves has no defined course
     turn = ca.if_else(previous > 0.02, ca.fmin(ca.fmax(turn, -widest), widest), turn)
     course = ca.atan2(last[1], last[0]) + turn
     return allowed * ca.vertcat(ca.cos(course), ca.sin(course))
@@ -131,7 +131,10 @@ def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[
 def _by_urgency(
     sensed: Sequence[Contact], closing: Sequence[ca.SX], lower: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]
 ) -> list[TaskLevel]:
-    """Sensor sub-tasks sorted by time to contact (ties: front, left, rear, right); inactive ones are zero rows."""
+    """Return the sensor sub-tasks sorted by time to contact (ties: front, left, rear, right).
+
+    An inactive sub-task is a zero row.
+    """
     to_body = planar_rotation(eta[3]).T
     entries = []
     for contact, bound in zip(sensed, closing, strict=True):

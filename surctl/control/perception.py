@@ -1,8 +1,9 @@
-"""From what the sensors say to what the decision is told: a step of its own, with its own state.
+"""Perception: the stage that converts sensor readings to the inputs of the decision, with its own state.
 
-Own state from late fixes, moving obstacles from late messages, the range of every sonar with its bound, and the map of
-`sensing.mapping`, whose nearest marks become contacts beside those of the base station. What walls or known obstacles
-explain is not marked; every contact is as large as the doubt about it.
+It estimates the robot's own state from delayed position fixes, moving obstacles from delayed messages, the range of
+every sonar with an error bound, and the map of `sensing.mapping`. The nearest marks of the map become contacts, in
+addition to the contacts from the base station. Echoes that walls or known obstacles explain are not marked. The radius
+of every contact includes its uncertainty.
 """
 
 from __future__ import annotations
@@ -25,36 +26,36 @@ from surctl.vehicle import planar_rotation
 __all__ = ["CELLS_A_HULL", "LAST_THRUST", "PERCEPTION", "PerceptionStage", "build_perception"]
 
 CELLS_A_HULL = 4.0
-"""Cells of the map in a hull radius (*chosen*): 6.75 cm in the tank, 5 cm in the pool."""
+"""Number of map cells per hull radius (*chosen*): the cell size is 6.75 cm in the tank and 5 cm in the pool."""
 
 LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before")
-"""First port of the state: what the decision writes and the own state's filter reads."""
+"""The first state port; the decision writes it, and the filter of the robot's own state reads it."""
 
 PERCEPTION = "perception"
-"""Name of the block of `Senses`."""
+"""Name of the block of a `PerceptionStage`."""
 
-_TOLERANCE = 0.10  # [m] by which an echo may be shorter than a known thing's and still be its own
-_READING = 0.03  # [m] by which one believed firing may be off: four of its standard deviations
-_DIAGONAL = 0.71  # cells, half a cell's diagonal
-_AROUND_A_MARK = 0.8  # cells from its middle: half a diagonal, and a little for what drifts
+_TOLERANCE = 0.10  # [m] by which an echo may be shorter than the expected range and still come from a known object
+_READING = 0.03  # [m] largest error of one plausible firing: four standard deviations
+_DIAGONAL = 0.71  # cells: half a cell's diagonal
+_AROUND_A_MARK = 0.8  # cells: radius of the contact for a mark, half a diagonal and an allowance for drift
 _EXPLAINS = 0.5  # cells beyond the reading in which a mark still explains it
-_MARGIN_SD = 0.02 / 3  # [m] standard deviation of the own position that the law's margin has room for
-_DEAF = 0.3  # [s] without an honest firing after which a sonar is not to be believed
-_PLACED_SD = 0.2  # [m] standard deviation beyond which the robot does not know where it is
-_SILENT_MARGIN = 0.05  # [m] more around every mark while a sonar is silent: what drifts is looked at less often
-_FAR = 1e5  # [m²] above any squared distance in the map
+_MARGIN_SD = 0.02 / 3  # [m] standard deviation of the robot's position that the law's margin already covers
+_DEAF = 0.3  # [s] without a plausible firing after which a sonar is not trusted
+_PLACED_SD = 0.2  # [m] standard deviation above which the robot does not know its position
+_SILENT_MARGIN = 0.05  # [m] added to every mark while a sonar is silent, because drifting obstacles are measured less
+_FAR = 1e5  # [m²] larger than any squared distance in the map
 
 
 @dataclass(frozen=True, eq=False)
 class PerceptionStage:
-    """What runs before the decision.
+    """The stage of a law that runs before the decision.
 
     Attributes:
-        state: layout of its state, `LAST_THRUST` first.
-        inputs: layout of what it is given.
-        told: layout of what it tells the decision.
-        block: (state, inputs, parameters) → (next state without the thrust, told); where other depths are allowed, a
-            fourth input is 1 in a step in which the map starts anew.
+        state: layout of its state, with `LAST_THRUST` first.
+        inputs: layout of its inputs.
+        outputs: layout of its outputs, which are the inputs of the decision.
+        block: (state, inputs, parameters) → (next state without the thrust, outputs). If other depths are allowed, a
+            fourth input is 1 in a step in which the map is cleared.
     """
 
     state: Layout
@@ -64,16 +65,16 @@ class PerceptionStage:
 
 
 def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float) -> PerceptionStage:
-    """Assemble it.
+    """Assemble the perception stage of a law.
 
     Args:
-        equipment: as the law believes it.
+        equipment: the sensors that the law assumes.
         inputs: see `ports.sonar_inputs`.
-        told: see `ports.scan_inputs`.
+        outputs: see `ports.scan_inputs`.
         dt: control period [s].
 
     Raises:
-        InputError: a sonar whose beam the hull cuts in two.
+        InputError: the hull splits the beam of a sonar in two.
     """
     return _Builder(equipment, inputs, outputs, dt).build()
 
@@ -89,10 +90,12 @@ class _Builder:
         array = self.equipment.array
         if any(len(cones) > 1 for cones in array.cones):
             raise InputError(
-                "the hull cuts a beam in two, and the map knows one cone a sonar", key="array.mounts", remedy="move it"
+                "the hull splits a beam in two, but the map takes one cone per sonar",
+                key="array.mounts",
+                remedy="move that sonar",
             )
         split, measure, report = self._split(), self._measure(), self._report()
-        # of a law that changes its depth: what was heard at the last one is of no use
+        # a law that changes its depth clears the map, because echoes from the old depth no longer apply
         anew, corner = (("anew",), "corner") if "column" in self.outputs else ((), "map_corner")
         steps = (
             Call(split, ("x",), tuple(name for name, _ in split.outputs)),
@@ -118,7 +121,7 @@ class _Builder:
 
     @cached_property
     def _ranges(self) -> RangeTracker:
-        array = replace(self.equipment.array, bias=0.0)  # `corrected` took it off
+        array = replace(self.equipment.array, bias=0.0)  # `corrected` has already removed the bias
         return RangeTracker(array=array, dt=self.dt)
 
     @cached_property
@@ -151,39 +154,39 @@ class _Builder:
 
     @cached_property
     def _small(self) -> Layout:
-        """The state of all but the thrust and the map."""
+        """The layout of the state without the last thrust and the map."""
         own = self._own.ports("own_") if self._own else ()
         movers = self._movers.ports("mover_") if self._movers else ()
         n = self.equipment.array.size
-        silent = Port("silent", (n,), "s", "time since the last honest firing of each sonar", _DEAF + self.dt)
-        launched = Port("launched", (1,), "1", "1 once the water free at the launch is in the map")
+        silent = Port("silent", (n,), "s", "time since the last plausible firing of each sonar", _DEAF + self.dt)
+        launched = Port("launched", (1,), "1", "1 after the free water around the start is marked in the map")
         return Layout((*own, *movers, *self._ranges.ports("sonar_"), silent, launched))
 
     @cached_property
     def state(self) -> Layout:
-        """The whole state."""
+        """The layout of the whole state."""
         return Layout((LAST_THRUST, *self._small.ports, *self._map.ports("map_")))
 
     @cached_property
     def _perceived(self) -> Layout:
-        """What is known before the map is asked."""
+        """The layout of the values that are known before the map is evaluated."""
         sonars = self.outputs.port("sonars")
         slots = self._movers.slots if self._movers else 0
-        known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles now"),) if slots else ()
+        known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles at the present time"),) if slots else ()
         pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
         column = (self.outputs.port("column"),) if "column" in self.outputs else ()
-        uncertainty = Port("uncertainty", (1,), "m", "doubt about the own position beyond what the margin has room for")
+        uncertainty = Port("uncertainty", (1,), "m", "position uncertainty that the margin does not cover")
         return Layout((*pose, uncertainty, self.outputs.port("placed"), *known, sonars, *column))
 
     def _split(self) -> Program:
-        """The thrust and small states as one array, then the map's two."""
+        """Return a program that splits the state into the thrust with small states, the map's cells and its corner."""
         x = ca.SX.sym("x", self.state.size)
         parts = {name: x[self.state.slice(f"map_{name}")] for name in ("cells", "corner")}
         small = x[: LAST_THRUST.size + self._small.size]
         return lower_named("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
 
     def _anew(self) -> Program:
-        """The map's corner; nowhere if the map is to start anew."""
+        """Return a program that keeps the map's corner, or moves it far away if the map is to be cleared."""
         corner, anew = ca.SX.sym("corner", 2), ca.SX.sym("anew")
         nowhere = self.state.port("map_corner").default
         return lower_named("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
@@ -202,7 +205,7 @@ class _Builder:
         return recording.block("measure", inputs, outputs)
 
     def _measured(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """Inputs and outputs of `_feel`."""
+        """Return the inputs and outputs of the block `measure`."""
         array, local_map = self.equipment.array, self._map
         small = ca.SX.sym("small", LAST_THRUST.size + self._small.size)
         x = self._small.split(small[LAST_THRUST.size :])
@@ -213,13 +216,13 @@ class _Builder:
         axes, apexes, halves = beams(array, around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
         walls, things = expected(array, around, apexes, known)
-        walls = ca.if_else(around.placed, walls, 2 * array.maximum)  # seen from nowhere, no echo is too long
+        walls = ca.if_else(around.placed, walls, 2 * array.maximum)  # without a position, no echo counts as too long
         ranging = self._ranges.update(
             x,
             corrected(array, inputs["samples"]),
             fresh=inputs["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
-            expected=ca.fmax(walls, array.lowest / array.scale + array.resolution),  # from behind it reads the same
+            expected=ca.fmax(walls, array.lowest / array.scale + array.resolution),  # never below the shortest reading
             turn=around.nu[3],
             prefix="sonar_",
         )
@@ -270,7 +273,7 @@ class _Builder:
                     "launched": ca.logic_or(x["launched"], around.placed),
                 }
             ),
-            # the place of a hull that does not know where it is is not free
+            # if the robot does not know its position, the place of its hull does not count as free
             "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, free, 0), edge),
             "walls": known["walls"],
             "readings": _listed(firings, local_map.slots),
@@ -351,7 +354,7 @@ def _least(values: ca.SX) -> ca.SX:
 
 
 def _listed(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
-    """The firings that arrived, one slot after the other; an empty slot neither clears nor marks."""
+    """Return the new firings, one per slot; an empty slot neither clears nor marks cells."""
     size = sum(k for _, k, _ in READING)
     empty = ca.vertcat(ca.SX.zeros(size - 2), -1, 0)
     listed, count = [empty] * slots, ca.SX(0)

@@ -1,4 +1,4 @@
-"""What goes into the law and what it keeps: the same names in simulation, verification and exported header."""
+"""The input and parameter ports of the law, with the same names in simulation, verification and exported header."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ __all__ = [
 CONTACT_SLOTS = 8
 DEFAULT_ARRAY = SonarArray()
 YAW_SHARE = 0.85
-"""Share of the yaw thrust that turning may plan with."""
+"""Share of the largest yaw moment that a planned yaw rate may use."""
 
-_WIDER_SIDE = 0.1  # [m] that the site's middle lies beside the path's first leg, for one side to have more room
+_WIDER_SIDE = 0.1  # [m] offset of the site's middle from the path's first leg, above which one side counts as wider
 
 SECTORS = 16
-"""Directions in which a scanning law knows the nearest marked and unknown place."""
+"""Number of direction sectors; in each, a law that scans knows the nearest marked and the nearest unknown place."""
 
 _POSE = (
     Port("eta", (4,), "m, rad", "measured position x, y, z and heading psi in {E} (z up, psi counter-clockwise)"),
@@ -46,22 +46,22 @@ _COLUMN = Port(
     "column",
     (2,),
     "m",
-    "free water above and below the hull that the mission allows, of echo sounders up and down; 0 where not known",
+    "free water above and below the hull from the echo sounders, within the mission's depth range; 0 if unknown",
 )
 
 
 def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: bool = False) -> Layout:
-    """What a law is given each tick.
+    """Return the layout of the inputs of a law in each control step.
 
     Args:
         contacts: number of slots for known obstacles, 0 or more.
-        sonar: whether it listens to the sonars.
-        depths: whether it may escape by depth, and so has echo sounders up and down.
+        sonar: whether the law uses the sonars.
+        depths: whether the law may leave a dead end at another depth; then it has echo sounders up and down.
 
     Example:
         >>> from surctl.control import law_inputs
-        >>> told = law_inputs(3, sonar=False)
-        >>> [port.name for port in told.ports], told.port("contacts").shape
+        >>> inputs = law_inputs(3, sonar=False)
+        >>> [port.name for port in inputs.ports], inputs.port("contacts").shape
         (['eta', 'nu', 'contacts'], (3, 6))
         >>> [port.name for port in law_inputs(3, depths=True).ports]
         ['eta', 'nu', 'contacts', 'samples', 'fresh', 'column']
@@ -70,7 +70,7 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: boo
         "contacts",
         (contacts, 6),
         "m, m/s, 1",
-        "known obstacles in {E}, one a row: x, y, radius, vx, vy, valid (0 or 1)",
+        "known obstacles in {E}, one per row: x, y, radius, vx, vy, valid (0 or 1)",
     )
     sonar_ports = _sonar_ports(DEFAULT_ARRAY) if sonar else ()
     return Layout((*_POSE, *((known,) if contacts else ()), *sonar_ports, *((_COLUMN,) if depths else ())))
@@ -78,10 +78,10 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: boo
 
 def _sonar_ports(array: SonarArray) -> tuple[Port, ...]:
     axes = ", ".join(f"{degrees(azimuth):.4g}" for azimuth in array.azimuths)
-    meaning = f"raw ranges of each sonar's last firing, one sonar a row; axes at {axes} deg from x towards y of {{B}}"
+    meaning = f"raw ranges of each sonar's last firing, one sonar per row; axes at {axes} deg from x towards y of {{B}}"
     return (
         Port("samples", (array.size, array.samples), "m", meaning, array.maximum),
-        Port("fresh", (array.size,), "1", "1 where a firing of the sonar has arrived since the last step, else 0"),
+        Port("fresh", (array.size,), "1", "1 if a firing of the sonar has arrived since the last step, else 0"),
     )
 
 
@@ -89,10 +89,10 @@ INPUTS = law_inputs()
 
 
 def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths: bool = False) -> Layout:
-    """What a law that scans is given each tick.
+    """Return the layout of the inputs, in each control step, of a law that scans with sonars.
 
     Args:
-        equipment: what the robot senses with.
+        equipment: the sensors of the robot.
         contacts: number of moving obstacles that a message of the base station can hold, 0 or more.
         depths: see `law_inputs`.
     """
@@ -101,38 +101,37 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths:
     if own is not None:
         late = f"{own.fixes.latency:g} s before it arrives"
         pose = (
-            Port("fix", (3,), "m", f"position x, y, z in {{E}} as the base station measured it {late}"),
-            Port("fix_fresh", (1,), "1", "1 where a fix has arrived since the last step, else 0"),
+            Port("fix", (3,), "m", f"position x, y, z in {{E}} that the base station measured {late}"),
+            Port("fix_fresh", (1,), "1", "1 if a fix has arrived since the last step, else 0"),
             Port(
                 "yaw",
                 (1,),
                 "rad",
-                "heading psi of {B} in {E}, counter-clockwise, as the IMU measures it now, any number of turns",
+                "heading psi of {B} in {E}, counter-clockwise, from the IMU; whole turns may be added",
             ),
-            Port("yaw_rate", (1,), "rad/s", "yaw rate r in {B}, as the IMU measures it now"),
+            Port("yaw_rate", (1,), "rad/s", "yaw rate r in {B}, from the IMU"),
         )
-    meaning = (
-        f"obstacles that move, as the base station saw them {equipment.station.messages.latency:g} s before, in {{E}}"
-    )
+    delay = equipment.station.messages.latency
+    meaning = f"moving obstacles in {{E}} that the base station measured {delay:g} s before"
     known = (
-        Port("contacts", (contacts, 6), "m, m/s, 1", f"{meaning}, one a row: x, y, radius, vx, vy, valid (0 or 1)"),
-        Port("contacts_fresh", (1,), "1", "1 where such a message has arrived since the last step, else 0"),
+        Port("contacts", (contacts, 6), "m, m/s, 1", f"{meaning}, one per row: x, y, radius, vx, vy, valid (0 or 1)"),
+        Port("contacts_fresh", (1,), "1", "1 if a message with contacts has arrived since the last step, else 0"),
     )
     return Layout((*pose, *(known if contacts else ()), *_sonar_ports(array), *((_COLUMN,) if depths else ())))
 
 
 def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
-    """What the senses tell the decision of a law that scans.
+    """Return the layout of the outputs of perception, which are the inputs of the decision of a law that scans.
 
     Args:
-        contacts: number of contacts, those of the base station and those of the map.
+        contacts: number of contacts from the base station and from the map together.
         sensors: number of sonars.
         depths: see `law_inputs`.
     """
     return Layout(
         (
             *_POSE,
-            Port("contacts", (contacts, 6), "m, m/s, 1", "what is around, one a row: x, y, radius, vx, vy, valid"),
+            Port("contacts", (contacts, 6), "m, m/s, 1", "contacts, one per row: x, y, radius, vx, vy, valid"),
             Port(
                 "unknown",
                 (SECTORS, 3),
@@ -144,43 +143,43 @@ def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
                 "sonars",
                 (sensors, 6),
                 "m, m, 1, s, 1",
-                "each sonar: range, bound, healthy (0 or 1), age, axis x and y in {E}",
+                "one sonar per row: range, range error bound, healthy (0 or 1), age, axis x and y in {E}",
             ),
-            Port("placed", (1,), "1", "1 while the robot knows where it is", 1.0),
+            Port("placed", (1,), "1", "1 while the robot knows its position", 1.0),
             *((_COLUMN,) if depths else ()),
         )
     )
 
 
 _MODEL = (
-    Port("mass", (4,), "kg, kg m^2", "diagonal of M as the controller believes it", 1.0),
-    Port("linear_drag", (4,), "N s/m, N m s", "Xu, Yv, Zw, Nr"),
-    Port("quadratic_drag", (4,), "N s^2/m^2, N m s^2", "Xuu, Yvv, Zww, Nrr"),
-    Port("thrust_limit", (4,), "N, N m", "largest thrust per axis, both signs", 1.0),
+    Port("mass", (4,), "kg, kg m^2", "diagonal of M in the controller's model", 1.0),
+    Port("linear_drag", (4,), "N s/m, N m s", "linear drag Xu, Yv, Zw, Nr"),
+    Port("quadratic_drag", (4,), "N s^2/m^2, N m s^2", "quadratic drag Xuu, Yvv, Zww, Nrr"),
+    Port("thrust_limit", (4,), "N, N m", "largest thrust on each axis, in both directions", 1.0),
     Port("hull", (1,), "m", "hull radius", 0.1),
     Port(
         "stopping",
         (6,),
         "kg, N, s, N s/m, N s^2/m^2",
-        "worst of the ranges: least and largest mass, largest thrust, thrust lag, largest linear and quadratic drag",
+        "worst case: least and largest mass, largest thrust, thrust lag, largest linear and quadratic drag",
         1.0,
     ),
     Port(
         "spin_limit",
         (1,),
         "rad/s",
-        "yaw rate that 85 % of the yaw thrust holds at the worst of the ranges; below 0: it turns to the right",
+        "yaw rate that 85 % of the yaw moment sustains in the worst case; negative: the robot turns to the right",
         0.1,
     ),
 )
 _MISSION = (
     Port("waypoints", (MAX_WAYPOINTS, 2), "m", "path in {E}; unused rows repeat the last point"),
-    Port("depth", (1,), "m", "wanted z in {E}, negative below the surface"),
-    Port("cruise", (1,), "m/s", "speed of the path's target", 0.1),
+    Port("depth", (1,), "m", "desired z in {E}, negative below the surface"),
+    Port("cruise", (1,), "m/s", "speed of the target point along the path", 0.1),
     Port("cap", (1,), "m/s", "largest commanded horizontal speed", 0.1),
     Port("walls", (4,), "m", "x_min, x_max, y_min, y_max of the site in {E}"),
-    Port("launch", (1,), "m", "water around the hull that whoever launched it knows to be free"),
-    Port("visit", (1,), "m", "measured distance to a corner of the path that counts as a visit; 0: it may be cut"),
+    Port("launch", (1,), "m", "width of the water around the hull that is known to be free at the start"),
+    Port("visit", (1,), "m", "distance to a corner of the path that counts as a visit; 0: corners may be cut"),
 )
 
 PARAMETERS = Layout(
@@ -189,10 +188,10 @@ PARAMETERS = Layout(
 
 
 def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:
-    """Side to which a law with sonars turns: +1 left, −1 right.
+    """Return the direction in which a law with sonars turns: +1 left, −1 right.
 
-    The one on which the site has more room beside the path's first leg: there the robot may have to pass what stands
-    in its way at the start, and there the beams' edges then pass first. Left where neither has.
+    It is the side on which the site is wider beside the first leg of the path, or left if both are equal. The robot may
+    have to pass an obstacle near the start on the wider side, and there the edges of the beams then scan first.
 
     Args:
         path: reference path in {E}.
@@ -216,18 +215,18 @@ def law_parameters(
     launch: float = 0.0,
     visit: float = 0.0,
 ) -> NDArray[np.float64]:
-    """The flat parameter vector: gains, the vehicle as the controller believes it, and the mission.
+    """Return the flat parameter vector: the gains, the controller's vehicle model and the mission.
 
     Args:
         gains: complete gain set.
-        vehicle: the model; a simulation may fly another one.
+        vehicle: the controller's model; the simulated vehicle may differ from it.
         path: reference path in {E}.
-        depth: z [m], negative below the surface.
-        cruise: U_d [m/s].
+        depth: desired z [m], negative below the surface.
+        cruise: desired speed U_d along the path [m/s].
         cap: largest commanded horizontal speed [m/s].
         walls: x_min, x_max, y_min, y_max [m].
-        launch: water around the hull that is known to be free at the start [m].
-        visit: measured distance to a corner that counts as a visit [m]; 0: corners may be cut.
+        launch: width of the water around the hull that is known to be free at the start [m].
+        visit: distance to a corner that counts as a visit [m]; 0: corners may be cut.
 
     Example:
         >>> from surctl.control import PARAMETERS, law_parameters, load_gains

@@ -1,4 +1,4 @@
-"""The wish: what the robot would do if nothing were in its way."""
+"""The desired motion: velocity and heading along the path without obstacles."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from surctl.guidance import (
 )
 from surctl.vehicle import planar_rotation
 
-_RETURNS = 0.5  # of the speed across the path that LOS asks for
-_SEPARATION = 3.0  # the position loop is this much slower than the velocity loop
+_RETURNS = 0.5  # share of the cross-track speed of LOS guidance, above which the robot counts as returning to the path
+_SEPARATION = 3.0  # ratio of the bandwidths of the velocity loop and the position loop
 
 __all__ = ["DesiredMotion", "learnt", "path_following"]
 
 
 @dataclass(frozen=True)
 class DesiredMotion:
-    """The undisturbed command, symbolic.
+    """The command without obstacles, in symbols.
 
     Attributes:
-        velocity: (2, 1) [m/s] in {E}.
-        heading: ψ_d [rad], the path's direction.
-        progress: next arc length of the path's target [m].
-        x_e, y_e: path errors of (8) [m].
+        velocity: desired velocity (2, 1) [m/s] in {E}.
+        heading: ψ_d [rad], the direction of the path.
+        progress: next arc length of the target point on the path [m].
+        x_e, y_e: along-track and cross-track error of (8) [m].
         along: commanded speed along the path [m/s].
-        tangent: (2, 1) of the path, in {E}.
-        arriving: 1 where the path's target stands, at its end or a corner to visit, and is closed in on.
+        tangent: (2, 1) unit tangent of the path in {E}.
+        arriving: 1 while the robot approaches a target point at rest, at the end of the path or a corner to visit.
     """
 
     velocity: ca.SX
@@ -62,16 +62,16 @@ def path_following(
     guidance: Guidance = "los",
     memory: ca.SX | None = None,
 ) -> DesiredMotion:
-    """Tracking law (8)–(12) on the path; at its end, and at each corner to visit, proportional approach to it.
+    """Return the desired motion: tracking law (8)–(12), and a proportional approach to the end and to corners to visit.
 
     Args:
         eta: (4, 1) measured pose in {E}.
-        progress: arc length of the path's target [m].
-        p: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`, the model and mission `waypoints`,
+        progress: arc length of the target point on the path [m].
+        p: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`; the model; mission `waypoints`,
             `visit`, `cruise`, `cap`.
         dt: control period [s].
         guidance: see `guidance.crosstrack`.
-        memory: what it has learnt, of all but `los`.
+        memory: disturbance estimate of guidance `ilos` or `alos`; None for `los`.
     """
     point, tangent, length = path_target(p["waypoints"], progress)
     x_e, y_e = path_error(eta[:2], point, tangent)
@@ -80,10 +80,10 @@ def path_following(
     )
     along = along_command(x_e, y_e + shift, speed=p["cruise"], k1=p["k1"], lookahead=p["lookahead"], maximum=p["cap"])
     following = tracking_velocity(along, y_e + shift, tangent, p["lookahead"])
-    # past the end U_d is 0 and (12) no longer stabilises y_e: close in on the point itself
+    # past the end, U_d is 0 and (12) no longer stabilises y_e, so the robot approaches the point itself
     offset = point - eta[:2]
     distance = ca.sqrt(ca.sumsqr(offset))
-    # a robot that is heavy for its thrusters would otherwise shoot past what it comes to from the side
+    # without this limit, a robot that is heavy for its thrusters would overshoot the point
     acceleration = (
         p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
     )
@@ -91,7 +91,7 @@ def path_following(
     fastest = ca.fmin(p["cruise"], fastest)
     closing = offset * ca.fmin(p["k_v"] / _SEPARATION, fastest / ca.fmax(distance, 1e-3))
     rate = progress_rate(x_e, speed=p["cruise"], wait=p["wait"])
-    # a corner that has to be visited is closed in on as the path's end is, and left once the robot was there
+    # the robot approaches a corner to visit like the end of the path, and leaves it after the visit
     visits, end = p["visit"] > 0, leg_end(p["waypoints"], progress)
     waits = ca.logic_and(visits, ca.logic_or(progress < end - AT_CORNER, distance > p["visit"]))
     arriving = ca.logic_or(progress >= length, ca.logic_and(waits, progress >= end - AT_CORNER))
@@ -113,18 +113,19 @@ def learnt(
     *,
     dt: float,
 ) -> ca.SX:
-    """What `ilos` or `alos` knows one period later.
+    """Return the disturbance estimate of guidance `ilos` or `alos` after one control period.
 
-    Nothing is learnt while the robot avoids, is behind the path's target, arrives, or already returns to the path at
-    half the speed that is asked for or more: that error is no push's, and would lead to overshoot.
+    The estimate does not change while the robot avoids a contact, is far behind the target point, arrives, or returns
+    to the path at half the commanded speed or more. In these cases no steady disturbance causes the cross-track error,
+    and learning from it would lead to overshoot.
 
     Args:
         guidance: `ilos` or `alos`.
-        wish: of this step.
+        desired: the desired motion of this step.
         memory: see `guidance.crosstrack`.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
-        avoiding: 1 while a contact changes the wish.
-        p: as `path_wish`.
+        avoiding: 1 while a contact changes the desired velocity.
+        p: see `path_following`.
         dt: control period [s].
     """
     over_ground = planar_rotation(eta[3]) @ nu[:2]

@@ -1,4 +1,4 @@
-"""Every law by name."""
+"""All control laws by name."""
 
 from __future__ import annotations
 
@@ -44,6 +44,6 @@ LAWS: Mapping[LawName, LawBuilder] = MappingProxyType(
         "cbf": cbf_law,
     }
 )
-"""Name → what decides."""
+"""The function that builds the decision of each law, by name."""
 
 LAW_NAMES: tuple[LawName, ...] = tuple(LAWS)

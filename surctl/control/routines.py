@@ -1,4 +1,4 @@
-"""The law as one routine: before the priority tick, the tick, after it; and the senses before all."""
+"""Combine the parts of a law into one routine: perception, `pre`, the priority solver, `post`."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def limited(
     fallback: Fallback = "exact",
     real: Real = "float64",
 ) -> Block:
-    """`pre`, the priority tick with the tolerances of these numbers, and `post`."""
+    """Return the routine of `pre`, the priority solver with the tolerances of the number type `real`, and `post`."""
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
-    # which rows hold task 1 back nobody asks for here
+    # the law does not report which rows limit task 1, so `named` is off
     step = priority_step(
         mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, fallback=fallback
     )
@@ -47,7 +47,7 @@ def limited(
 
 
 def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routine:
-    """What the senses tell, decided on; `state` is that of the decision alone."""
+    """Return the routine of perception followed by the decision; `state` is the layout of the decision's state."""
     whole = Layout((*state.ports, *perception.state.ports))
     x = ca.SX.sym("x", whole.size)
     own = state.size
@@ -68,10 +68,10 @@ def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routin
 
 
 def in_real(law: Law, real: Real) -> Law:
-    """The law whose priority tick has the tolerances of these numbers, and which has the polynomials for them.
+    """Return the law with the solver tolerances and the polynomials for the number type `real`.
 
-    With those of double a search in float never ends, for rounding alone is more than it allows. A law in closed form,
-    and one in mode lexicographic, whose tick has no others, come back as they are.
+    With the tolerances for double, a search in float would never end, because rounding errors alone exceed them. A law
+    in mode nsb or lexicographic is returned unchanged, because it has no such tolerances.
 
     Example:
         >>> import numpy as np
@@ -81,9 +81,9 @@ def in_real(law: Law, real: Real) -> Law:
         >>> from surctl.vehicle import load_vehicle
         >>> law = build_law("paper", mode="projected", contacts=1)
         >>> p = law_numbers(load_scenario("pool-behind"), load_gains("default"), load_vehicle("sur400"))
-        >>> tick = [v[None] for v in (law.initial_state(), law.inputs.pack({"eta": [1.2, 0.8, -0.15, 0.5]}), p)]
-        >>> for made, real in ((law, np.float64), (in_real(law, "float32"), np.float32)):
-        ...     tau = replay(made.block, *tick, real=real)[0]
+        >>> inputs = [v[None] for v in (law.initial_state(), law.inputs.pack({"eta": [1.2, 0.8, -0.15, 0.5]}), p)]
+        >>> for variant, real in ((law, np.float64), (in_real(law, "float32"), np.float32)):
+        ...     tau = replay(variant.block, *inputs, real=real)[0]
         ...     print(tau.dtype, [round(float(f), 2) for f in tau[0, [0, 1]]])
         float64 [5.0, 0.88]
         float32 [5.0, 0.88]

@@ -1,4 +1,4 @@
-"""How fast the guarded law lets itself come nearer, two barriers by name, and how it brakes when it is faster."""
+"""Bounds of the guarded law on its closing speed (two barriers by name), and braking when a bound is exceeded."""
 
 from __future__ import annotations
 
@@ -21,20 +21,23 @@ Movers = Literal["predict", "barrier"]
 MOVERS: tuple[Movers, ...] = get_args(Movers)
 
 BRAKE = 4.0
-"""Times the excess speed that is taken off the command: the velocity loop alone is too slow."""
+"""The command is reduced by this multiple of the excess speed, because the velocity loop alone brakes too slowly."""
 
 HARD = 0.02
-"""[m/s] over a bound, at which the whole thrust is for braking."""
+"""Excess over a speed bound [m/s] at which all thrust is used for braking."""
 
 Bounds: TypeAlias = Sequence[tuple[ca.SX, ca.SX]]
-"""(unit normal (2, 1) in {E}, largest speed along it [m/s])."""
+"""Speed bounds: pairs of a unit normal (2, 1) in {E} and the largest speed along it [m/s]."""
 
 Stop: TypeAlias = Callable[[ca.SX, ca.SX], ca.SX]
-"""(clearance less the margin [m], v_o·n of the contact, negative as it comes nearer [m/s]) → largest n·v [m/s]."""
+"""(clearance minus margin [m], v_o·n of the contact [m/s], negative if it approaches) → largest n·v [m/s]."""
 
 
 def _simple(p: Mapping[str, ca.SX], dt: float) -> Stop:
-    """s²/(2a) + s t, of a contact that stands; what approaches is given its way in the time t as further stand-off."""
+    """Return the bound from the braking distance s²/(2a) + s t to a contact at rest.
+
+    For an approaching contact, the distance that it travels in the reaction time t is subtracted from the clearance.
+    """
     least = p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1])
     deceleration, reaction = least / ca.fmax(p["mass"][0], p["mass"][1]), p["reaction"]
 
@@ -46,13 +49,13 @@ def _simple(p: Mapping[str, ca.SX], dt: float) -> Stop:
 
 
 def _inertia(p: Mapping[str, ca.SX], dt: float) -> Stop:
-    """The closed form of `guidance.braking`, at the worst of the vehicle's ranges."""
+    """Return the bound by the closed form of `guidance.braking`, for the worst case of the vehicle's ranges."""
     least = p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1])
     lightest, heaviest, most, lag, linear, quadratic = ca.vertsplit(p["stopping"])
     brakes = BrakeSymbols(lightest, heaviest, least, most, lag, linear, quadratic, ca.SX(dt))
 
     def stop(distance: ca.SX, closing: ca.SX) -> ca.SX:
-        # what goes away is followed: it is not assumed to stop at once
+        # the robot may follow a receding contact, which is not assumed to stop at once
         return closing_bound(brakes, distance, obstacle=ca.fmax(-closing, 0)) + ca.fmax(closing, 0)
 
     return stop
@@ -61,21 +64,21 @@ def _inertia(p: Mapping[str, ca.SX], dt: float) -> Stop:
 BARRIERS: Mapping[Barrier, Callable[[Mapping[str, ca.SX], float], Stop]] = MappingProxyType(
     {"simple": _simple, "inertia": _inertia}
 )
-"""Name → the bound, of the law's parameters and its period [s]."""
+"""For each barrier by name, a function from the law's parameters and control period [s] to its speed bound."""
 
 
 def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float = 1.0) -> ca.SX:
-    """More than the velocity loop alone would brake, where the robot is faster than a bound.
+    """Return a velocity command that brakes harder than the velocity loop alone, if the robot exceeds a speed bound.
 
-    Thrust is clipped axis by axis: what is asked for sideways at the same time takes from the force against the bound,
-    up to half of it and more. So the faster the robot is the less is asked for sideways than what it does already, and
-    of that no more than another bound allows.
+    Thrust is clipped on each axis separately, so a sideways command at the same time can halve the braking force. The
+    more the robot exceeds the bound, the closer the sideways command comes to the present sideways velocity, as far as
+    the other bounds allow it.
 
     Args:
-        velocity: wanted (2, 1) in {E} [m/s].
-        now: over ground (2, 1) in {E} [m/s].
-        bounds: on the speed.
-        calm: 0 where it must evade what moves: then it brakes, and asks for the rest all the same.
+        velocity: desired velocity (2, 1) in {E} [m/s].
+        now: velocity over ground (2, 1) in {E} [m/s].
+        bounds: bounds on the speed.
+        calm: 0 while the robot must evade a moving contact; then it brakes and keeps the sideways command.
     """
     excess, normal = _worst(now, bounds)
     straight = now + ca.dot(velocity - now, normal) * normal
@@ -85,7 +88,7 @@ def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float =
 
 
 def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:
-    """By how much a velocity exceeds a bound at most [m/s], and that bound's normal; 0 and the zero vector if none."""
+    """Return the largest excess of a velocity over a bound [m/s] and that bound's normal; zeros if there is none."""
 
     def further(excess: ca.SX, normal: ca.SX, row: ca.SX) -> list[ca.SX]:
         over = ca.dot(velocity, row[:2]) - row[2]

@@ -1,7 +1,7 @@
-"""A built law as bytes, so that no process assembles the same law twice.
+"""Store a built law as bytes, so that another process can load it instead of assembling it again.
 
-A line of JSON says what the law is and how long the texts of its blocks are; they follow. What is read is as it was
-written: the cache checks its digest, and each block its own.
+The first line is JSON: it describes the law and gives the length of the text of each block. The texts follow. The cache
+checks a digest of all bytes, and each block checks a digest of its own text, so a changed file is not loaded.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _STAGES = ("closed", "pre", "post")
 
 
 def law_bytes(law: Law) -> bytes:
-    """The law, for `law_from`."""
+    """Return the law as bytes that `law_from` can read."""
     blocks = [write_block(block) for block in (law.block, *(getattr(law.stages, name) for name in _STAGES))]
     head: dict[str, Any] = {word: getattr(law, word) for word in _WORDS}
     head |= {"state": _listed(law.state), "inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
@@ -34,7 +34,7 @@ def law_bytes(law: Law) -> bytes:
 
 
 def law_from(stored: bytes) -> Law:
-    """The law that `law_bytes` wrote; its stages are read when they are asked for."""
+    """Load a law from the bytes that `law_bytes` wrote; its stages are parsed when they are first used."""
     first, _, rest = stored.decode().partition("\n")
     head = json.loads(first)
     texts = []

@@ -1,8 +1,9 @@
-"""Velocity controller: drag fed forward at the wanted speed, proportional action, thrust limits, no cancellation.
+"""Velocity controller: drag feedforward at the desired velocity, proportional action, thrust limits.
 
-Coriolis and the true drag are not cancelled: a body that turns while it translates needs no force to keep its
-inertial velocity (cancelling m u r asks 9–14 N of 5 N), and the true drag damps. Equal gains in surge and sway make
-the loop provable. Ground velocity is fed back, so that a constant current leaves a small offset only.
+The controller does not cancel Coriolis forces or the true drag. A body that turns while it translates needs no force to
+keep its inertial velocity (cancelling m u r would need 9–14 N of the available 5 N), and the true drag adds damping.
+Equal gains in surge and sway make the loop provable. The feedback uses the velocity over ground, so a constant current
+causes only a small steady error.
 """
 
 from __future__ import annotations
@@ -25,22 +26,22 @@ def velocity_control(
     k_i: ca.SX,
     dt: float,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """τ = D(ν_d)ν_d + M (K (ν_d − ν) + ξ), limited, and the next integral ξ.
+    """Return the limited thrust τ = D(ν_d)ν_d + M (K (ν_d − ν) + ξ), the next integral ξ, and whether τ is saturated.
 
     Args:
-        wanted: ν_d (4, 1) [m/s, rad/s] in {B}.
-        nu: measured ground velocity (4, 1) in {B}.
+        nu_reference: ν_d (4, 1) [m/s, rad/s] in {B}.
+        nu: measured velocity over ground (4, 1) in {B}.
         integral: ξ (4, 1) [m/s², rad/s²].
-        model: mass, linear_drag, quadratic_drag, thrust_limit, each (4, 1), as the controller believes them.
-        k_v: bandwidth of surge, sway and heave [1/s].
-        k_r: bandwidth of yaw [1/s].
-        k_i: integral gain [1/s²]; the integral stands still while its axis saturates (conditional anti-windup).
+        model: mass, linear_drag, quadratic_drag, thrust_limit, each (4, 1), in the controller's model.
+        k_v: bandwidth in surge, sway and heave [1/s].
+        k_r: bandwidth in yaw [1/s].
+        k_i: integral gain [1/s²]; the integral does not change while its axis is saturated (conditional anti-windup).
         dt: control period [s].
 
     Returns:
-        thrust (4, 1) [N, N m] within the limits, next integral (4, 1), saturated flag (0 or 1). Each axis is
-        limited by itself: shortening the horizontal force as a vector took most of the braking force away whenever
-        a large sideways command came with it.
+        thrust (4, 1) [N, N m] within the limits, next integral (4, 1), saturated flag (0 or 1). Each axis is limited
+        separately: if the horizontal force were scaled as a vector, a large sideways command would remove most of the
+        braking force.
     """
     error = nu_reference - nu
     gain = ca.vertcat(k_v, k_v, k_v, k_r)

@@ -1,4 +1,4 @@
-"""What is in the way, as tables that loops run over: sectors of courses, and cones of what moves."""
+"""The contacts around the robot as tables for loops: sectors of blocked courses, and cones of moving contacts."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from surctl.ir import each, fold, tabulated
 __all__ = ["TOLERANCE", "Around", "Sector", "edge", "turned"]
 
 TOLERANCE = 1e-3
-"""[m/s] by which a course may miss a bound and still count as free."""
+"""Violation of a bound [m/s] up to which a course still counts as free."""
 
-_AWAITED = 12.0  # [s] within which what moves comes near if it is to be waited for
+_AWAITED = 12.0  # [s] time in which a moving contact must come near, for the robot to wait for it
 
 
 class Sector(NamedTuple):
-    """Courses that one contact blocks: those with n·v > bound.
+    """The courses that one contact blocks: all velocities with n·v > bound.
 
     Attributes:
-        normal: (2, 1) unit vector robot → contact in {E}.
-        bound: largest n·v [m/s]; negative asks for a retreat.
-        point: (2, 1) [m] in {E}, where the contact is; it tells encounters apart.
+        normal: (2, 1) unit vector n, robot → contact, in {E}.
+        bound: largest allowed n·v [m/s]; a negative bound requires a retreat.
+        point: (2, 1) [m] in {E}, position of the contact; it distinguishes encounters.
     """
 
     normal: ca.SX
@@ -36,14 +36,16 @@ class Sector(NamedTuple):
 
     @staticmethod
     def of(row: ca.SX) -> Sector:
-        """The sector in a row of a table of sectors."""
+        """Return the sector in one row of a table of sectors."""
         return Sector(row[:2], row[2], row[3:5])
 
 
 @dataclass(frozen=True)
 class Around:
-    """Everything in the way as tables: sectors (n, 5), cones (m, 17); and what it costs to pass a cone's contact on
-    the left, on the right, and whether it crosses (m, 3)."""
+    """All contacts as tables: sectors (n, 5), cones (m, 17) and sides (m, 3).
+
+    A row of `sides` has the costs of passing a cone's contact on the left and on the right, and 1 if it crosses.
+    """
 
     sectors: ca.SX
     cones: ca.SX
@@ -51,13 +53,13 @@ class Around:
 
     @staticmethod
     def of(sectors: Sequence[Sector], cones: Sequence[Cone]) -> Around:
-        """The tables of what stands and what moves."""
+        """Return the tables of the given sectors and cones, without `sides`."""
         return Around(tabulated(sectors, 5), tabulated(cones, 17))
 
     def with_sides(
         self, desired: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
     ) -> Around:
-        """The same with the table of sides."""
+        """Return a copy with the table `sides`."""
 
         def sides(row: ca.SX) -> tuple[ca.SX]:
             cone = Cone.of(row)
@@ -69,7 +71,7 @@ class Around:
         return replace(self, sides=each("sides", sides, self.cones)[0]) if self.cones.shape[0] else self
 
     def excess(self, velocity: ca.SX) -> ca.SX:
-        """By how much a velocity (2, 1) misses the worst bound [m/s]; negative when it keeps them all."""
+        """Return the largest violation of a bound by a velocity (2, 1) [m/s]; negative if it satisfies all bounds."""
 
         def missed(worst: ca.SX, row: ca.SX) -> ca.SX:
             return ca.fmax(worst, ca.dot(velocity, row[:2]) - row[2])
@@ -78,7 +80,7 @@ class Around:
         return fold("depth", lambda worst, row: ca.fmax(worst, inside(velocity, Cone.of(row))), worst, self.cones)
 
     def free_speed(self, course: ca.SX, speed: ca.SX) -> ca.SX:
-        """Largest speed up to `speed` on this course that no non-negative bound forbids."""
+        """Return the largest speed up to `speed` [m/s] on a course within all bounds; negative bounds count as 0."""
 
         def limited(free: ca.SX, row: ca.SX) -> ca.SX:
             along = ca.dot(course, row[:2])
@@ -88,7 +90,7 @@ class Around:
         return fold("free_speed", limited, speed, self.sectors)
 
     def passing(self, velocity: ca.SX, cost: ca.SX) -> ca.SX:
-        """A cost, and that of the sides on which a velocity passes what moves."""
+        """Return the cost plus the costs of the sides on which a velocity passes the moving contacts."""
 
         def passed(cost: ca.SX, row: ca.SX, sides: ca.SX) -> ca.SX:
             return cost + ca.if_else(passes_left(velocity, Cone.of(row)), sides[0], sides[1])
@@ -96,7 +98,7 @@ class Around:
         return cost if self.sides is None else fold("passing", passed, cost, self.cones, self.sides)
 
     def waits(self) -> ca.SX:
-        """Whether what moves comes nearer, and goes by itself: waiting comes to an end."""
+        """Return whether a moving contact approaches soon, so that it is worth waiting until it has passed."""
 
         def soon(any_other: ca.SX, row: ca.SX) -> ca.SX:
             cone = Cone.of(row)
@@ -105,11 +107,11 @@ class Around:
         return fold("waits", soon, ca.SX(0), self.cones)
 
     def any_there(self) -> ca.SX:
-        """Whether anything moves."""
+        """Return whether any contact moves."""
         return fold("there", lambda other, row: ca.logic_or(other, Cone.of(row).there), ca.SX(0), self.cones)
 
     def worst_blocker(self, course: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Where what blocks a course most is, and whether it is a cone whose contact crosses."""
+        """Return the position of the contact that blocks a course most, and whether it is a crossing moving contact."""
 
         def by_sector(worst: ca.SX, where: ca.SX, row: ca.SX) -> list[ca.SX]:
             violation = speed * ca.dot(course, row[:2]) - row[2]
@@ -129,11 +131,11 @@ class Around:
 
 
 def edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: ca.SX) -> ca.SX:
-    """Unit course n turned by ± arccos(bound/speed), left for +1."""
+    """Return the unit vector n turned by ± arccos(bound/speed); a sign of +1 turns it to the left."""
     cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
     return turned(n, cosine, sign * ca.sqrt(1 - cosine * cosine))
 
 
 def turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
-    """A vector (2, 1) turned to the left by the angle of this cosine and sine."""
+    """Return a vector (2, 1) turned to the left by the angle with this cosine and sine."""
     return ca.vertcat(n[0] * cosine - n[1] * sine, n[1] * cosine + n[0] * sine)

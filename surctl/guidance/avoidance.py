@@ -1,7 +1,7 @@
-"""Avoidance law (17)–(20) in three forms, and its extension to many contacts with the braking distance.
+"""Avoidance law (17)–(20) in three forms, and the allowed closing speed from the braking distance.
 
-φ is the bearing from the robot to the obstacle, counter-clockwise (E1); λ2 = +1 passes with the obstacle on
-the right, −1 on the left (E10).
+φ is the bearing from the robot to the obstacle, counter-clockwise (E1). With λ2 = +1 the robot passes with the obstacle
+on its right, with λ2 = −1 on its left (E10).
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ def avoidance_course(
     kappa: ca.SX,
     standoff: ca.SX,
 ) -> ca.SX:
-    """ψ_dm [rad], the commanded course, counter-clockwise.
+    """Return the commanded course ψ_dm [rad], counter-clockwise.
 
     Args:
-        form: `printed`: (20) as it stands, with the clockwise angle of (17) and (22) put into (2);
+        form: `printed`: (20) as printed, with the clockwise angle of (17) and (22) inserted into (2);
             `consistent`: (20) with every angle counter-clockwise (E1) and λ2 by E10;
             `corrected`: ψ_dm = φ + λ2 arccos(sat[(v_o·n + κ(l − R_OB − d_s))/u]), so that
-            l̇ = −κ(l − R_OB − d_s): the clearance is a barrier, the obstacle's velocity is in it.
+            l̇ = −κ(l − R_OB − d_s): the clearance is a barrier function that includes the obstacle's velocity.
         phi: bearing robot → obstacle [rad], counter-clockwise.
         clearance: l_dm = l − R_OB [m].
-        radius: R_OB, anti-collision radius [m].
-        side: λ2, +1 or −1; `printed` takes its own from the sign of the angle.
-        delta: δ of (20) [m].
+        radius: anti-collision radius R_OB [m].
+        side: λ2, +1 or −1; `printed` ignores it and uses the sign of the angle.
+        delta: offset δ of (20) [m].
         k3: convergence coefficient of (20).
-        speed: u_dm > 0 [m/s].
+        speed: avoidance speed u_dm > 0 [m/s].
         closing: v_o·n, the obstacle's velocity along n (robot → obstacle) [m/s]; only `corrected` uses it.
-        kappa: κ [1/s].
-        standoff: d_s ≥ 0 [m].
+        kappa: gain κ [1/s].
+        standoff: stand-off distance d_s ≥ 0 [m].
 
     Example:
         >>> import casadi as ca
@@ -81,17 +81,17 @@ def avoidance_course(
 
 
 def printed_side(phi: ca.SX) -> ca.SX:
-    """λ2 as printed below (20): +1 for an angle in [0°, 180°], −1 in [−180°, 0°]; the angle is clockwise (E1)."""
+    """Return λ2 as printed below (20): +1 for a clockwise angle (E1) in [0°, 180°], −1 for one in [−180°, 0°]."""
     return ca.if_else(ca.sin(-phi) >= 0, 1, -1)
 
 
 def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float = 0.02) -> ca.SX:
-    """λ2 by E10: +1 when the velocity relative to the obstacle points left of the bearing, −1 when right.
+    """Return λ2 by E10: +1 if the velocity relative to the obstacle points left of the bearing, −1 if right.
 
     Args:
-        relative_velocity: robot minus obstacle (2, 1) in {E} [m/s].
+        relative_velocity: velocity of the robot minus that of the obstacle (2, 1) in {E} [m/s].
         normal: unit vector robot → obstacle (2, 1) in {E}.
-        deadband: cross component [m/s] below which the encounter is head-on, and the side +1.
+        deadband: crosswise velocity [m/s] below which the encounter counts as head-on and the side is +1.
 
     Example:
         >>> import casadi as ca
@@ -105,20 +105,20 @@ def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float =
 
 
 def clearance_rate(course: ca.SX, phi: ca.SX, *, speed: ca.SX, closing: ca.SX) -> ca.SX:
-    """l̇ [m/s] for a robot that flies `speed` on `course`: v_o·n − u cos(ψ_dm − φ), cf. (23)."""
+    """Return the rate l̇ = v_o·n − u cos(ψ_dm − φ) [m/s] of the clearance at a speed u on a course ψ_dm, cf. (23)."""
     return closing - speed * ca.cos(course - phi)
 
 
 def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX, reaction: ca.SX) -> ca.SX:
-    """Largest closing speed [m/s] from which the robot still stops within `distance` [m].
+    """Return the largest closing speed [m/s] from which the robot still stops within `distance` d [m].
 
-    The inverse of s ↦ s²/(2a) + s t: −a t + √((a t)² + 2 a d) for d ≥ 0, continued with its slope 1/t below 0, so
-    that an intrusion asks for a retreat.
+    It is the inverse of the braking distance s²/(2a) + s t of a speed s: −a t + √((a t)² + 2 a d) for d ≥ 0. For d < 0
+    it continues with the slope 1/t, so a robot inside the stand-off distance must retreat.
 
     Args:
-        distance: clearance less the stand-off [m], any sign.
-        deceleration: a > 0 [m/s²], what the thrust gives at the heaviest.
-        reaction: t > 0 [s], thrust lag, control period and velocity loop together.
+        distance: clearance minus stand-off distance [m], of any sign.
+        deceleration: a > 0 [m/s²], at the thrust for braking and the largest mass.
+        reaction: t > 0 [s], sum of thrust lag, control period and delay of the velocity loop.
 
     Example:
         >>> import casadi as ca

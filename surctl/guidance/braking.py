@@ -1,38 +1,44 @@
-"""The barrier with inertia: how near an obstacle may be before a vehicle with thrust lag must brake.
+"""The barrier with inertia: at which distance from an obstacle a vehicle with thrust lag must start to brake.
 
-Along the latched direction n (robot → obstacle), m11 = m22 = m turn Coriolis forces into none, and
-m v̇ = F + f − D(v − c), Ḟ = (u − F)/τ: v own speed, F thrust, u ≤ −F_b while it brakes, D drag, c current, f whatever
-else pushes. With v_o the most that the obstacle comes on, s = v + v_o, and z = s + τ max(F + F_b, 0)/m:
+Consider the motion along the latched direction n (robot → obstacle). For m11 = m22 = m no Coriolis force acts along n:
+m v̇ = F + f − D(v − c), Ḟ = (u − F)/τ. Here v is the speed of the robot, F the thrust, u ≤ −F_b the thrust command
+while it brakes, D the drag, c the current, and f any other force. Let v_o be the largest speed of the obstacle towards
+the robot, s = v + v_o, and z = s + τ max(F + F_b, 0)/m.
 
-1. z ≥ s and ż ≤ −(F_b − f + D(v − c))/m ≤ −F'/m while s ≥ 0, with F' = F_b − f − D(v_o + c), the largest drag, as D is
-   odd and rising. (Where the brake gives more than F_b, F < −F_b: there z is s, and the same holds.)
-2. S = m z²/(2F') then has Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance l̇ ≥ −s: l − S does not fall. While s < 0 it
-   grows, as F falls, if s = 0 is put in S. So braking keeps l ≥ S ≥ 0. This is `stopping_distance`:
-   m s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m), convex in m, so that the two ends of the mass range are the
-   worst; it rises with s and F. (Nor need s = 0 be put in: for s = −r < 0 < z, drag of the retreat pushes with
-   D(v_o + c + r), and l − S does not fall as long as z (D(v_o + c + r) + f − F_b) ≤ r F'; where z ≤ 0, S is 0. A
-   shorter lag changes nothing: then z falls faster.)
-3. Drag helps: B with B'(z) = max over v ≤ z of m(v + v_o)/(F_b − f + D(v − c)) (least drag ahead, largest astern) keeps
-   l ≥ B just so: Ḃ ≤ −(v + v_o). B = m G(v_0 + τ(F + F_b)/m), G convex: a perspective, convex in m. This is
-   `stopping_way`, by an upper sum; 1.1 to 2.2 times less than S.
-4. Sampling: what is measured is `age` old and ε wrong, v is e_v wrong, and for a period T any thrust may act. If
-   d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), V the largest own speed since the echo and
-   a⁺ = (F⁺ + f + D(v_o + c))/m_min, then l ≥ S at the next decision too. Else full brake along n, until the test
-   passes again; l ≥ S all the while, by 2. So it never hits what it has once been far enough from.
-5. Distance to a convex body is convex in the position: what is true along the n of the last decision that did not
-   brake is true of the clearance.
-6. A law that brakes as soon as v exceeds its own bound b(d) by x(b), what its velocity loop needs to ask for F_b, keeps
-   l ≥ S (or B) as well, if wherever it does not, d − ε is at least the range of step 4 at v = b + x, down to d = 0.
+1. Then z ≥ s. While s ≥ 0, ż ≤ −(F_b − f + D(v − c))/m ≤ −F'/m with F' = F_b − f − D(v_o + c) for the largest drag,
+   because D is odd and increasing. (If the brake gives more than F_b, then F < −F_b and z = s, and the same holds.)
+2. S = m z²/(2F') satisfies Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance satisfies l̇ ≥ −s, so l − S does not decrease.
+   While s < 0, l increases, and S, evaluated at s = 0, decreases with F. So braking keeps l ≥ S ≥ 0.
+   `stopping_distance` is S = m s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m). S is convex in m, so an end of the
+   mass range is the worst case; it increases with s and F. (S may also be evaluated at s = −r < 0 < z: the drag of the
+   retreat then acts towards the obstacle with D(v_o + c + r), and l − S does not decrease as long as
+   z (D(v_o + c + r) + f − F_b) ≤ r F'. For z ≤ 0, S is 0. With a shorter lag z decreases faster, so all this holds.)
+3. Drag shortens the distance: B with B'(z) = max over v ≤ z of m(v + v_o)/(F_b − f + D(v − c)), with the least drag
+   ahead and the largest astern, satisfies Ḃ ≤ −(v + v_o), so braking also keeps l ≥ B. B = m G(v_0 + τ(F + F_b)/m)
+   with a convex G is a perspective function, so it is convex in m. `stopping_distance_with_drag` computes B by an upper
+   sum; S is 1.1 to 2.2 times B.
+4. Sampling: the measured range d is `age` old and wrong by up to ε, v is wrong by up to e_v, and during a period T any
+   thrust may act. Let V be the largest speed of the robot since the echo, and a⁺ = (F⁺ + f + D(v_o + c))/m_min. If
+   d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), then l ≥ S at the next decision too.
+   Otherwise the robot brakes fully along n until this test passes again, and step 2 keeps l ≥ S meanwhile. So the robot
+   never hits an obstacle for which the test has passed once.
+5. The distance to a convex body is a convex function of the position. So a bound along the direction n of the last
+   decision without braking is also a bound on the clearance.
+6. A law may use its own bound b(d) and brake as soon as v exceeds b by x(b), the excess at which its velocity loop
+   commands F_b. It keeps l ≥ S (or B) if, wherever it does not brake, d − ε is at least the range of step 4 at
+   v = b + x, down to d = 0.
 
-Assumed: one obstacle at a time (braking before one does not lead into another), |v_o| bounded for ever, m11 = m22.
-Sideways speed w at the start of braking adds `sideways_force`, since drag by axis is not along the velocity; ahead, at
-a, it helps with (X a + X2 a²/√2) less that force at least, whatever the heading. Along the velocity, drag is pushed up
-by X2 w min(v_o + c, w/2) at most. A hull that turns at r rad/s while it brakes, nothing being
-asked across, turns what the lag still delivers: z = s + (τ max(F + F_b, 0) + rτ²|F_across|)/m obeys step 1 with (rτ)²F
-as further push. Each axis is limited by itself: on a diagonal, the largest thrust is √2 that of one axis.
+Assumptions: one obstacle at a time (braking for one does not lead into another), |v_o| always bounded, m11 = m22.
+A sideways speed w at the start of braking adds `sideways_force`, because drag acts on each axis separately and not
+along the velocity. At a speed a ahead, drag helps at any heading with at least (X a + X2 a²/√2) minus that force. For
+drag along the velocity, the sideways speed adds at most X2 w min(v_o + c, w/2). If the hull turns at r rad/s while it
+brakes without a sideways command, the lagging thrust turns with it: z = s + (τ max(F + F_b, 0) + rτ²|F_across|)/m
+satisfies step 1 with the additional force (rτ)²F. Each axis is limited separately, so the largest thrust on a diagonal
+is √2 times that of one axis.
 
-The steps are claims of `surctl verify` (`braking-keeps`, `-retreat`, `-mass`); step 3 as a table that is checked cell
-by cell, steps 4 to 6 for a vehicle, a watch and a law are certificates (`surctl.verification.braking`).
+`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. A table that
+is checked cell by cell proves step 3. Certificates (`surctl.verification.braking`) prove steps 4 to 6 for one vehicle,
+one `Watch` and one law.
 """
 
 from __future__ import annotations
@@ -65,27 +71,27 @@ __all__ = [
 ]
 
 LEAST_THRUST = 0.85
-"""Share of the stated thrust that is counted on."""
+"""Share of the stated thrust that braking may assume."""
 
-_SUMMANDS = 4000  # of the upper sum: less than 0.2 % too long
+_SUMMANDS = 4000  # terms of the upper sum, which is then less than 0.2 % too long
 
 
 @dataclass(frozen=True)
 class Brakes:
-    """What is counted on to stop a vehicle, surge and sway alike.
+    """The worst-case braking data of a vehicle, the same for surge and sway.
 
     Attributes:
-        masses: least and largest [kg], > 0.
-        least: F_b > 0, thrust against the motion that is surely there [N].
-        most: F⁺, thrust that may still push when braking begins [N].
-        lag: τ ≥ 0 of the thrust [s].
+        masses: least and largest mass [kg], > 0.
+        least: F_b > 0, guaranteed thrust against the motion [N].
+        most: F⁺, largest thrust towards the obstacle when braking begins [N].
+        lag: time constant τ ≥ 0 of the thrust [s].
         linear: least and largest linear drag [N s/m].
         quadratic: least and largest quadratic drag [N s²/m²].
-        push: f ≥ 0, other force towards the obstacle [N].
-        current: c ≥ 0, of the water towards the obstacle [m/s].
+        disturbance: f ≥ 0, other force towards the obstacle [N].
+        current: c ≥ 0, speed of the water towards the obstacle [m/s].
 
     Raises:
-        InputError: a number out of these bounds.
+        InputError: a number violates these bounds.
     """
 
     masses: tuple[float, float]
@@ -103,7 +109,8 @@ class Brakes:
             low, high = getattr(self, name)
             positive = low > 0 if name == "masses" else low >= 0
             if not (positive and low <= high and isfinite(high)):
-                raise InputError("is not a range", key=name, value=(low, high), remedy="least first, none negative")
+                remedy = "give the least value first, and no negative value"
+                raise InputError("is not a range", key=name, value=(low, high), remedy=remedy)
         for name, strict in (
             ("least", True),
             ("most", True),
@@ -117,30 +124,30 @@ class Brakes:
                 raise InputError(bound, key=name, value=value, remedy="correct the number")
 
     def largest_drag(self, speed: float) -> float:
-        """D(v) ≥ 0 at the largest coefficients [N]."""
+        """Return the drag D(v) ≥ 0 [N] for the largest coefficients."""
         return self.linear[1] * speed + self.quadratic[1] * speed**2
 
     def left(self, obstacle: float) -> float:
-        """F' [N]: of the braking force, before an obstacle that comes on at v_o [m/s]; may be negative."""
+        """Return F' [N], the net braking force for an obstacle that approaches at v_o [m/s]; it may be negative."""
         return self.least - self.disturbance - self.largest_drag(obstacle + self.current)
 
     def acceleration(self, obstacle: float) -> float:
-        """a⁺ [m/s²], the most by which it may gain on the obstacle."""
+        """Return a⁺ [m/s²], the largest acceleration towards the obstacle."""
         return (self.most + self.disturbance + self.largest_drag(obstacle + self.current)) / self.masses[0]
 
 
 @dataclass(frozen=True)
 class Watch:
-    """What the decision knows, and how late.
+    """Delay and accuracy of the measurements for a decision.
 
     Attributes:
-        period: T > 0 between two decisions [s].
-        age: ≥ 0 of a range when it is used [s].
-        range_error: ε ≥ 0 [m].
-        speed_error: e_v ≥ 0 [m/s].
+        period: T > 0, time between two decisions [s].
+        age: age of a range when it is used [s], ≥ 0.
+        range_error: ε ≥ 0, largest error of a range [m].
+        speed_error: e_v ≥ 0, largest error of the robot's speed [m/s].
 
     Raises:
-        InputError: a number out of these bounds.
+        InputError: a number violates these bounds.
     """
 
     period: float = 0.05
@@ -153,7 +160,8 @@ class Watch:
         for name in ("period", "age", "range_error", "speed_error"):
             value = getattr(self, name)
             if not isfinite(value) or value < 0 or (name == "period" and value == 0):
-                raise InputError("is out of its bounds", key=name, value=value, remedy="none negative, period above 0")
+                remedy = "give no negative value, and a period above 0"
+                raise InputError("is out of its bounds", key=name, value=value, remedy=remedy)
 
 
 def brakes_of(
@@ -164,14 +172,14 @@ def brakes_of(
     disturbance: float = 0.0,
     current: float = 0.0,
 ) -> Brakes:
-    """A vehicle at the worst of its ranges.
+    """Return the braking data of a vehicle in the worst case of its parameter ranges.
 
     Args:
-        vehicle: whose numbers count.
-        share: of the stated thrust that is surely there, in (0, 1].
-        spread: mass and drag are off by this share, and the thrust is at most the stated one; None takes the ranges
-            of the vehicle's file, in which a number without a range is exact.
-        push, current: see `Brakes`.
+        vehicle: the vehicle.
+        share: guaranteed share of the stated thrust, in (0, 1].
+        spread: relative error of mass and drag, with the stated thrust as largest thrust. None uses the ranges in the
+            vehicle's file, where a number without a range is exact.
+        disturbance, current: see `Brakes`.
     """
     if not 0 < share <= 1:
         raise InputError("must be in (0, 1]", key="share", value=share, remedy="give a share of the thrust")
@@ -204,13 +212,15 @@ def _ends(vehicle: Vehicle, name: str, spread: float | None) -> tuple[float, flo
 
 
 def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None) -> float:
-    """S [m], closed form, without the help of drag; inf when the obstacle is too fast to be braked for.
+    """Return the stopping distance S [m] in closed form, without the help of drag.
+
+    S is infinite if the obstacle is so fast that braking cannot prevent a collision.
 
     Args:
-        brakes: what stops.
-        speed: v, own, towards the obstacle [m/s].
-        obstacle: v_o ≥ 0 [m/s].
-        thrust: F, what pushes now [N]; default the most.
+        brakes: braking data of the vehicle.
+        speed: speed v of the robot towards the obstacle [m/s].
+        obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
+        thrust: present thrust F [N]; default: the largest.
     """
     left = brakes.left(obstacle)
     if left <= 0:
@@ -222,7 +232,7 @@ def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, th
 def stopping_distance_with_drag(
     brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None
 ) -> float:
-    """B [m], with the least help of drag, at most S; see `stopping_distance`."""
+    """Return the stopping distance B ≤ S [m] with the least help of drag; see `stopping_distance`."""
     if brakes.left(obstacle) <= 0:
         return inf
     own, swing = max(speed, -obstacle), _swing(brakes, thrust)
@@ -230,18 +240,20 @@ def stopping_distance_with_drag(
 
 
 def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float = 0.0) -> Callable[..., float]:
-    """`stopping_way` for many speeds before one obstacle, from a table; up to 1 % longer, never shorter.
+    """Return `stopping_distance_with_drag` as a function of the speed, from a table for one obstacle speed.
+
+    The tabulated distance is up to 1 % longer and never shorter.
 
     Args:
-        brakes: what stops, with the most thrust still pushing.
-        fastest: largest own speed that will be asked for [m/s].
-        obstacle: v_o ≥ 0 [m/s].
+        brakes: braking data of the vehicle; the present thrust is the largest.
+        fastest: largest speed of the robot in the table [m/s].
+        obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
     """
     swing, left = _swing(brakes, None), brakes.left(obstacle)
     tables = []
     for mass in brakes.masses if left > 0 else ():
         above = _above(brakes, mass, fastest + swing / mass, obstacle)
-        # B is convex, so that between two places of an upper sum the chord lies above it
+        # B is convex, so linear interpolation between the upper sums is an upper bound too
         tables.append((mass, above, np.concatenate([[0.0], np.cumsum(above.step * above.integrand)])))
 
     def interpolated(brakes: Brakes, speed: float, *, obstacle: float, thrust: float | None = None) -> float:
@@ -255,12 +267,12 @@ def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float 
 
 
 def _swing(brakes: Brakes, thrust: float | None) -> float:
-    """τ(F + F_b) [N s], what the lag leaves of the thrust that pushes."""
+    """Return τ(F + F_b) [N s], the impulse that the lag still delivers after the command to brake."""
     return brakes.lag * max((brakes.most if thrust is None else thrust) + brakes.least, 0.0)
 
 
 class _Above(NamedTuple):
-    """B' at most over each step, and where the steps end, the first place 0."""
+    """An upper bound of B' over each step, and the ends of the steps, starting with 0."""
 
     step: float
     places: NDArray[np.float64]
@@ -293,15 +305,15 @@ def range_needed(
     fastest: float | None = None,
     stopping: Callable[..., float] = stopping_distance,
 ) -> float:
-    """Range [m] that must be read for another period without braking to be safe (step 4 above).
+    """Return the smallest measured range [m] for which another period without braking is safe (step 4 above).
 
     Args:
         brakes, obstacle: see `stopping_distance`.
-        watch: what is known.
-        speed: v as measured [m/s].
-        thrust: F⁺ at the end of the period [N]; default the most.
-        fastest: V, the largest own speed since the echo as measured [m/s]; default `speed`.
-        way: `stopping_distance` or `stopping_way`.
+        watch: delay and accuracy of the measurements.
+        speed: measured speed v of the robot [m/s].
+        thrust: thrust F⁺ at the end of the period [N]; default: the largest.
+        fastest: V, largest measured speed of the robot since the echo [m/s]; default: `speed`.
+        stopping: `stopping_distance` or `stopping_distance_with_drag`.
     """
     v, period, gain = speed + watch.speed_error, watch.period, brakes.acceleration(obstacle)
     before = (v if fastest is None else fastest + watch.speed_error) + obstacle
@@ -319,16 +331,18 @@ def admissible(
     thrust: float | None = None,
     fastest: float | None = None,
 ) -> float:
-    """h [m] ≥ 0 where another period without braking is safe at a range that is `measured`; −inf if never."""
+    """Return `measured` minus `range_needed` [m]: another period without braking is safe if it is at least 0.
+
+    It is −inf if the obstacle is too fast for braking.
+    """
     return measured - range_needed(brakes, watch, speed, obstacle=obstacle, thrust=thrust, fastest=fastest)
 
 
 def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: float = 0.0) -> float:
-    """Largest own speed [m/s] for which `admissible` holds, V the same speed.
+    """Return the largest speed of the robot [m/s] for which `admissible` is at least 0, with V equal to this speed.
 
-    Too near even for standing still relative to the obstacle, it goes on with its slope there: it asks for a retreat.
-
-    −inf where the obstacle is too fast to be braked for.
+    If the robot is too near even at rest relative to the obstacle, the bound continues with its slope at this point, so
+    the robot must retreat. It is −inf if the obstacle is too fast for braking.
     """
     left = brakes.left(obstacle)
     if left <= 0:
@@ -345,7 +359,10 @@ def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: fl
 
 
 def fastest_obstacle(brakes: Brakes) -> float:
-    """Speed [m/s] of an obstacle up to which braking guarantees anything: D(v_o + c) = F_b − f, the largest drag."""
+    """Return the largest obstacle speed v_o [m/s] for which braking gives a guarantee.
+
+    It solves D(v_o + c) = F_b − f for the largest drag.
+    """
     force, linear, quadratic = brakes.least - brakes.disturbance, brakes.linear[1], brakes.quadratic[1]
     if force <= 0:
         return 0.0
@@ -355,10 +372,11 @@ def fastest_obstacle(brakes: Brakes) -> float:
 
 
 def sideways_force(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) -> float:
-    """Most [N] that drag by axis pushes towards an obstacle beyond D(v_o), at a sideways speed w [m/s], any heading.
+    """Return the largest additional drag force towards an obstacle [N] at a sideways speed w [m/s], for any heading.
 
-    Drag along −n of the velocity −v_o n + w t, n at any angle to the axes, each coefficient anywhere in its range
-    [low, high], is at most (high v_o + (high − low) w/2) + high v_o² + √2 high v_o w + (2 high − low) w²/(3√3).
+    It is the excess over D(v_o), because drag acts on each axis separately. For the velocity −v_o n + w t, any angle
+    between n and the axes, and coefficients in their ranges [low, high], the drag along n is at most
+    (high v_o + (high − low) w/2) + high v_o² + √2 high v_o w + (2 high − low) w²/(3√3).
     """
     (low, high), (low2, high2) = brakes.linear, brakes.quadratic
     square = (2 * high2 - low2) * sideways**2 / (3 * sqrt(3))
@@ -366,5 +384,5 @@ def sideways_force(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) ->
 
 
 def beside(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) -> Brakes:
-    """The same with `sideways_force` as further push."""
+    """Return the braking data with `sideways_force` added to the disturbance."""
     return replace(brakes, disturbance=brakes.disturbance + sideways_force(brakes, sideways, obstacle=obstacle))

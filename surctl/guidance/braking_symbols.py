@@ -1,4 +1,4 @@
-"""The closed-form barrier in symbols, as `braking` has it in numbers."""
+"""The closed-form barrier of `braking` as CasADi expressions."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import casadi as ca
 
 __all__ = ["BrakeSymbols", "closing_bound", "range_symbol", "stopping_symbol"]
 
-_LEAST_LEFT = 0.02  # share of F_b that counts as left before what is too fast to be braked for: it asks for a retreat
+_LEAST_LEFT = 0.02  # lower bound of F' as a share of F_b; for an obstacle too fast for braking it causes a retreat
 
 
 @dataclass(frozen=True, eq=False)
 class BrakeSymbols:
-    """`Brakes` without push and current, and the period of `Watch`, as scalars.
+    """The data of `Brakes` without disturbance and current, and the period of `Watch`, as scalar expressions.
 
     Attributes:
-        lightest, heaviest: [kg], > 0.
-        least, most: F_b > 0 and F⁺ [N].
-        lag: τ [s].
-        linear, quadratic: largest drag [N s/m, N s²/m²].
-        period: T > 0 [s].
+        lightest, heaviest: least and largest mass [kg], > 0.
+        least, most: guaranteed thrust F_b > 0 and largest thrust F⁺ [N].
+        lag: time constant τ of the thrust [s].
+        linear, quadratic: largest drag coefficients [N s/m, N s²/m²].
+        period: T > 0, time between two decisions [s].
     """
 
     lightest: ca.SX
@@ -33,11 +33,11 @@ class BrakeSymbols:
     period: ca.SX
 
     def left(self, obstacle: ca.SX) -> ca.SX:
-        """F' [N], at least 2 % of F_b."""
+        """Return the net braking force F' [N], at least 2 % of F_b."""
         return ca.fmax(self.least - self._drag(obstacle), _LEAST_LEFT * self.least)
 
     def acceleration(self, obstacle: ca.SX) -> ca.SX:
-        """a⁺ [m/s²]."""
+        """Return a⁺ [m/s²], the largest acceleration towards the obstacle."""
         return (self.most + self._drag(obstacle)) / self.lightest
 
     def _drag(self, speed: ca.SX) -> ca.SX:
@@ -45,7 +45,7 @@ class BrakeSymbols:
 
 
 def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """`stopping_distance` from the largest thrust [m], where F' is at least 2 % of F_b."""
+    """Return `stopping_distance` [m] for the largest present thrust, with F' limited to at least 2 % of F_b."""
     closing, swing, longest = ca.fmax(speed + obstacle, 0), brakes.lag * (brakes.most + brakes.least), ca.SX(0)
     for m in (brakes.lightest, brakes.heaviest):
         longest = ca.fmax(longest, m * (closing + swing / m) ** 2 / (2 * brakes.left(obstacle)))
@@ -53,19 +53,19 @@ def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> c
 
 
 def range_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """`range_needed` for a range that is neither old nor wrong [m]."""
+    """Return `range_needed` [m] for a range without delay and error."""
     gain, period = brakes.acceleration(obstacle), brakes.period
     distance = stopping_symbol(brakes, speed + gain * period, obstacle=obstacle)
     return (speed + obstacle) * period + gain * period * period / 2 + distance
 
 
 def closing_bound(brakes: BrakeSymbols, distance: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """`allowed_speed` [m/s] for a range that is neither old nor wrong, any sign.
+    """Return `allowed_speed` [m/s], of either sign, for a range without delay and error.
 
     Args:
-        brakes: what stops.
-        distance: clearance less what it may be wrong by [m].
-        obstacle: v_o ≥ 0 [m/s].
+        brakes: braking data of the vehicle.
+        distance: clearance minus its largest error [m].
+        obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
     """
     gain, period, roots = brakes.acceleration(obstacle), brakes.period, []
     swing = brakes.lag * (brakes.most + brakes.least)

@@ -1,7 +1,7 @@
-"""Collision cones: which velocities lead into something that moves, within a time (Fiorini and Shiller 1998).
+"""Collision cones: the velocities that lead to a collision with a moving contact in a given time.
 
-A range barrier on what moves asks for retreat before it; here only the velocities that would hit it are closed, so
-that a sidestep stays open.
+See Fiorini and Shiller (1998). A distance barrier would make the robot retreat from an approaching contact. A collision
+cone forbids only the velocities that lead to a collision, so the robot can sidestep.
 """
 
 from __future__ import annotations
@@ -14,24 +14,26 @@ from surctl.guidance.contacts import Contact
 
 __all__ = ["Cone", "collision_cone", "inside"]
 
-_NEVER = -10.0  # [m/s]
+_NEVER = -10.0  # [m/s] depth of every velocity if there is no contact: far outside the cone
 
 
 class Cone(NamedTuple):
-    """Velocities v (2, 1) [m/s] in {E} with left·v, right·v and ahead·v all above their bounds lead into it.
+    """A collision cone: velocities v (2, 1) [m/s] in {E} that violate three bounds lead to a collision.
+
+    The bounds are on left·v, right·v and ahead·v; v lies in the cone if all three are above their bounds.
 
     Attributes:
-        left, right: (2, 1) unit normals of the cone's two sides, inwards.
+        left, right: (2, 1) inward unit normals of the two sides of the cone.
         ahead: (2, 1) unit vector robot → contact.
-        left_bound, right_bound: [m/s].
-        ahead_bound: [m/s], above which it is met within the horizon.
-        closing: velocity of the contact along `ahead` [m/s], negative when it comes nearer.
-        room: clearance that is left before the stand-off [m], not negative.
-        distance: between the centres [m].
-        offset: between the centres when it is passed [m].
-        crossing: velocity of the contact across `ahead`, to the left [m/s].
-        there: 1 where there is something to meet.
-        point: (2, 1) [m] in {E}, where it is.
+        left_bound, right_bound: bounds on left·v and right·v [m/s].
+        ahead_bound: value of ahead·v [m/s] above which the robot meets the contact within the horizon.
+        closing: velocity of the contact along `ahead` [m/s], negative if it approaches.
+        clearance: clearance minus the stand-off distance [m], not negative.
+        distance: distance between the centres [m].
+        offset: distance between the centres when the robot passes the contact [m].
+        crossing: velocity of the contact across `ahead`, positive to the left [m/s].
+        there: 1 if there is a contact.
+        point: (2, 1) [m] in {E}, position of the contact.
     """
 
     left: ca.SX
@@ -50,7 +52,7 @@ class Cone(NamedTuple):
 
     @staticmethod
     def of(row: ca.SX) -> Cone:
-        """The cone in a row of a table of cones."""
+        """Return the cone in one row of a table of cones."""
         left, right, ahead, point = (row[k : k + 2] for k in (0, 2, 4, 15))
         bounds, met = (row[6], row[7], row[8]), (row[9], row[10], row[11], row[12], row[13], row[14])
         return Cone(left, right, ahead, *bounds, *met, point)
@@ -59,25 +61,25 @@ class Cone(NamedTuple):
 def collision_cone(
     contact: Contact, *, apart: ca.SX, standoff: ca.SX, horizon: ca.SX, there: ca.SX, point: ca.SX
 ) -> Cone:
-    """The cone of a contact.
+    """Return the collision cone of a contact.
 
     Args:
-        contact: what moves.
-        apart: clearance at which it may be passed [m].
+        contact: the moving contact.
+        apart: clearance with which the robot may pass it [m].
         standoff: clearance at which it counts as met [m].
-        horizon: time ahead that counts [s].
-        there: 1 where it counts at all.
-        point: (2, 1) [m] in {E}, where it is.
+        horizon: prediction time [s].
+        there: 1 if the contact is to be considered.
+        point: (2, 1) [m] in {E}, position of the contact.
 
     Example:
         >>> import casadi as ca
         >>> from surctl.guidance import collision_cone, disc_contact
         >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
-        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # comes on at 0.1 m/s
+        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
         >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
         >>> known = {name: ca.DM(value) for name, value in known.items()}
         >>> cone = collision_cone(contact, point=centre, **known)
-        >>> float(cone.closing), round(float(cone.room), 2), float(cone.distance)
+        >>> float(cone.closing), round(float(cone.clearance), 2), float(cone.distance)
         (-0.1, 1.5, 2.0)
     """
     n, across = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
@@ -104,17 +106,17 @@ def collision_cone(
 
 
 def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
-    """How deep in the cone a velocity (2, 1) lies [m/s]; negative outside.
+    """Return the depth of a velocity (2, 1) inside the cone [m/s]; it is negative outside.
 
     Example:
         >>> import casadi as ca
         >>> from surctl.guidance import collision_cone, disc_contact, inside
         >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
-        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # comes on at 0.1 m/s
+        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
         >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
         >>> known = {name: ca.DM(value) for name, value in known.items()}
         >>> cone = collision_cone(contact, point=centre, **known)
-        >>> [round(float(inside(ca.DM(v), cone)), 3) for v in ([0.15, 0.0], [0.1, 0.15])]  # into it, past it
+        >>> [round(float(inside(ca.DM(v), cone)), 3) for v in ([0.15, 0.0], [0.1, 0.15])]  # collides, passes
         [0.069, -0.089]
     """
     depth = ca.fmin(ca.dot(cone.left, velocity) - cone.left_bound, ca.dot(cone.right, velocity) - cone.right_bound)

@@ -1,4 +1,4 @@
-"""Contacts: everything near the robot as (unit vector, clearance, velocity), whatever it was learnt from."""
+"""Contacts: objects near the robot as direction, clearance and velocity, independent of the sensor."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from surctl.ir import each
 
 __all__ = ["FAR", "Contact", "disc_contact", "disc_contacts", "nearest_in_quadrants", "point_contact", "wall_contacts"]
 
-FAR = 100.0  # clearance [m] of a contact that is not there
+FAR = 100.0  # clearance [m] of an empty contact slot
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One thing near the robot, symbolic.
+    """One object near the robot, in symbols.
 
     Attributes:
         normal: (2, 1) unit vector robot → contact in {E}.
-        clearance: hull to surface [m]; `FAR` when the contact is not there.
-        velocity: (2, 1) its own velocity in {E} [m/s].
-        reach: centre distance minus clearance [m]: R_OB less the margin.
+        clearance: distance from the hull to the object's surface [m]; `FAR` if there is no object.
+        velocity: (2, 1) velocity of the object in {E} [m/s].
+        combined_radius: distance between the centres minus clearance [m], which is R_OB minus the margin.
     """
 
     normal: ca.SX
@@ -32,22 +32,22 @@ class Contact:
 
     @property
     def closing(self) -> ca.SX:
-        """v_o·n [m/s]; negative when the contact approaches."""
+        """Velocity v_o·n of the contact along the normal [m/s]; negative if it approaches."""
         return ca.dot(self.velocity, self.normal)
 
     @staticmethod
     def of(row: ca.SX) -> Contact:
-        """The contact in a row of a table, see `row`."""
+        """Return the contact in one row of a table; see `row`."""
         return Contact(row[:2], row[2], row[3:5], row[5])
 
     @property
     def row(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Its fields, for a table of contacts."""
+        """The fields of the contact, as one row of a table of contacts."""
         return self.normal, self.clearance, self.velocity, self.combined_radius
 
 
 def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, velocity: ca.SX, valid: ca.SX) -> Contact:
-    """Contact with a disc of the given radius [m] that moves with `velocity` (2, 1) [m/s]; a point has radius 0.
+    """Return the contact with a disc of this radius [m] that moves with `velocity` (2, 1) [m/s]; a point has radius 0.
 
     Example:
         >>> import casadi as ca
@@ -66,7 +66,7 @@ def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, vel
 
 
 def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
-    """`disc_contact` of each row x, y, radius, vx, vy, valid of a table (n, 6).
+    """Return `disc_contact` for each row (x, y, radius, vx, vy, valid) of a table (n, 6).
 
     Example:
         >>> import casadi as ca
@@ -86,7 +86,7 @@ def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
 
 
 def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> Contact:
-    """Contact with a point that stands still, for example an echo.
+    """Return the contact with a point at rest, for example an echo.
 
     Example:
         >>> import casadi as ca
@@ -99,7 +99,7 @@ def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> C
 
 
 def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
-    """Four contacts with the walls x_min, x_max, y_min, y_max [m] of a rectangular site.
+    """Return the four contacts with the walls x_min, x_max, y_min, y_max [m] of a rectangular site.
 
     Example:
         >>> import casadi as ca
@@ -119,14 +119,14 @@ def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
 
 
 def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> list[Contact]:
-    """For each axis (2, 1), the nearest contact within ±45° of it: what a sensor on that axis stands for.
+    """Return for each sensor axis (2, 1) the nearest contact within ±45° of it.
 
     Example:
         >>> import casadi as ca
         >>> from surctl.guidance import nearest_in_quadrants, point_contact
         >>> hull, yes = ca.DM(0.2), ca.DM(1)
-        >>> seen = [point_contact(ca.DM([0, 0]), hull, ca.DM(p), yes) for p in ([2, 0.1], [1, 0], [0, 3])]
-        >>> [float(c.clearance) for c in nearest_in_quadrants(seen, [ca.DM([1, 0]), ca.DM([0, 1])])]
+        >>> contacts = [point_contact(ca.DM([0, 0]), hull, ca.DM(p), yes) for p in ([2, 0.1], [1, 0], [0, 3])]
+        >>> [float(c.clearance) for c in nearest_in_quadrants(contacts, [ca.DM([1, 0]), ca.DM([0, 1])])]
         [0.8, 2.8]
     """
     chosen = []

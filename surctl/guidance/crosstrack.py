@@ -1,13 +1,13 @@
-"""Line of sight with memory: what a steady push leaves of the path error of (10), and how it is taken away.
+"""Integral (`ilos`) and adaptive (`alos`) line-of-sight guidance, which removes the path error of a steady disturbance.
 
-LOS steers with the slope −y_e/Δ; a push that the velocity loop answers with a steady error d across the path then
-leaves y_e = Δ d/U. Both laws here add what they have learnt to y_e, as a `shift` [m], so that the command still needs
-no trigonometric function:
+LOS guidance commands the slope −y_e/Δ. If a steady disturbance causes a steady crosswise velocity error d, the path
+error of (10) converges to y_e = Δ d/U. Both laws add a learnt `shift` [m] to y_e, so the command still needs no
+trigonometric function:
 
-`ilos` (Børhaug, Pavlov, Pettersen 2008): shift σ y_int with y_int' = Δ y_e/(Δ² + (y_e + σ y_int)²);
-`alos` (Fossen, Pettersen, Galeazzi 2015): shift Δ b with b' = γ U Δ y_e/√(Δ² + (y_e + Δ b)²), b the slope of the drift.
-With U = U_∥ √(Δ² + (y_e + Δ b)²)/Δ, U_∥ along the path, that is b' = γ U_∥ y_e: V = y_e²/2 + (b − b*)²/(2 γ) of the
-kinematic loop y_e' = −U_∥ (y_e/Δ + b − b*) falls with −U_∥ y_e²/Δ.
+`ilos` (Børhaug, Pavlov, Pettersen 2008) uses the shift σ y_int with y_int' = Δ y_e/(Δ² + (y_e + σ y_int)²).
+`alos` (Fossen, Pettersen, Galeazzi 2015) uses the shift Δ b with b' = γ U Δ y_e/√(Δ² + (y_e + Δ b)²), where b is the
+slope of the drift. With U = U_∥ √(Δ² + (y_e + Δ b)²)/Δ and the speed U_∥ along the path, this is b' = γ U_∥ y_e. Then
+V = y_e²/2 + (b − b*)²/(2 γ) of the kinematic loop y_e' = −U_∥ (y_e/Δ + b − b*) decreases at the rate U_∥ y_e²/Δ.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ __all__ = ["GUIDANCE", "Guidance", "check_guidance", "crosstrack_next", "crosstr
 Guidance = Literal["los", "ilos", "alos"]
 GUIDANCE: tuple[Guidance, ...] = get_args(Guidance)
 
-_STEEPEST = 1.0  # slope of the course that is learnt at most: 45°
+_STEEPEST = 1.0  # largest slope of the course that a law may learn: 45°
 _LEAST_GAIN = 1e-9  # m/s
 
 
 def check_guidance(name: str) -> None:
-    """InputError with the nearest known name unless it is one of `GUIDANCE`.
+    """Raise InputError, with a similar known name, if the name is not in `GUIDANCE`.
 
     Example:
         >>> from surctl.guidance import check_guidance
@@ -43,13 +43,13 @@ def check_guidance(name: str) -> None:
 
 
 def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma: ca.SX) -> ca.SX:
-    """What is added to y_e [m]: σ y_int, Δ b, or nothing.
+    """Return the shift that is added to y_e [m]: σ y_int for `ilos`, Δ b for `alos`, 0 for `los`.
 
     Args:
         method: one of `GUIDANCE`.
         memory: y_int [s] of `ilos`, b [1] of `alos`.
-        lookahead: Δ_h [m].
-        sigma: σ of `ilos` [m/s].
+        lookahead: look-ahead distance Δ_h [m].
+        sigma: integral gain σ of `ilos` [m/s].
 
     Example:
         >>> import casadi as ca
@@ -72,17 +72,17 @@ def crosstrack_next(
     held: ca.SX,
     dt: float,
 ) -> ca.SX:
-    """The memory one control period later, of a slope of at most 45° (anti-windup).
+    """Return the memory after one control period, limited to a slope of 45° (anti-windup).
 
     Args:
         method: one of `GUIDANCE`.
         memory: y_int [s] of `ilos`, b [1] of `alos`.
         y_e: cross-track error [m].
-        along: U_∥ [m/s], commanded along the path.
-        lookahead: Δ_h > 0 [m].
-        sigma: σ of `ilos` [m/s].
-        gamma: γ of `alos` [1/m²].
-        held: 1 while the error is not the push's: nothing is learnt.
+        along: commanded speed U_∥ along the path [m/s].
+        lookahead: look-ahead distance Δ_h > 0 [m].
+        sigma: integral gain σ of `ilos` [m/s].
+        gamma: adaptation gain γ of `alos` [1/m²].
+        held: 1 while the error is not caused by a steady disturbance; then the memory does not change.
         dt: control period [s].
 
     Example:
@@ -118,7 +118,7 @@ def numeric_crosstrack_next(
     held: bool,
     dt: float,
 ) -> tuple[float, float]:
-    """Twin of `crosstrack_next` in plain numbers: the memory one period later [s or 1], and the shift now [m]."""
+    """Return the next memory [s or 1] and the present shift [m]: the same as `crosstrack_next`, in plain numbers."""
     shift = {"los": 0.0, "ilos": sigma * memory, "alos": lookahead * memory}[method]
     if method == "los":
         return 0.0, shift

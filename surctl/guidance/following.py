@@ -1,9 +1,10 @@
-"""Which leg of its path a robot is on: a path may close, cross or fold, so that the nearest point does not tell.
+"""Decide on which leg of its path a robot is; the nearest point does not suffice if a path closes, crosses or folds.
 
-The leg begins as the first one and only ever becomes the next. That happens once the robot is nearer to the next leg
-than to what is left of its own, and leaves out of the path, around the corner, at most `_SHORT_CUT` times its distance
-to its own leg: a robot that cuts the corner by a detour gets on, one that comes near a later leg on its way does not.
-Where corners have to be visited, it happens at a corner alone, within the distance that counts as arrived.
+The robot starts on the first leg and only ever advances to the next one. It advances once it is nearer to the next leg
+than to the rest of its own leg, and the part of the path that it would leave out at the corner is at most `_SHORT_CUT`
+times its distance to its own leg. So a robot that cuts the corner on a detour advances, but a robot that passes near
+the next leg elsewhere does not. If corners must be visited, the robot advances only within the arrival distance of a
+corner.
 """
 
 from __future__ import annotations
@@ -20,32 +21,33 @@ from surctl.ir import Port
 
 __all__ = ["FOLLOWING", "Follower", "follow"]
 
-FAR_OFF = 1e30  # [m²] to a corner that the robot has not come near yet
+FAR_OFF = 1e30  # [m²] initial squared distance to a corner
 
 FOLLOWING = (
-    Port("leg", (1,), "1", "of the path that the robot is on, from 0"),
-    Port("along", (1,), "m", "arc length on that leg, the largest so far"),
-    Port("corner_ahead", (1,), "m^2", "least squared distance to the end of that leg", FAR_OFF),
-    Port("corner_behind", (1,), "m^2", "least squared distance to its start while on it or the one before; 0 at first"),
+    Port("leg", (1,), "1", "leg of the path that the robot is on, from 0"),
+    Port("along", (1,), "m", "largest arc length so far on the present leg"),
+    Port("corner_ahead", (1,), "m^2", "least squared distance to the end of the present leg", FAR_OFF),
+    Port("corner_behind", (1,), "m^2", "least squared distance to the start of the present leg; 0 on the first leg"),
     Port("missed", (1,), "m^2", "largest squared distance at which an earlier corner was passed"),
 )
 """State of `follow`."""
 
-_SHORT_CUT = 3.0  # (*chosen*: a right angle that is cut on the diagonal leaves out twice the distance)
+_SHORT_CUT = 3.0  # chosen: cutting a right-angled corner on the diagonal leaves out twice the distance to the leg
 
 
 class Follower:
-    """The leg that a robot is on, and how far it came.
+    """The leg of a path that a robot is on, and its progress on this leg.
 
     Args:
-        path: that it follows.
-        visit: distance [m] to a corner that counts as a visit, where every corner must be visited; None: it may be cut.
+        path: the path that the robot follows.
+        visit: distance [m] to a corner that counts as a visit, if every corner must be visited; None: corners may be
+            cut.
 
     Attributes:
-        leg: from 0.
-        along: arc length on this leg [m], the largest so far.
-        missed: largest distance [m] at which a corner was passed so far; 0 before the first. It is the least one while
-            the robot is on either of the two legs that meet there.
+        leg: number of the present leg, from 0.
+        along: largest arc length so far on this leg [m].
+        missed: largest distance [m] at which a corner was passed so far; 0 before the first corner. The distance of one
+            corner is the least distance while the robot is on one of the two legs that meet there.
 
     Example:
         >>> from surctl.guidance import Follower, Path
@@ -55,7 +57,7 @@ class Follower:
         >>> there_and_back.last
         True
         >>> square = Follower(Path([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0], [0.0, 0.0]]))
-        >>> square.track([[0.2, 0.5], [1.0, 0.1]]).tolist()  # the side on which it ends is not meant
+        >>> square.track([[0.2, 0.5], [1.0, 0.1]]).tolist()  # not the distance to the last leg, x = 0
         [0.5, 0.1]
     """
 
@@ -63,20 +65,20 @@ class Follower:
         self._points = [(float(x), float(y)) for x, y in path.waypoints]
         self._visit = visit
         self.leg, self.along = 0, 0.0
-        self._missed, self._before, self._nearest = 0.0, 0.0, inf  # squares: at corners behind, the last one, the next
+        self._missed, self._before, self._nearest = 0.0, 0.0, inf  # [m²] at earlier corners, the last, the next one
 
     @property
     def missed(self) -> float:
-        """See the attributes."""
+        """Largest distance [m] at which a corner was passed so far; 0 before the first corner."""
         return sqrt(max(self._missed, self._before))
 
     @property
     def last(self) -> bool:
-        """Whether it is on the last leg."""
+        """Whether the robot is on the last leg."""
         return self.leg == len(self._points) - 2
 
     def move(self, x: float, y: float) -> None:
-        """The robot is now at (x, y) [m] in {E}."""
+        """Update the leg for the robot's new position (x, y) [m] in {E}."""
         (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
         length = hypot(bx - ax, by - ay)
         ux, uy = (bx - ax) / length, (by - ay) / length
@@ -103,11 +105,11 @@ class Follower:
             self._missed, self._before, self._nearest = max(self._missed, self._before), self._nearest, inf
 
     def track(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Distance [m] of the robot to the path, (n,), as it moves to each of the places (n, 2) [m], one by one."""
+        """Move the robot to each of the places (n, 2) [m] in turn, and return its distances to the path (n,) [m]."""
         return self._over(places, self.distance)
 
     def directions(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Direction [rad] of the leg that the robot is on, (n,), as it moves to each of the places (n, 2) [m]."""
+        """Move the robot to each of the places (n, 2) [m] in turn, and return the directions of its legs (n,) [rad]."""
         return self._over(places, self._direction)
 
     def _over(self, places: ArrayLike, figure: Callable[[float, float], float]) -> NDArray[np.float64]:
@@ -122,7 +124,7 @@ class Follower:
         return atan2(by - ay, bx - ax)
 
     def distance(self, x: float, y: float) -> float:
-        """From (x, y) to the leg, the one before it or the one after it, whichever is nearest [m]."""
+        """Return the distance [m] from (x, y) to the nearest of three legs: previous, present and next."""
         return min(
             _apart(self._points[k], self._points[k + 1], x, y)
             for k in range(max(self.leg - 1, 0), min(self.leg + 2, len(self._points) - 1))
@@ -136,17 +138,17 @@ def _apart(a: tuple[float, float], b: tuple[float, float], x: float, y: float) -
 
 
 def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX, *, visit: ca.SX) -> dict[str, ca.SX]:
-    """`Follower.move` in symbols.
+    """Return the state of `Follower` after one move, in symbols.
 
     Args:
-        old: `FOLLOWING` before it.
-        waypoints: (n, 2) [m]; trailing repeats of the last point are no legs.
+        old: values of `FOLLOWING` before the move.
+        waypoints: (n, 2) [m]; repetitions of the last point are ignored.
         legs: number of legs.
-        place: (2, 1) [m] in {E}.
+        place: new position of the robot (2, 1) [m] in {E}.
         visit: see `Follower`; 0 or less: corners may be cut.
 
     Returns:
-        `FOLLOWING` after it.
+        Values of `FOLLOWING` after the move.
 
     Example:
         >>> import casadi as ca

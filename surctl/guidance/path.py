@@ -14,16 +14,16 @@ __all__ = ["AT_CORNER", "MAX_WAYPOINTS", "Path", "leg_end", "next_leg", "path_ta
 
 MAX_WAYPOINTS = 8
 
-AT_CORNER = 1e-4  # [m] of arc length: less than the path's target goes in a period, more than single precision errs
-_ON_LEG = 0.1  # [m] from a leg within which it is flown to its end; several times what the position is uncertain by
+AT_CORNER = 1e-4  # [m] arc length: less than the target point moves in a period, more than single-precision errors
+_ON_LEG = 0.1  # [m] from a leg, below which the robot follows it to its end; several times the position uncertainty
 
 
 @dataclass(frozen=True)
 class Path:
-    """A horizontal polyline in {E}.
+    """A reference path: a horizontal polyline in {E}.
 
     Attributes:
-        waypoints: (n, 2) [m], 2 ≤ n ≤ `MAX_WAYPOINTS`, consecutive points distinct.
+        waypoints: (n, 2) [m], 2 ≤ n ≤ `MAX_WAYPOINTS`; consecutive points differ.
     """
 
     waypoints: NDArray[np.float64]
@@ -32,35 +32,35 @@ class Path:
         points = np.array(self.waypoints, dtype=float)
         if points.ndim != 2 or points.shape[1] != 2 or not 2 <= len(points) <= MAX_WAYPOINTS:
             raise InputError(
-                f"a path has 2 to {MAX_WAYPOINTS} points of two coordinates",
+                f"a path has 2 to {MAX_WAYPOINTS} points with two coordinates each",
                 key="path",
                 value=points.tolist(),
-                remedy="give the start, the target and what lies between, no more",
+                remedy="give the start, the end and the corners between them",
             )
         if not np.all(np.isfinite(points)):
             raise InputError(
-                "holds a number that is not finite", key="path", value=points.tolist(), remedy="correct it"
+                "contains a number that is not finite", key="path", value=points.tolist(), remedy="correct it"
             )
         if np.any(np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-6):
             raise InputError(
-                "has two equal points in a row", key="path", value=points.tolist(), remedy="drop one of them"
+                "has two equal points in a row", key="path", value=points.tolist(), remedy="remove one of them"
             )
         points.flags.writeable = False
         object.__setattr__(self, "waypoints", points)
 
     @property
     def length(self) -> float:
-        """Arc length [m]."""
+        """Arc length of the path [m]."""
         return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
 
     @property
     def slots(self) -> NDArray[np.float64]:
-        """(`MAX_WAYPOINTS`, 2): the waypoints, the last one repeated, as the law takes them."""
+        """The waypoints as the law expects them: (`MAX_WAYPOINTS`, 2) [m], filled up with the last point."""
         spare = MAX_WAYPOINTS - len(self.waypoints)
         return np.vstack([self.waypoints, np.repeat(self.waypoints[-1:], spare, axis=0)])
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance [m] of each point (k, 2) to the nearest point of the path, (k,)."""
+        """Return the distances (k,) [m] of the points (k, 2) to the nearest points of the path."""
         points = np.atleast_2d(points)
         best = np.full(len(points), np.inf)
         for a, b in zip(self.waypoints[:-1], self.waypoints[1:], strict=True):
@@ -70,14 +70,14 @@ class Path:
 
 
 def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Point and tangent at arc length s, for the law.
+    """Return the point and the tangent of the path at arc length s, in symbols, and the length of the path.
 
     Args:
-        waypoints: (n, 2) SX [m] in {E}; trailing repeats of the last point are ignored.
+        waypoints: (n, 2) SX [m] in {E}; repetitions of the last point are ignored.
         s: arc length [m], clipped to [0, length].
 
     Returns:
-        point (2, 1) [m], unit tangent (2, 1) of the segment that holds s, total length [m].
+        point (2, 1) [m], unit tangent (2, 1) of the segment that contains s, total length [m].
 
     Example:
         >>> import casadi as ca
@@ -94,7 +94,7 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         length = ca.sqrt(ca.sumsqr(chord))
         real = length > 1e-6
         direction = chord / ca.fmax(length, 1e-6)
-        # before its start the first segment is clipped to its start
+        # s < 0 gives the start of the first segment
         here = real if k == 0 else ca.logic_and(real, s >= travelled)
         along = ca.fmin(ca.fmax(s - travelled, 0), length)
         point = ca.if_else(here, waypoints[k, :].T + along * direction, point)
@@ -104,11 +104,11 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
-    """Arc length [m] of the end of the leg that holds s; of its own end where s is a corner's, to 0.1 mm.
+    """Return the arc length [m] at the end of the leg that contains s; at a corner (within 0.1 mm), the corner itself.
 
     Args:
-        waypoints: as `path_target`.
-        s: arc length [m], at most the path's.
+        waypoints: see `path_target`.
+        s: arc length [m], at most the length of the path.
 
     Example:
         >>> import casadi as ca
@@ -126,19 +126,19 @@ def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
 
 
 def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
-    """Arc length [m] abreast of a robot that a detour has brought nearer to the next leg than to that of its target.
+    """Return the arc length of the target [m], advanced to the next leg if a detour led the robot nearer to that leg.
 
-    Such a robot would else go back for the corner, come to the next leg across it at full speed, and shoot past it.
+    Otherwise, such a robot would return to the corner, approach the next leg crosswise at full speed, and overshoot it.
 
     Args:
-        waypoints: as `path_target`.
-        s: arc length of the path's target [m].
-        here: (2, 1) the robot [m] in {E}.
-        near: distance of the target to the corner [m] within which the rest of a leg may be left out.
+        waypoints: see `path_target`.
+        s: arc length of the target point [m].
+        here: position of the robot (2, 1) [m] in {E}.
+        near: distance of the target to the corner [m] below which the rest of a leg may be left out.
 
     Returns:
-        Where the robot's projection on the next leg is, as arc length; `s` where the robot is nearer to the target's
-        leg, prolonged backwards, or within 0.1 m of it, the corner is further, or there is no next leg.
+        Arc length of the robot's projection on the next leg. It is `s` if the robot is nearer to the target's leg
+        (prolonged backwards) or within 0.1 m of it, if the corner is further away, or if there is no next leg.
 
     Example:
         >>> import casadi as ca
@@ -150,7 +150,7 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
     _, tangent, _ = path_target(waypoints, s)
     travelled, ends, corner, after = ca.SX(0), ca.SX(0), waypoints[1, :].T, waypoints[1, :].T
     for k in range(waypoints.shape[0] - 2):
-        # points alone are chosen, for they lie in memory: what is computed for every leg would have to be remembered
+        # select only points, which are in memory; values computed for every leg would need additional memory
         holds = ca.SX(1) if k == 0 else s >= travelled
         travelled = travelled + ca.sqrt(ca.sumsqr(waypoints[k + 1, :] - waypoints[k, :]))
         ends = ca.if_else(holds, travelled, ends)

@@ -1,7 +1,8 @@
-"""Choice of a course among many contacts: each blocks a sector of courses, the free course nearest the wish wins.
+"""Choice of a course among many contacts: each contact blocks a sector of courses, and the law takes a free course.
 
-For one contact the edges of its sector are exactly the `corrected` law φ ± arccos(·) of `avoidance`, with the
-braking distance in place of κ(l − R_OB − d_s): n·v ≤ a(l) + v_o·n. No trigonometric function is needed.
+It takes the free course nearest to the desired velocity. For one contact, the edges of the sector are exactly the
+`corrected` law φ ± arccos(·) of `avoidance`, with the braking distance in place of κ(l − R_OB − d_s):
+n·v ≤ a(l) + v_o·n. No trigonometric function is needed.
 """
 
 from __future__ import annotations
@@ -22,30 +23,30 @@ from surctl.ir import fold, only_if, tabulated
 
 __all__ = ["Choice", "Sector", "choose_velocity", "round_unknown", "slowed"]
 
-_HEAD_ON = 1e-4  # cost of −1 between two equal edges: head-on the obstacle stays on the right (E10)
-_TURN_BACK = 8.0  # cost of leaving the latched side: more than any free course (0 … 2), less than a missed bound
-SAME_CONTACT = 0.3  # [m] that the blocker may move between two steps and still be the same encounter
-_WORTH_IT = 0.1  # share of the speed that a way past the unknown must gain
-_WAIT = 0.5  # cost of going slower than the wish, beside what of the way is lost
-_FAN = tuple(radians(12.0 * k) for k in range(1, 9))  # off the wish to either side: courses that may be flown slower
-_LEADS_BACK = 1.6  # cost above which a slower course may be better: of 120° off the wish, of leaving the latched side
-_SLOWER = 1.0  # cost of going slower there, by the share of the speed that is lost
-_SLOWEST = 0.5  # share of the speed; with less of it left a course leads up to something, not past it
-_ANY = 1e3  # [m/s²] of a robot that turns its velocity at once
-_NEVER = 1e6  # cost of what is no candidate
-_OVERTAKE = 0.05  # [m/s] by which the robot outruns what comes from behind
+_HEAD_ON = 1e-4  # cost of side −1 between two equal edges, so a head-on obstacle stays on the right (E10)
+_TURN_BACK = 8.0  # cost of leaving the latched side: more than that of a free course (0 … 2), less than of a violation
+SAME_CONTACT = 0.3  # [m] that the blocking point may move between two steps in the same encounter
+_WORTH_IT = 0.1  # share of the speed that a detour around unknown space must gain
+_WAIT = 0.5  # cost of being slower than desired, in addition to the share of the speed that is lost
+_FAN = tuple(radians(12.0 * k) for k in range(1, 9))  # [rad] off the desired course: candidates at a lower speed
+_LEADS_BACK = 1.6  # cost above which slower courses are tried: about 120° off the desired course, or the other side
+_SLOWER = 1.0  # cost of a slower course per share of the speed that is lost
+_SLOWEST = 0.5  # share of the speed below which a slower course leads up to a contact and not past it
+_ANY = 1e3  # [m/s²] acceleration of a robot that can turn its velocity at once
+_NEVER = 1e6  # cost that excludes a candidate
+_OVERTAKE = 0.05  # [m/s] by which the robot is faster than a contact from behind
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen.
+    """The chosen velocity and the data of the encounter.
 
     Attributes:
-        velocity: (2, 1) [m/s] in {E}.
-        side: latched side: 0 no encounter, +1 to the left of the wish (obstacle on the right), −1 to the right.
-        blocked: 1 when the wish itself was not free.
-        violation: by how much the chosen course misses the worst bound [m/s]; 0 when it is free.
-        blocker: (2, 1) [m] in {E}: the contact that blocks the wish most.
+        velocity: chosen velocity (2, 1) [m/s] in {E}.
+        side: latched side: 0 no encounter, +1 left of the desired velocity (obstacle on the right), −1 right of it.
+        blocked: 1 if the desired velocity itself is not free.
+        violation: largest violation of a bound by the chosen course [m/s]; 0 if the course is free.
+        blocker: (2, 1) [m] in {E}, position of the contact that blocks the desired velocity most.
     """
 
     velocity: ca.SX
@@ -70,30 +71,31 @@ def choose_velocity(
     acceleration: ca.SX | None = None,
     slower: ca.SX | None = None,
 ) -> Choice:
-    """Velocity on the free course nearest to the wish's.
+    """Return the velocity on the free course nearest to the desired velocity.
 
-    Candidates are the wish and both edges of every sector; and, while something that moves comes nearer, the wish as
-    slow as the sectors ask, and standing still. Where all of these lead back or leave the latched side, `slower` allows
-    it, nothing moves and nothing asks for a retreat, courses to either side of the wish too, each as slow as the
-    sectors ask: between two contacts, each of which bounds the speed towards it, often none is free at the whole speed.
-    If none is free, the one that misses its bounds least is taken. The speed is the wish's; no more than `cruise` while
-    the wish is blocked (no catching up between obstacles); more, up to `cap`, while a bound asks for a retreat; and
-    reduced as far as the other bounds ask.
-    Boxed in, the robot stands still if that misses the bounds less than any course.
+    The candidates are the desired course and both edges of every sector and cone. While a moving contact approaches,
+    the desired course at reduced speed and zero velocity are candidates too. Courses on either side of the desired one
+    at reduced speed are candidates if all others lead back or leave the latched side, `slower` is 1, no contact moves
+    and no bound requires a retreat: between two contacts that both limit the speed, often no course is free at full
+    speed. If no candidate is free, the one with the smallest violation is chosen.
+
+    The speed is the desired speed. It is at most `cruise` while the desired velocity is blocked, so the robot does not
+    catch up between obstacles. It is higher, up to `cap`, while a bound requires a retreat, and the other bounds reduce
+    it. If zero velocity violates the bounds less than every course, the robot stops.
 
     Args:
-        wish: (2, 1) [m/s] in {E}.
-        sectors: what is in the way.
-        side: latched side of the last step: −1, 0, +1; kept while the same contact blocks the wish.
-        blocker: of the last step.
-        cruise: [m/s].
-        cap: [m/s].
-        same: [m] that the blocker may move between two steps and still be the same encounter.
-        cones: of what moves.
-        walls: of the site, for the side on which what comes head-on is passed, see `sides`.
-        now: velocity over ground (2, 1) [m/s] in {E}, by which what moves is already passed on a side; 0 unless given.
-        acceleration: [m/s²] that turns it; any unless given.
-        slower: 1 where a slower course may be taken between what stands; never unless given.
+        desired: desired velocity (2, 1) [m/s] in {E}.
+        sectors: sectors of all contacts.
+        side: latched side of the last step: −1, 0, +1; it does not change while the same contact blocks the course.
+        blocker: `Choice.blocker` of the last step.
+        cruise: largest speed while the desired velocity is blocked [m/s].
+        cap: largest speed [m/s].
+        same: distance [m] that the blocking point may move between two steps in the same encounter.
+        cones: collision cones of moving contacts.
+        walls: walls of the site, for the side on which a head-on contact is passed, see `sides`.
+        now: velocity over ground (2, 1) [m/s] in {E}; it shows on which side a contact is being passed; default 0.
+        acceleration: available acceleration [m/s²] to turn the velocity; default: unlimited.
+        slower: 1 if slower courses between contacts at rest are allowed; default: never.
 
     Example:
         >>> import casadi as ca
@@ -117,7 +119,7 @@ def choose_velocity(
     around = around.with_sides(desired, speed, speed * ahead, own, force, walls)
     worst, crossed = around.worst_blocker(ahead, speed)
     held = ca.sumsqr(worst - blocker) <= same * same
-    # the side is one of the wish: of what crosses it says nothing, there `swap_costs` holds on to the way round
+    # the latched side refers to the desired course, so it does not apply to crossing contacts; see `swap_costs`
     latched = ca.if_else(ca.logic_and(held, ca.logic_not(crossed)), side, 0)
     missed = around.excess(speed * ahead)
     blocked = missed > TOLERANCE
@@ -132,14 +134,14 @@ def choose_velocity(
         current = best
         best = _Best(*only_if("slower", slower, lambda: search.slower(current), current))
     velocity = ca.fmax(ca.fmin(around.free_speed(best.course, speed), best.pace), retreat) * best.course
-    # boxed in: where every way out is worse than standing still, stand still
+    # boxed in: the robot stops if every course violates the bounds more than zero velocity does
     worse = around.excess(velocity) > around.excess(ca.SX.zeros(2)) + TOLERANCE
     velocity = ca.if_else(ca.logic_and(best.missed > TOLERANCE, worse), 0, velocity)
     return Choice(velocity, ca.if_else(blocked, best.side, 0), blocked, ca.fmax(best.missed, 0), worst)
 
 
 class _Best(NamedTuple):
-    """The candidate so far: course (2, 1), by how much it misses the bounds, its side, its cost, its speed."""
+    """The best candidate so far: course (2, 1), largest violation of a bound [m/s], side, cost, and speed [m/s]."""
 
     course: ca.SX
     missed: ca.SX
@@ -148,14 +150,14 @@ class _Best(NamedTuple):
     pace: ca.SX
 
     def or_else(self, course: ca.SX, missed: ca.SX, side: ca.SX, cost: ca.SX, pace: ca.SX) -> _Best:
-        """The other one where it costs less."""
+        """Return the candidate with the lower cost: this one or the given one."""
         other = _Best(course, missed, side, cost, pace)
         return _Best(*(ca.if_else(cost < self.least, b, a) for a, b in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
 class _Search:
-    """The candidates, in their order: of two that cost the same the first is taken."""
+    """The search over all candidates in a fixed order; of two candidates with equal cost it chooses the first."""
 
     around: Around
     ahead: ca.SX
@@ -163,7 +165,7 @@ class _Search:
     latched: ca.SX
 
     def waiting(self, best: _Best) -> _Best:
-        """The wish as slow as the sectors ask, and standing still."""
+        """Try the desired course at the speed that the sectors allow, and zero velocity."""
         for slow in (self.around.free_speed(self.ahead, self.speed), ca.SX(0)):
             missed = self.around.excess(slow * self.ahead)
             cost = 1 - slow / self.speed + _WAIT + _missed_cost(missed)
@@ -172,7 +174,7 @@ class _Search:
         return best
 
     def edges(self, best: _Best) -> _Best:
-        """Both edges of every sector and cone: all left ones, then all right ones."""
+        """Try both edges of every sector and cone: first all left edges, then all right edges."""
 
         def on_one_side(*values: ca.SX) -> list[ca.SX]:
             *held, side = values
@@ -205,7 +207,7 @@ class _Search:
         return best.or_else(course, missed, left, cost, self.speed)
 
     def slower(self, best: _Best) -> _Best:
-        """Courses to either side of the wish, each as slow as the sectors ask."""
+        """Try courses on either side of the desired one, each at the speed that the sectors allow."""
         fan = [
             (cos(angle), sign * sin(angle), sign, 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON))
             for sign in (1, -1)
@@ -216,7 +218,7 @@ class _Search:
             *held, row = values
             aside, sign, off = turned(self.ahead, row[0], row[1]), row[2], row[3]
             free = self.around.free_speed(aside, self.speed)
-            # missed is nothing: no bound is negative here, and no cone is there
+            # no violation is possible: here no bound is negative and there is no cone
             cost = off + _SLOWER * (1 - free / self.speed)
             cost += ca.if_else(self.latched * sign < -0.5, _TURN_BACK, 0)
             cost = ca.if_else(free > _SLOWEST * self.speed, cost, _NEVER)
@@ -226,7 +228,9 @@ class _Search:
 
 
 def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
-    """The same course (2, 1) [m/s], as slow as the bounds (normal, largest speed along it, not negative) ask.
+    """Return a velocity (2, 1) [m/s] on the same course, slowed down to satisfy the bounds.
+
+    Each bound has a normal and the largest speed along it, which is not negative.
 
     Example:
         >>> import casadi as ca
@@ -238,7 +242,7 @@ def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
 
     def slowest(share: ca.SX, row: ca.SX) -> ca.SX:
         along = ca.dot(velocity, row[:2])
-        # a bound of 0 stops only what goes towards it
+        # a bound of 0 stops only a motion towards it
         return ca.if_else(along > 1e-6, ca.fmin(share, row[2] / ca.fmax(along, 1e-6)), share)
 
     return velocity * fold("slowed", slowest, ca.SX(1), tabulated(bounds, 3))
@@ -251,22 +255,22 @@ def round_unknown(
     *,
     cones: Sequence[Cone] = (),
 ) -> ca.SX:
-    """The chosen velocity, or the free course beside what is unknown on which the robot gets on sooner.
+    """Return the chosen velocity, or a free course around unknown space on which the robot advances faster.
 
-    A place that nobody has seen need not be waited for where there is a way past it. Candidates are the edges of the
-    unknown places' sectors, at the speed chosen; the one with the most speed left along the chosen course is taken,
-    if it is free and gains enough.
+    The robot need not wait for a scan of an unknown place if it can go around it. The candidates are the edges of the
+    sectors of unknown places at the chosen speed. The function takes the candidate with the largest remaining speed
+    along the chosen course, if this candidate is free and gains enough.
 
     Args:
-        velocity: (2, 1) [m/s] in {E}, as chosen.
-        bounds: (normal, largest speed along it, not negative) of each place that is unknown.
-        sectors: what is in the way.
-        cones: of what moves.
+        velocity: chosen velocity (2, 1) [m/s] in {E}.
+        bounds: for each unknown place, its normal and the largest speed along it, which is not negative.
+        sectors: sectors of all contacts.
+        cones: collision cones of moving contacts.
 
     Example:
         >>> import casadi as ca
         >>> from surctl.guidance import round_unknown
-        >>> unknown = (ca.SX([1, 0]), ca.SX(0.02))  # nothing is known ahead: 0.02 m/s at most
+        >>> unknown = (ca.SX([1, 0]), ca.SX(0.02))  # unknown space ahead: at most 0.02 m/s
         >>> beside = round_unknown(ca.SX([0.15, 0.02]), [unknown], [])
         >>> ca.DM(beside).full().ravel().round(3).tolist()
         [0.02, 0.15]

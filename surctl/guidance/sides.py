@@ -1,6 +1,7 @@
-"""The side on which something that comes head-on is passed: there both ways round are as near to the wish.
+"""Costs that decide on which side the robot passes a moving contact.
 
-Left to the courses alone, the noise of the first message chooses it; and the robot keeps it.
+In a head-on encounter, both ways around the contact are equally near to the desired course. Without these costs, the
+noise of the first message would choose the side, and the robot would keep it.
 """
 
 from __future__ import annotations
@@ -15,32 +16,30 @@ from surctl.guidance.contacts import FAR, Contact
 __all__ = ["MISSED", "MISSED_RATE", "passes_left", "side_costs", "swap_costs"]
 
 MISSED, MISSED_RATE = 10.0, 100.0
-"""Cost of a course that is not free, and of each m/s by which it is not."""
+"""Cost of a course that violates a bound, and additional cost per m/s of violation."""
 
-_HEAD_ON = 0.03  # [m/s] across, below which an encounter is head-on: three standard deviations of what is told
-_RIGHT = 0.15  # cost of having it on the left then; what noise makes of the two courses differs by 0.05
-_AMPLE_CLEARANCE = (
-    (0.5, 0.3),
-    (1.0, 0.05),
-)  # share of the way to where it is passed, and clearance there that is enough [m]
-_CRAMPED = 5.0  # cost of each metre less
-_SWAP = 2.0  # cost of changing sides, by the share of the speed that must be turned round
-_AHEAD = 12.0  # [s] before it is met, within which that counts
-_REACHED = 0.5  # of the time until it is met, in which the velocity across must have turned
-_STANDS = 1e-3  # [m/s] that it nears at the least
-_SLOW = 0.05  # [m/s] at which the two come nearer at the least
+_HEAD_ON = 0.03  # [m/s] crosswise speed below which an encounter is head-on: three standard deviations of a message
+_RIGHT = 0.15  # cost of passing a head-on contact on its right; noise changes the costs of the courses by only 0.05
+# share of the path to the place of passing, and sufficient clearance from walls there [m]
+_AMPLE_CLEARANCE = ((0.5, 0.3), (1.0, 0.05))
+_CRAMPED = 5.0  # cost per metre of missing clearance
+_SWAP = 2.0  # cost of changing sides, per share of the speed that must be reversed
+_AHEAD = 12.0  # [s] time until the meeting, below which this cost counts
+_REACHED = 0.5  # share of the time until the meeting in which the crosswise velocity must be reversed
+_STANDS = 1e-3  # [m/s] lower bound of the closing speed
+_SLOW = 0.05  # [m/s] least assumed speed of a contact towards the robot
 
 
 def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca.SX, ca.SX]:
-    """What passing a cone's contact on the left costs, and on the right, beside 1 less the cosine to the wish.
+    """Return the additional costs of passing a cone's contact on its left and on its right in a head-on encounter.
 
-    Nothing unless it comes head-on. Then it stays on the right (E10), but where the way on the left is cramped: half of
-    it lies close to a wall, beside which sonars see little and the robot gets on slowly.
+    Otherwise both costs are 0. A head-on contact stays on the robot's right (E10), unless the left path is too close to
+    a wall: near a wall the sonars detect little and the robot is slow.
 
     Args:
-        cone: of what moves.
-        wish: (2, 1) [m/s] in {E}.
-        walls: of the site.
+        cone: collision cone of the moving contact.
+        desired: desired velocity (2, 1) [m/s] in {E}.
+        walls: walls of the site.
     """
     n, across = cone.ahead, _left_of(cone.ahead)
     speed = ca.sqrt(ca.sumsqr(desired))
@@ -51,17 +50,18 @@ def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca
 
 
 def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """What it costs to pass a cone's contact on the left, and on the right, for the velocity across that must turn.
+    """Return the costs of passing a cone's contact on its left and on its right if this reverses a crosswise velocity.
 
-    At rest that is the velocity of the contact across: it is passed behind rather than before. What has been begun is
-    carried on; and a way that the thrust does not reach in half the time until it is met misses its bound by the rest.
-    Nothing while the encounter is head-on: noise is to choose no side.
+    The costs grow with the crosswise velocity relative to the contact that must be reversed. So the robot completes a
+    manoeuvre that it has begun, and from rest it passes behind a crossing contact and not in front of it. If the thrust
+    cannot reverse the velocity in half the time until the meeting, the remainder counts as a violation. In a head-on
+    encounter both costs are 0, so that noise does not choose the side.
 
     Args:
-        cone: of what moves.
+        cone: collision cone of the moving contact.
         now: velocity over ground (2, 1) [m/s] in {E}.
-        speed: that is asked for [m/s].
-        acceleration: that the thrust gives [m/s²].
+        speed: commanded speed [m/s].
+        acceleration: available acceleration [m/s²].
     """
     across = ca.dot(_left_of(cone.ahead), now) - cone.crossing
     nearing = ca.fmax(ca.dot(cone.ahead, now) - cone.closing, _STANDS)
@@ -74,7 +74,7 @@ def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tup
 
 
 def passes_left(velocity: ca.SX, cone: Cone) -> ca.SX:
-    """Whether a velocity (2, 1) that does not lead into the cone's contact passes on its left: it is on the right."""
+    """Return whether a velocity (2, 1) outside the cone passes left of the contact, which is then on the right."""
     return ca.dot(_left_of(cone.ahead), velocity) >= cone.crossing
 
 
@@ -83,7 +83,7 @@ def _left_of(n: ca.SX) -> ca.SX:
 
 
 def _cramped(path: ca.SX, walls: Sequence[Contact]) -> ca.SX:
-    """Cost of a straight way (2, 1) [m] from here."""
+    """Return the cost of a straight path (2, 1) [m] from the robot's position that comes too close to walls."""
     cost = ca.SX(0)
     for share, ample in _AMPLE_CLEARANCE:
         clearance = ca.SX(FAR)

@@ -1,7 +1,7 @@
-"""Tracking law (8)–(12) with the course in place of the heading (E7), saturation and the repair U ≥ 0 (E9).
+"""Tracking law (8)–(12) with the course in place of the heading (E7), saturation, and the correction U ≥ 0 (E9).
 
-With χ_d = γ_d − atan(y_e/Δ_h) and U_h = (U_d − k1 x_e) √(y_e² + Δ_h²)/Δ_h the horizontal command has the
-components U_d − k1 x_e along the path and −(U_d − k1 x_e) y_e/Δ_h across it: no trigonometric function is needed.
+With χ_d = γ_d − atan(y_e/Δ_h) and U_h = (U_d − k1 x_e) √(y_e² + Δ_h²)/Δ_h, the horizontal command has the component
+U_d − k1 x_e along the path and −(U_d − k1 x_e) y_e/Δ_h across it, so no trigonometric function is needed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ __all__ = ["along_command", "path_error", "progress_rate", "tracking_rate", "tra
 
 
 def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """(8): along-track x_e and cross-track y_e [m], left of the path positive; all vectors (2, 1) in {E}.
+    """Return the along-track error x_e and the cross-track error y_e of (8) [m]; y_e is positive left of the path.
+
+    All vectors are (2, 1) in {E}.
 
     Example:
         >>> import casadi as ca
@@ -30,16 +32,16 @@ def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, c
 def along_command(
     x_e: ca.SX, y_e: ca.SX, *, speed: ca.SX, k1: ca.SX, lookahead: ca.SX, maximum: ca.SX | None, repaired: bool = True
 ) -> ca.SX:
-    """U_h Δ_h/√(y_e² + Δ_h²): the commanded speed along the path [m/s].
+    """Return the commanded speed U_h Δ_h/√(y_e² + Δ_h²) along the path [m/s].
 
     Args:
         x_e: along-track error [m].
         y_e: cross-track error [m].
-        speed: U_d, speed of the path's target [m/s].
+        speed: speed U_d of the target point along the path [m/s].
         k1: along-track gain [1/s].
-        lookahead: Δ_h [m].
-        maximum: largest speed U_h [m/s]; None leaves it free, as the paper does.
-        repaired: clip at U_h ≥ 0; the printed law lets U_h change sign, and with it the sign of the y_e term (E9).
+        lookahead: look-ahead distance Δ_h [m].
+        maximum: largest speed U_h [m/s]; None: no limit, as in the paper.
+        repaired: limit U_h to at least 0; in the printed law, a negative U_h reverses the sign of the y_e term (E9).
 
     Example:
         >>> import casadi as ca
@@ -60,7 +62,7 @@ def along_command(
 
 
 def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX) -> ca.SX:
-    """Commanded horizontal velocity (2, 1) in {E} [m/s] from the along-track command.
+    """Return the commanded horizontal velocity (2, 1) in {E} [m/s] for an along-track command.
 
     Example:
         >>> import casadi as ca
@@ -73,24 +75,25 @@ def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX
 
 
 def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX, k2: ca.SX, turn: ca.SX) -> ca.SX:
-    """(9) closed with the commands: d/dt (x_e, y_e, z_e) [m/s] of the ideal kinematic loop.
+    """Return d/dt (x_e, y_e, z_e) [m/s] of the ideal kinematic loop: (9) with the commanded velocities.
 
     Args:
         error: (3, 1): x_e, y_e, z_e [m].
-        along: the along-track command [m/s].
-        speed: U_d [m/s].
-        lookahead: Δ_h [m].
+        along: along-track command [m/s].
+        speed: speed U_d of the target point [m/s].
+        lookahead: look-ahead distance Δ_h [m].
         k2: depth gain [1/s].
-        turn: γ̇_d, turn rate of the path [rad/s]; it cancels in V̇1.
+        turn: turn rate γ̇_d of the path [rad/s]; it cancels in V̇1.
     """
     x_e, y_e, z_e = error[0], error[1], error[2]
     return ca.vertcat(along - speed + y_e * turn, -along * y_e / lookahead - x_e * turn, -k2 * z_e)
 
 
 def progress_rate(x_e: ca.SX, *, speed: ca.SX, wait: ca.SX) -> ca.SX:
-    """Speed of the path's target [m/s]: U_d, falling to 0 while the robot is `wait`/2 … `wait` [m] behind it.
+    """Return the speed of the target point along the path [m/s].
 
-    A detour must not let the target run away: the catch-up would otherwise cut corners at full speed.
+    It is U_d, and it decreases to 0 while the robot is `wait`/2 to `wait` [m] behind the target. Otherwise, a robot on
+    a detour would fall far behind, and would then cut corners at full speed to catch up.
 
     Example:
         >>> import casadi as ca

@@ -1,4 +1,4 @@
-"""What the robot should do: tasks σ(η), the ordered stack, and the limits it must keep."""
+"""Tasks σ(η) of the robot, the stack of tasks ordered by priority, and limits on the velocity."""
 
 from __future__ import annotations
 

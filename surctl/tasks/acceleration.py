@@ -1,4 +1,4 @@
-"""How far the commanded velocity may be from the present one."""
+"""A limit on the difference between the commanded and the present velocity."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ __all__ = ["AccelerationLimit"]
 
 @dataclass(frozen=True, eq=False)
 class AccelerationLimit:
-    """|v − ν| ≤ a·dt, entry by entry, body frame.
+    """The limit |v − ν| ≤ a·dt on each axis of the body frame.
 
     Attributes:
-        nu: ν (4,), the present velocity [m/s, m/s, m/s, rad/s].
-        limit: a (4,), at least 0 [m/s², m/s², m/s², rad/s²].
-        dt: step in which v is to be reached, greater than 0 [s].
+        nu: present velocity ν (4,) [m/s, m/s, m/s, rad/s].
+        limit: largest acceleration a (4,), at least 0 [m/s², m/s², m/s², rad/s²].
+        dt: time in which v is to be reached, greater than 0 [s].
 
     Raises:
-        InputError: not 4 entries, numbers that are not finite or negative, dt not greater than 0.
+        InputError: there are not 4 entries, a number is negative or not finite, or dt is not greater than 0.
     """
 
     nu: Expression
@@ -41,10 +41,10 @@ class AccelerationLimit:
         object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
 
     def box(self) -> VelocityBox:
-        """The same limit as a box of velocities, (4,) each [m/s, rad/s]."""
+        """Return the same limit as a box of velocities with bounds (4,) [m/s, rad/s]."""
         nu, change = ca.SX(self.nu), ca.SX(self.limit) * ca.SX(self.dt)
         return VelocityBox(nu - change, nu + change, self.name, self.kind)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Four rows, named NAME.u, NAME.v, NAME.w, NAME.r."""
+        """Return four rows, named NAME.u, NAME.v, NAME.w, NAME.r."""
         return self.box().rows()

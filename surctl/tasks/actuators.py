@@ -1,4 +1,4 @@
-"""What the actuators allow, made consistent: the box gives way to what the thrust can reach."""
+"""Actuator limits that are always consistent: the boxes are widened to include a velocity that the thrust can reach."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ __all__ = ["ActuatorLimits"]
 
 @dataclass(frozen=True, eq=False)
 class ActuatorLimits:
-    """Velocity box B, acceleration box A and thrust rows T that always leave a velocity.
+    """Velocity box B, acceleration box A and thrust rows T, with B and A widened so that a velocity is always feasible.
 
-    Far outside its box, or where drag and Coriolis ask for more than the thrust has, a vehicle cannot keep B or A:
-    the rows would contradict each other. Thrust is what is real, so T stays as it is, and B and A are widened to
-    hold one point p of T:
+    If a vehicle is far outside B, or if drag and Coriolis forces exceed the thrust, it cannot satisfy B or A, and the
+    rows would contradict each other. The thrust is a physical limit, so T does not change, and B and A are widened to
+    contain one point p of T:
 
         q = the point of A nearest to (the point of B nearest to ν),   p = the point of T toward q,
         B' = hull(B, p),   A' = hull(A, p).
 
-    Proof that B' ∩ A' ∩ T is never empty: p ∈ T, as the thrust needed for p is that for q brought into bounds, and
-    p is in both hulls.
-    Nothing changes where q ∈ B ∩ T, as then p = q; so nothing changes while ν is in B and the thrust can hold it.
-    For a diagonal M each axis stands alone, T is a box, and p is its point nearest to q. Intervals that meet in
-    pairs have a point in common, and the nearest point of one interval to a point of another lies in every interval
-    that meets both between the two. Hence B' = B when the three meet, and otherwise B' is the smallest box that
-    meets A ∩ T (A' the smallest that meets T, if A does not). For any other M, p is a point of T, not always the
-    one that widens least.
+    Proof that B' ∩ A' ∩ T is never empty: p ∈ T, because the thrust needed for p is the thrust needed for q, limited to
+    its bounds; and p is in both hulls.
+    If q ∈ B ∩ T, then p = q and nothing changes; so nothing changes while ν is in B and the thrust can hold ν.
+    For a diagonal M the axes are independent, T is a box, and p is its point nearest to q. Intervals that intersect in
+    pairs have a common point. The point of an interval nearest to x lies in every interval that contains x and
+    intersects the first. Hence B' = B if the three intersect. Otherwise B' is the smallest box that intersects A ∩ T
+    (and A' the smallest box that intersects T, if A does not). For any other M, p is a point of T, but not always the
+    one that widens the boxes least.
 
     Attributes:
         box: B.
         thrust: T; lower ≤ upper.
-        acceleration: A, about the same ν as T; None for none.
+        acceleration: A, with the same ν as T; None if there is no such limit.
 
     Raises:
-        InputError: `acceleration` is written over another ν or dt than `thrust`, or two of the limits have one name.
+        InputError: `acceleration` has another ν or dt than `thrust`, or two of the limits have the same name.
     """
 
     box: VelocityBox
@@ -65,14 +65,14 @@ class ActuatorLimits:
                 )
 
     def reachable(self) -> ca.SX:
-        """p (4,) [m/s, rad/s]: the velocity that the thrust reaches on its way back into the box."""
+        """Return p (4,) [m/s, rad/s], the velocity that the thrust can reach in the direction of the box."""
         target = self.box.nearest(ca.SX(self.thrust.nu))
         if self.acceleration is not None:
             target = self.acceleration.box().nearest(target)
         return self.thrust.toward(target)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Rows of the widened box, of the widened acceleration limit, and of the thrust."""
+        """Return the rows of the widened box, of the widened acceleration limit, and of the thrust."""
         point = self.reachable()
         rows = self.box.holding(point).rows()
         if self.acceleration is not None:

@@ -1,4 +1,4 @@
-"""Angles without atan2: the difference of two angles, brought to one turn."""
+"""Wrap an angle to one turn without atan2."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ __all__ = ["wrap"]
 
 
 def wrap(angle: ca.SX) -> ca.SX:
-    """The same angle [rad] in (−π, π], entry by entry; exact at both ends, no trigonometry.
+    """Return each angle [rad] wrapped to (−π, π]; the result is exact at both ends and needs no trigonometry.
 
-    The floor alone can miss by one rounding (an angle just above 3π comes out just above π), hence the two
-    corrections.
+    The floor function alone can be wrong by one rounding (an angle just above 3π becomes just above π), so two
+    corrections follow.
     """
     turn = 2.0 * math.pi
     once = angle + turn * ca.floor((math.pi - angle) / turn)

@@ -1,4 +1,4 @@
-"""Barriers: the robot stays where h(η) ≥ 0."""
+"""Barriers: limits that keep the robot in the set h(η) ≥ 0."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ _SAMPLES = np.concatenate([-np.logspace(1, -6, 57), [0.0], np.logspace(-6, 1, 57
 
 @dataclass(frozen=True, eq=False)
 class Barrier:
-    """ḣ + α(h) ≥ 0 for a velocity that is reached at once: −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t (Ames et al. 2019).
+    """The barrier ḣ + α(h) ≥ 0 for a vehicle that reaches its commanded velocity v at once (Ames et al. 2019).
 
-    {h ≥ 0} is kept, and approached from outside. With v held over steps dt and α(h) = γh, γ dt ≤ 1, that is exact
-    for a convex h (the distance from a flat wall or a convex obstacle) at a constant heading; a yaw rate r turns v
-    during the step and leaves h ≥ −|r| ‖v‖ dt / (2γ) for ‖∂h/∂(x, y)‖ ≤ 1. For a vehicle that needs time to slow
-    down, take `BrakingBarrier`.
+    Its row is −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t. The robot stays in the set {h ≥ 0}, and approaches it from outside. With
+    v constant over steps dt, α(h) = γh and γ dt ≤ 1, this is exact for a convex h (the distance from a flat wall or a
+    convex obstacle) at a constant heading. A yaw rate r turns v during the step; then h ≥ −|r| ‖v‖ dt / (2γ) if
+    ‖∂h/∂(x, y)‖ ≤ 1. Use `BrakingBarrier` for a vehicle that needs time to slow down.
 
     Attributes:
-        name: identifiers joined by dots; that of the row.
+        name: name of the barrier and its row: identifiers joined by dots.
         eta: SX symbol (4, 1), pose (x, y, z [m] in {E}, ψ [rad]).
-        h: SX scalar over eta and whatever else; those other symbols are held fixed when it is differentiated.
-        alpha: γ > 0 [1/s], or a function SX → SX, also a ca.Function. It is checked by samples in [−10, 10]:
-            α(0) = 0, the sign of its argument elsewhere, nowhere falling (class K, but it may level off). One with
-            other symbols inside is taken on trust.
-        drift: ∂h/∂t [unit of h per second], for a constraint that moves of its own.
+        h: SX scalar expression of eta; other symbols may appear in it and are constant in its derivative.
+        alpha: γ > 0 [1/s], or a function SX → SX, also a ca.Function. Samples in [−10, 10] check that α(0) = 0, that
+            α(s) has the sign of s, and that α never decreases (class K, but constant parts are allowed). A function
+            that contains other symbols is not checked.
+        drift: ∂h/∂t [unit of h per second], for a constraint that moves.
         kind: see `Kind`.
 
     Raises:
-        InputError: bad name or shapes; ∂h/∂η J(ψ) is structurally zero, so that no velocity moves h; α is not
-            such a function. Each names the barrier.
+        InputError: a name or shape is wrong; ∂h/∂η J(ψ) is structurally zero, so no velocity changes h; or α is not
+            such a function. The message names the barrier.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Barrier:
     kind: Kind = "barrier"
 
     def __post_init__(self) -> None:
-        """Check, and turn numbers into expressions."""
+        """Check the values and convert numbers to expressions."""
         checked_kind(checked_name(self.name), self.kind)
         object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
         object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
@@ -67,14 +67,14 @@ class Barrier:
             object.__setattr__(self, "alpha", checked_positive(self.name, "alpha", self.alpha))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """One row, NAME, without a lower bound; a·v is the closing speed −ḣ [unit of h per second]."""
+        """Return one row, NAME, without a lower bound; its a·v is the closing speed −ḣ [unit of h per second]."""
         allowed = self.alpha(self.h) if callable(self.alpha) else ca.SX(self.alpha) * self.h
         a = closing_row(self.name, self.eta, self.h)
         return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), allowed + ca.SX(self.drift)),)
 
 
 def closing_row(name: str, eta: ca.SX, h: ca.SX) -> ca.SX:
-    """−(∂h/∂η) J(ψ), (1, 4): −ḣ per velocity in {B}; InputError, naming the barrier, when it vanishes everywhere."""
+    """Return −(∂h/∂η) J(ψ), (1, 4), which gives −ḣ for a velocity in {B}; raise InputError if it is always zero."""
     if not isinstance(eta, ca.SX) or eta.shape != (4, 1) or not eta.is_valid_input():
         raise InputError(
             "is not an SX symbol of shape (4, 1)", key=f"limit {name}: eta", remedy='write eta = ca.SX.sym("eta", 4)'
@@ -82,16 +82,16 @@ def closing_row(name: str, eta: ca.SX, h: ca.SX) -> ca.SX:
     row = ca.simplify(-(ca.jacobian(h, eta) @ kinematics(eta[3])))
     if ca.sparsify(row).nnz() == 0:
         raise InputError(
-            "does not change with eta, so no velocity keeps it",
+            "does not depend on eta, so no velocity changes it",
             key=f"limit {name}: h",
             value=h,
-            remedy="express it through this barrier's own eta symbol; for a bound on velocity use a HalfPlane",
+            remedy="express it by this barrier's own eta symbol; for a bound on velocity use a HalfPlane",
         )
     return ca.densify(row)
 
 
 def _check_class_k(name: str, alpha: Callable[[ca.SX], ca.SX]) -> None:
-    """InputError unless α(0) = 0, α(s) s > 0 and α never falls, at the samples."""
+    """Raise InputError if α(0) ≠ 0, α(s) s ≤ 0 for an s ≠ 0, or α decreases, at the sample points."""
     s = ca.SX.sym("s")
     image = checked_column(name, "alpha", alpha(s), 1)
     if ca.symvar(image) and not (len(ca.symvar(image)) == 1 and ca.depends_on(image, s)):
@@ -106,7 +106,7 @@ def _check_class_k(name: str, alpha: Callable[[ca.SX], ca.SX]) -> None:
             )
     for k in np.flatnonzero(np.diff(values) < 0.0):
         raise InputError(
-            f"falls between {_SAMPLES[k]:.3g} and {_SAMPLES[k + 1]:.3g}",
+            f"decreases between {_SAMPLES[k]:.3g} and {_SAMPLES[k + 1]:.3g}",
             key=f"limit {name}: alpha",
-            remedy="take one that never falls",
+            remedy="give a function that never decreases",
         )

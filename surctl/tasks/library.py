@@ -1,4 +1,4 @@
-"""Tasks that come with the toolkit; each is one σ(η), and the reader's own are made the same way."""
+"""Ready-made tasks; each defines one σ(η), and users define their own tasks in the same way."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ __all__ = [
 ]
 
 _NEAR = 1e-6
-"""Below this distance [m] a direction means nothing: its derivative is taken as 0, never as NaN."""
+"""Distance [m] below which a direction is undefined; its derivative is then 0 and not NaN."""
 
 
 def position_task(
     eta: ca.SX, target: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "position"
 ) -> Task:
-    """σ = (x, y) or (x, y, z) [m] in {E}, as many as `target` has; `rate` [m/s], `gain` [1/s].
+    """Return a task on the position σ = (x, y) or (x, y, z) [m] in {E}, depending on the size of `target`.
+
+    `rate` is in m/s and `gain` in 1/s.
 
     Example:
         >>> import casadi as ca
@@ -41,7 +43,7 @@ def position_task(
 def depth_task(
     eta: ca.SX, z_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "depth"
 ) -> Task:
-    """σ = z [m] in {E}, upwards: 0.15 m deep is z_d = −0.15.
+    """Return a task on σ = z [m] in {E}, positive upwards: a depth of 0.15 m is z_d = −0.15.
 
     Example:
         >>> import casadi as ca
@@ -58,7 +60,7 @@ def depth_task(
 def heading_task(
     eta: ca.SX, psi_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "heading"
 ) -> Task:
-    """σ = ψ [rad], counter-clockwise from x; turns the short way round.
+    """Return a task on the heading σ = ψ [rad], counter-clockwise from x; the robot turns by the smaller angle.
 
     Example:
         >>> import casadi as ca
@@ -66,14 +68,14 @@ def heading_task(
         >>> eta = ca.SX.sym("eta", 4)
         >>> task = heading_task(eta, 3.0, gain=0.5)
         >>> rate = ca.Function("rate", [eta], [task.reference()])
-        >>> rate([0, 0, 0, -3.0]).full().ravel().round(3).tolist()  # rad/s, the short way round
+        >>> rate([0, 0, 0, -3.0]).full().ravel().round(3).tolist()  # rad/s, by the smaller angle
         [-0.142]
     """
     return Task(name=name, eta=eta, sigma=eta[3], target=psi_d, rate=rate, gain=gain, angular=True, unit="rad")
 
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
-    """σ = (x, y) with σ̃ = 0: only its rate `v_world` (2,) [m/s] in {E} counts.
+    """Return a task on σ = (x, y) that only prescribes its rate `v_world` (2,) [m/s] in {E}: the error σ̃ is 0.
 
     Example:
         >>> import casadi as ca
@@ -92,9 +94,9 @@ def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") ->
 def clearance_task(
     eta: ca.SX, echo_point: Expression, *, margin: Expression, gain: Expression = 1.0, name: str = "clearance"
 ) -> Task:
-    """The paper's sub-task of one sensor: σ = ‖p_echo − p‖ − margin → 0 [m] (17), read with E1.
+    """Return the paper's sub-task of one sensor: σ = ‖p_echo − p‖ − margin → 0 [m] (17), with correction E1.
 
-    J = [−cos(φ − ψ), −sin(φ − ψ), 0, 0], φ the bearing of the echo (2,) [m] in {E}. `margin` [m] is the
+    J = [−cos(φ − ψ), −sin(φ − ψ), 0, 0], where φ is the bearing of the echo point (2,) [m] in {E}. `margin` [m] is the
     anti-collision radius.
 
     Example:
@@ -113,7 +115,7 @@ def clearance_task(
 def distance_task(
     eta: ca.SX, point: Expression, *, distance: Expression, gain: Expression = 1.0, name: str = "distance"
 ) -> Task:
-    """σ = horizontal distance to `point` (2,) [m] in {E}, to be held at `distance` [m].
+    """Return a task that holds the horizontal distance σ to `point` (2,) [m] in {E} at `distance` [m].
 
     Example:
         >>> import casadi as ca
@@ -121,7 +123,7 @@ def distance_task(
         >>> eta = ca.SX.sym("eta", 4)
         >>> task = distance_task(eta, [2.0, 0.0], distance=1.0, gain=0.5)
         >>> rate = ca.Function("rate", [eta], [task.reference()])
-        >>> rate([0, 0, 0, 0]).full().ravel().round(3).tolist()  # m/s, towards it
+        >>> rate([0, 0, 0, 0]).full().ravel().round(3).tolist()  # m/s, negative: towards the point
         [-0.5]
     """
     sigma = _distance(eta, _vector(name, "point", point, (2,)))
@@ -129,9 +131,9 @@ def distance_task(
 
 
 def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight") -> Task:
-    """σ = bearing of `point` (2,) [m] in {E} seen from the bow [rad], to be 0: look at the point.
+    """Return a task that turns the bow towards `point` (2,) [m] in {E}: σ → 0 is its bearing from the bow [rad].
 
-    On the point itself, where no bearing exists, it is taken as the direction of x.
+    At the point itself the bearing is undefined; then it is the direction of x.
 
     Example:
         >>> import casadi as ca
@@ -139,7 +141,7 @@ def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0,
         >>> eta = ca.SX.sym("eta", 4)
         >>> task = line_of_sight_task(eta, [1.0, 1.0], gain=0.6)
         >>> rate = ca.Function("rate", [eta], [task.reference()])
-        >>> rate([0, 0, 0, 0]).full().ravel().round(3).tolist()  # rad/s of the bearing
+        >>> rate([0, 0, 0, 0]).full().ravel().round(3).tolist()  # rad/s, rate of the bearing
         [-0.471]
     """
     offset = _vector(name, "point", point, (2,)) - eta[:2]

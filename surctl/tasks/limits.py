@@ -1,4 +1,4 @@
-"""Limits on the commanded velocity itself: the box and the half-plane."""
+"""Limits on the commanded velocity: a box and a half-plane."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ __all__ = ["HalfPlane", "Kind", "Limit", "LimitRow", "VelocityBox"]
 
 @dataclass(frozen=True, eq=False)
 class VelocityBox:
-    """lower ≤ v ≤ upper, entry by entry; (4,) numbers or SX each, body frame [m/s, m/s, m/s, rad/s].
+    """The limit lower ≤ v ≤ upper on each axis of the body frame, with bounds (4,) [m/s, m/s, m/s, rad/s].
+
+    The bounds are numbers or SX expressions.
 
     Raises:
-        InputError: not 4 entries, NaN, or numbers with lower > upper; it names the axis.
+        InputError: there are not 4 entries, or a number is NaN, or lower > upper on an axis that the message names.
     """
 
     lower: Expression
@@ -35,7 +37,7 @@ class VelocityBox:
             checked_order(f"{self.name}.{axis}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Four rows, named NAME.u, NAME.v, NAME.w, NAME.r."""
+        """Return four rows, named NAME.u, NAME.v, NAME.w, NAME.r."""
         eye = ca.SX.eye(4)
         return tuple(
             LimitRow(
@@ -45,22 +47,22 @@ class VelocityBox:
         )
 
     def holding(self, point: ca.SX) -> VelocityBox:
-        """The smallest box around this one that holds `point` (4,) too; the same box where it does already."""
+        """Return the smallest box that contains this box and `point` (4,)."""
         return VelocityBox(ca.fmin(ca.SX(self.lower), point), ca.fmax(ca.SX(self.upper), point), self.name, self.kind)
 
     def nearest(self, point: ca.SX) -> ca.SX:
-        """The point (4,) of the box nearest to `point` (4,)."""
+        """Return the point (4,) of the box nearest to `point` (4,)."""
         return ca.fmin(ca.fmax(point, ca.SX(self.lower)), ca.SX(self.upper))
 
 
 @dataclass(frozen=True, eq=False)
 class HalfPlane:
-    """normal · v ≤ bound, (4,) and a scalar, numbers or SX, body frame.
+    """The limit normal · v ≤ bound in the body frame, with normal (4,) and a scalar bound, numbers or SX.
 
-    A barrier ḣ + α(h) ≥ 0 is −∇h·v ≤ α(h).
+    For example, a barrier ḣ + α(h) ≥ 0 is the half-plane −∇h·v ≤ α(h).
 
     Raises:
-        InputError: wrong shapes or NaN; it names the limit.
+        InputError: a shape is wrong or a number is NaN; the message names the limit.
     """
 
     name: str
@@ -76,5 +78,5 @@ class HalfPlane:
         checked_order(self.name, ca.SX(-math.inf), ca.SX(self.bound))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """One row, without a lower bound."""
+        """Return one row without a lower bound."""
         return (LimitRow(self.name, self.kind, ca.SX(self.normal).T, ca.SX(-math.inf), ca.SX(self.bound)),)

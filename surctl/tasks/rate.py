@@ -1,4 +1,4 @@
-"""A limit on how fast one task's quantity may change."""
+"""A limit on the rate of change of a task's quantity."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ __all__ = ["RateLimit"]
 
 @dataclass(frozen=True, eq=False)
 class RateLimit:
-    """|σ̇_i| ≤ limit_i for every entry of a task's σ, as rows on the velocity.
+    """The limit |σ̇_i| ≤ limit_i on every entry of a task's σ, as rows on the velocity.
 
     Attributes:
-        task: whose σ; J of (13).
-        limit: (k,) or one number for all, at least 0 [unit of σ per second].
+        task: the task with σ and its Jacobian J of (13).
+        limit: (k,) or one number for all entries, at least 0 [unit of σ per second].
         kind: see `Kind`.
 
     Raises:
-        InputError: wrong shape, a number that is negative or not finite, an unknown kind; it names the task.
+        InputError: a shape is wrong, a number is negative or not finite, or the kind is unknown; the message names the
+            task.
     """
 
     task: Task | SetTask
@@ -31,7 +32,7 @@ class RateLimit:
     kind: Kind = "set"
 
     def __post_init__(self) -> None:
-        """Check, and turn the number into a column."""
+        """Check the values and convert one number to a column."""
         name, k = f"{self.task.name}.rate", self.task.size
         checked_kind(name, self.kind)
         column = sized_column(self.limit, (1, k), key=f"limit {name}: limit")
@@ -39,7 +40,7 @@ class RateLimit:
         object.__setattr__(self, "limit", checked_positive(name, "limit", column, k, zero=True))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """TASK.rate for a task of one row, TASK.rate0, TASK.rate1, … for more."""
+        """Return one row per entry of σ: TASK.rate for one entry, otherwise TASK.rate0, TASK.rate1, …"""
         J, limit = self.task.jacobian(), ca.SX(self.limit)
         return tuple(
             LimitRow(name, self.kind, J[i, :], -limit[i], limit[i])

@@ -1,4 +1,4 @@
-"""Rows l ≤ a·v ≤ u with a name and a kind: what every limit is made of."""
+"""Named rows l ≤ a·v ≤ u, the common form of all limits, and checks of their values."""
 
 from __future__ import annotations
 
@@ -25,8 +25,11 @@ __all__ = [
 ]
 
 Kind: TypeAlias = Literal["actuator", "barrier", "set"]
-"""What a row stands for. Actuator rows never give way; barrier rows do only when they contradict those, by
-the least violation; rows of set-based tasks give way before barriers."""
+"""The kind of a row decides which rows may be violated.
+
+Actuator rows are always satisfied. Barrier rows are violated only if they contradict actuator rows, and then as little
+as possible. Rows of set-based tasks are violated before barrier rows.
+"""
 
 AXES = ("u", "v", "w", "r")
 
@@ -35,13 +38,13 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_0-9]+)*")
 
 @dataclass(frozen=True, eq=False)
 class LimitRow:
-    """One row lower ≤ a·v ≤ upper, for v = (u, v, w, r) in {B} [m/s, rad/s].
+    """One row lower ≤ a·v ≤ upper for v = (u, v, w, r) in {B} [m/s, rad/s].
 
     Attributes:
-        name: dotted name, as "velocity.u"; it appears in explanations.
+        name: dotted name such as "velocity.u"; it appears in explanations.
         kind: see `Kind`.
         a: SX (1, 4).
-        lower, upper: SX scalars; −inf or inf where there is none.
+        lower, upper: SX scalars; −inf or inf if there is no bound.
     """
 
     name: str
@@ -52,15 +55,15 @@ class LimitRow:
 
 
 class Limit(Protocol):
-    """Whatever can say its rows."""
+    """An object that has limit rows."""
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """The rows, in a fixed order."""
+        """Return the rows in a fixed order."""
         ...
 
 
 def checked_name(name: object) -> str:
-    """The name, if it is identifiers joined by dots; InputError otherwise."""
+    """Return the name; raise InputError if it does not consist of identifiers joined by dots."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InputError(
             "is not a limit name", key="limit.name", value=name, remedy="use letters, digits and _, joined by dots"
@@ -69,16 +72,16 @@ def checked_name(name: object) -> str:
 
 
 def checked_kind(name: str, kind: str) -> None:
-    """InputError, with the nearest kind, when there is no such kind."""
+    """Raise InputError, with a similar known kind, if the kind is unknown."""
     if kind not in get_args(Kind):
         remedy = nearest(str(kind), get_args(Kind))
         raise InputError("unknown kind of limit", key=f"limit {name}", value=kind, remedy=remedy)
 
 
 def checked_column(name: str, field: str, value: Expression, size: int, *, finite: bool = False) -> ca.SX:
-    """The value as an SX column of `size`; InputError that names limit and field for a wrong shape or a NaN.
+    """Return the value as an SX column of length `size`; raise InputError for a wrong shape or a NaN.
 
-    With `finite`, an infinite number is refused too.
+    With `finite`, an infinite number raises InputError too. The message names the limit and the field.
     """
     key = f"limit {name}: {field}"
     column = sized_column(value, (size,), key=key)
@@ -90,7 +93,10 @@ def checked_column(name: str, field: str, value: Expression, size: int, *, finit
 
 
 def checked_positive(name: str, field: str, value: Expression, size: int = 1, *, zero: bool = False) -> ca.SX:
-    """As `checked_column`, finite, and numbers must be greater than 0 (with `zero`: at least 0)."""
+    """Return the value as `checked_column` does; its numbers must be finite and greater than 0.
+
+    With `zero`, the number 0 is allowed too.
+    """
     column = checked_column(name, field, value, size, finite=True)
     for i in range(size):
         if column[i].is_constant() and (float(column[i]) < 0.0 or (float(column[i]) == 0.0 and not zero)):
@@ -100,13 +106,13 @@ def checked_positive(name: str, field: str, value: Expression, size: int = 1, *,
 
 
 def checked_order(name: str, lower: ca.SX, upper: ca.SX) -> None:
-    """Numbers must leave room; expressions are taken on trust here and checked when they have values."""
+    """Raise InputError if numeric bounds allow no value; expressions are checked later, when they have values."""
     if not (lower.is_constant() and upper.is_constant()):
         return
     low, high = float(lower), float(upper)
     if low > high or low == math.inf or high == -math.inf:
         raise InputError(
-            "leaves no velocity",
+            "allows no velocity",
             key=f"limit {name}",
             value=[low, high],
             remedy="give lower <= upper, or inf for none",

@@ -1,4 +1,4 @@
-"""A set-based task: a quantity that may be anywhere between two bounds."""
+"""A set-based task: a quantity that may have any value between two bounds."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ _TURN = 2.0 * math.pi
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SetTask:
-    """lower ≤ σ(η) ≤ upper, kept by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
+    """The set lower ≤ σ(η) ≤ upper, enforced by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
 
-    Inside the set the slab holds 0 and leaves room on both sides; at a bound σ may not leave; outside it comes back
-    as a task with gain K would. No switch: the slab moves continuously with σ.
+    These two bounds on σ̇ are the slab. Inside the set, the slab contains 0 and values of both signs. At a bound, σ
+    cannot leave the set. Outside, σ returns like a task with gain K. The slab changes continuously with σ, so the task
+    needs no switching.
 
     Attributes:
         name, eta, sigma, gain, unit: as in `Task`.
-        lower, upper: (k,) or one number for all [unit of σ]; −inf or inf where there is none.
-        rate: σ̇_set, with which the set moves, (k,) or one number [unit of σ per second].
-        angular: σ is an angle [rad]: the set is the arc from lower to upper, shorter than a turn, and outside it σ
-            comes back the short way round (so the slab jumps opposite the middle of the arc, as any angle does).
+        lower, upper: (k,) or one number for all entries [unit of σ]; −inf or inf if there is no bound.
+        rate: rate σ̇_set at which the set moves, (k,) or one number [unit of σ per second].
+        angular: σ is an angle [rad]. The set is the arc from lower to upper, shorter than a turn. Outside the arc, σ
+            returns by the smaller angle, so the slab jumps opposite the middle of the arc.
 
     Raises:
-        InputError: as `Task`; bounds that are NaN or cross; an arc that has no end or is a whole turn; each names
-            the task.
+        InputError: an error of `Task`; a bound is NaN, or lower > upper; an arc has no end or is a whole turn. The
+            message names the task.
     """
 
     name: str
@@ -47,13 +48,13 @@ class SetTask:
     _middle: Task = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check, and turn every number into a column of k expressions."""
+        """Check the values and convert every number to a column of k expressions."""
         k = int(sigma_column(self.name, self.sigma).shape[0])
         for bound in ("lower", "upper"):
             object.__setattr__(self, bound, self._column(bound, k))
         for i in range(k):
             self._check_pair(i)
-        # one numeric source of checks, of J and of the wrapped error: the task that holds the middle of the arc
+        # a task for the middle of the arc provides the checks, J and the wrapped error
         middle = Task(
             name=self.name,
             eta=self.eta,
@@ -75,31 +76,31 @@ class SetTask:
 
     @property
     def rate_unit(self) -> str:
-        """Unit of σ̇, as `Task.rate_unit`."""
+        """The unit of σ̇; see `Task.rate_unit`."""
         return self._middle.rate_unit
 
     def jacobian(self) -> ca.SX:
-        """J, (k, 4): σ̇ = J ν for ν = (u, v, w, r) in {B} (13)."""
+        """Return the Jacobian J, (k, 4), with σ̇ = J ν for ν = (u, v, w, r) in {B} (13)."""
         return self._middle.jacobian()
 
     def slab(self) -> tuple[ca.SX, ca.SX]:
-        """Lower and upper bound of J ν, (k, 1) each [unit of σ per second]; ±inf where the set has no bound."""
+        """Return lower and upper bound of J ν, (k, 1) each [unit of σ per second]; ±inf if the set has no bound."""
         below, above = self._distances()
         lower = [self._rate_of(i, below[i], -math.inf) for i in range(self.size)]
         upper = [self._rate_of(i, above[i], math.inf) for i in range(self.size)]
         return ca.densify(ca.vertcat(*lower)), ca.densify(ca.vertcat(*upper))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """The slab as rows of kind "set": NAME.set for one row, NAME.set0, NAME.set1, … for more."""
+        """Return the slab as rows of kind "set": NAME.set for one row, otherwise NAME.set0, NAME.set1, …"""
         J, (lower, upper) = self.jacobian(), self.slab()
         return tuple(LimitRow(name, "set", J[i, :], lower[i], upper[i]) for i, name in enumerate(self.row_names("set")))
 
     def row_names(self, what: str) -> tuple[str, ...]:
-        """NAME.WHAT for one row, NAME.WHAT0, NAME.WHAT1, … for more."""
+        """Return the names of the rows: NAME.WHAT for one row, otherwise NAME.WHAT0, NAME.WHAT1, …"""
         return self._middle.row_names(what)
 
     def split(self) -> tuple[SetTask, ...]:
-        """The same set as k tasks of one row each, named NAME0, NAME1, …; itself if k is 1."""
+        """Return the same set as k tasks of one row each, named NAME0, NAME1, …; the task itself if k is 1."""
         if self.size == 1:
             return (self,)
         return tuple(
@@ -118,7 +119,7 @@ class SetTask:
         )
 
     def _distances(self) -> tuple[ca.SX, ca.SX]:
-        """(lower − σ, upper − σ), (k, 1) each; along the shorter arc for an angle."""
+        """Return (lower − σ, upper − σ), (k, 1) each; for an angle, along the shorter arc."""
         lower, upper = ca.SX(self.lower), ca.SX(self.upper)
         if not self.angular:
             return lower - self.sigma, upper - self.sigma
@@ -126,7 +127,7 @@ class SetTask:
         return error - half, error + half
 
     def _rate_of(self, i: int, distance: ca.SX, absent: float) -> ca.SX:
-        """One bound of the slab; a number that stands for no bound stays one."""
+        """Return one bound of the slab, or `absent` if the set has no bound there."""
         if distance.is_constant() and math.isinf(float(distance)):
             return ca.SX(absent)
         return ca.SX(self.rate)[i] + ca.SX(self.gain)[i] * distance
@@ -148,15 +149,15 @@ class SetTask:
         return column
 
     def _check_pair(self, i: int) -> None:
-        """Numbers must be a set; expressions are taken on trust."""
+        """Raise InputError if two numeric bounds do not define a set or an arc; expressions are not checked."""
         lower, upper = ca.SX(self.lower)[i], ca.SX(self.upper)[i]
         if not (lower.is_constant() and upper.is_constant()):
             return
         low, high = float(lower), float(upper)
         key, value = f"task {self.name}: row {i}", [low, high]
         if not low <= high or low == math.inf or high == -math.inf:
-            raise InputError("leaves no value", key=key, value=value, remedy="give lower <= upper, or inf for none")
+            raise InputError("allows no value", key=key, value=value, remedy="give lower <= upper, or inf for none")
         if self.angular and not high - low < _TURN:
             raise InputError(
-                "is no arc", key=key, value=value, remedy="give two angles less than a turn apart, or no task at all"
+                "is not an arc", key=key, value=value, remedy="give two angles less than a turn apart, or omit the task"
             )

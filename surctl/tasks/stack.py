@@ -1,4 +1,4 @@
-"""The ordered stack of tasks: who comes first."""
+"""The stack of tasks in order of priority."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Stack:
     """Tasks and set-based tasks in order of priority, highest first.
 
     Raises:
-        InputError: no task, two tasks with one name, or tasks written over different `eta` symbols.
+        InputError: there is no task, two tasks have the same name, or tasks use different `eta` symbols.
     """
 
     tasks: tuple[Task | SetTask, ...]
@@ -27,7 +27,7 @@ class Stack:
         """Check names and symbols."""
         object.__setattr__(self, "tasks", tuple(self.tasks))
         if not self.tasks:
-            raise InputError("holds no task", key="stack", remedy="give at least one task")
+            raise InputError("contains no task", key="stack", remedy="give at least one task")
         places: dict[str, int] = {}
         for place, task in enumerate(self.tasks, start=1):
             if task.name in places:
@@ -40,7 +40,7 @@ class Stack:
             places[task.name] = place
             if not ca.is_equal(task.eta, self.tasks[0].eta):
                 raise InputError(
-                    f"is written over another eta symbol than task {self.tasks[0].name}",
+                    f"uses another eta symbol than task {self.tasks[0].name}",
                     key=f"task {task.name}",
                     remedy="build all tasks of a stack from one eta",
                 )
@@ -52,19 +52,22 @@ class Stack:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names, highest priority first."""
+        """The names of the tasks, highest priority first."""
         return tuple(task.name for task in self.tasks)
 
     def levels(self) -> list[tuple[ca.SX, ca.SX]]:
-        """(J (k, 4), x (k, 1)) of each task, highest first: σ̇ = J ν should be x (13)–(14).
+        """Return (J (k, 4), x (k, 1)) of each task, highest priority first: σ̇ = J ν should equal x (13)–(14).
 
         Raises:
-            InputError: a task is set-based, so that it has no x; `slabs` has both.
+            InputError: a task is set-based, so it has no x; use `slabs`.
         """
         return [(task.jacobian(), _equality(task).reference()) for task in self.tasks]
 
     def slabs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
-        """(J (k, 4), lower (k, 1), upper (k, 1)) of each task, highest first; both are x for a Task."""
+        """Return (J (k, 4), lower (k, 1), upper (k, 1)) of each task, highest priority first.
+
+        For a `Task`, both bounds are x.
+        """
         return [(task.jacobian(), *_slab(task)) for task in self.tasks]
 
 
@@ -78,6 +81,6 @@ def _slab(task: Task | SetTask) -> tuple[ca.SX, ca.SX]:
 def _equality(task: Task | SetTask) -> Task:
     if isinstance(task, SetTask):
         raise InputError(
-            "is set-based, so it has no one reference", key=f"task {task.name}", remedy="take the slabs of the stack"
+            "is set-based, so it has no single reference", key=f"task {task.name}", remedy="use `slabs` of the stack"
         )
     return task

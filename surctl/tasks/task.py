@@ -1,4 +1,4 @@
-"""A task: a quantity σ(η), where it should be, and how fast it should get there; (13)–(15)."""
+"""A task (13)–(15): a quantity σ(η), its desired value, and the gain with which it converges."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ Expression: TypeAlias = ca.SX | float | Sequence[float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """A quantity of the robot's pose and the rate that it should have.
+    """A quantity σ of the robot's pose and its desired rate.
 
     Attributes:
-        name: identifier; it names the task in every message and solution.
+        name: identifier of the task in every message and solution.
         eta: SX symbol (4, 1): x, y, z [m] in {E} (ENU) and ψ [rad], counter-clockwise.
-        sigma: SX (k, 1), σ(η); other symbols (an echo, a waypoint) may appear in it and are held fixed when
-            it is differentiated: a target that moves says so through `rate`.
-        target: σ_d, (k, 1) or one number for all entries; default 0.
-        rate: σ̇_d, (k, 1) or one number [unit of σ per second]; default 0.
-        gain: K, diagonal (k,) or one number [1/s]; numbers must be greater than 0; default 1.
-        angular: σ is an angle [rad]: the error is brought to (−π, π].
-        unit: unit of σ, such as "m" or "rad", for what is told about the task; "" if not said.
+        sigma: SX (k, 1), σ(η). Other symbols (an echo, a waypoint) may appear in it and are constant in its
+            derivative; `rate` describes the motion of a target.
+        target: desired value σ_d, (k, 1) or one number for all entries; default 0.
+        rate: desired rate σ̇_d, (k, 1) or one number [unit of σ per second]; default 0.
+        gain: diagonal of K, (k,) or one number [1/s]; numbers must be greater than 0; default 1.
+        angular: σ is an angle [rad]; its error is wrapped to (−π, π].
+        unit: unit of σ in messages, such as "m" or "rad"; "" if unknown.
 
     Raises:
-        InputError: bad name, sizes that disagree, a number that is not finite, a gain that is not positive,
-            σ that does not depend on η, a unit that is no text; each names the task.
+        InputError: a name is wrong, sizes disagree, a number is not finite, a gain is not positive, σ does not depend
+            on η, or the unit is not a text. The message names the task.
     """
 
     name: str
@@ -49,13 +49,13 @@ class Task:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        """Check, and turn every number into a column of k expressions."""
+        """Check the values and convert every number to a column of k expressions."""
         _check_name(self.name)
         if not isinstance(self.eta, ca.SX) or self.eta.shape != (4, 1) or not self.eta.is_valid_input():
             raise _wrong(self, "eta", "is not an SX symbol of shape (4, 1)", 'write eta = ca.SX.sym("eta", 4)')
         sigma = sigma_column(self.name, self.sigma)
         if not ca.depends_on(sigma, self.eta):
-            raise _wrong(self, "sigma", "does not depend on eta", "express it through this task's own eta symbol")
+            raise _wrong(self, "sigma", "does not depend on eta", "express it by this task's own eta symbol")
         object.__setattr__(self, "sigma", sigma)
         for field in ("target", "rate", "gain"):
             object.__setattr__(self, field, _column_of(self, field, sigma.shape[0]))
@@ -70,49 +70,52 @@ class Task:
 
     @property
     def rate_unit(self) -> str:
-        """Unit of σ̇, such as "m/s"; "" if that of σ was not said."""
+        """The unit of σ̇, such as "m/s"; "" if the unit of σ is unknown."""
         return f"{self.unit}/s" if self.unit else ""
 
     def row_names(self, what: str) -> tuple[str, ...]:
-        """NAME.WHAT for one row, NAME.WHAT0, NAME.WHAT1, … for more."""
+        """Return the names of the rows: NAME.WHAT for one row, otherwise NAME.WHAT0, NAME.WHAT1, …"""
         return (f"{self.name}.{what}",) if self.size == 1 else tuple(f"{self.name}.{what}{i}" for i in range(self.size))
 
     def jacobian(self) -> ca.SX:
-        """J, (k, 4): σ̇ = J ν for ν = (u, v, w, r) in {B}; J = ∂σ/∂η · J(η), by differentiation (13)."""
+        """Return J = ∂σ/∂η · J(η), (k, 4), by differentiation (13): σ̇ = J ν for ν = (u, v, w, r) in {B}."""
         return ca.densify(ca.jacobian(self.sigma, self.eta) @ kinematics(self.eta[3]))
 
     def error(self) -> ca.SX:
-        """σ̃ = σ_d − σ, (k, 1); brought to (−π, π] for an angle."""
+        """Return the error σ̃ = σ_d − σ, (k, 1); for an angle, wrapped to (−π, π]."""
         difference = self.target - self.sigma
         return wrap(difference) if self.angular else difference
 
     def reference(self) -> ca.SX:
-        """x = σ̇_d + K σ̃, (k, 1) [unit of σ per second] (14)."""
+        """Return the reference rate x = σ̇_d + K σ̃, (k, 1) [unit of σ per second] (14)."""
         return ca.densify(self.rate + self.gain * self.error())
 
 
 def as_expression(value: Any) -> ca.SX:
-    """The value as SX of its own shape; ValueError when it is neither an expression nor numbers."""
+    """Return the value as SX with the same shape; raise ValueError if it is neither an expression nor numbers."""
     try:
         return ca.SX(value)
-    except (NotImplementedError, RuntimeError, TypeError) as error:  # how CasADi refuses what it cannot read
+    except (NotImplementedError, RuntimeError, TypeError) as error:  # CasADi cannot convert the value
         raise ValueError("not numbers") from error
 
 
 def sigma_column(name: str, value: Expression) -> ca.SX:
-    """σ as a dense (k, 1), k at least 1; InputError, with the task's name, when it is none."""
+    """Return σ as a dense column (k, 1) with k ≥ 1; otherwise raise InputError with the task's name."""
     key = f"task {name}: sigma"
     try:
         sigma: ca.SX = ca.densify(as_expression(value))
     except ValueError:
-        raise InputError("is not an SX expression", key=key, value=value, remedy="write it over eta") from None
+        raise InputError("is not an SX expression", key=key, value=value, remedy="express it by eta") from None
     if sigma.shape[1] != 1 or sigma.shape[0] < 1:
         raise InputError(f"has shape {sigma.shape}, expected (k, 1)", key=key, remedy="use ca.vertcat")
     return sigma
 
 
 def as_column(value: Expression) -> ca.SX:
-    """The value as a dense SX column; a row is turned. ValueError when it is a matrix, or no numbers at all."""
+    """Return the value as a dense SX column; a row is transposed.
+
+    A matrix, or a value that is not numeric, raises ValueError.
+    """
     column = ca.densify(as_expression(value))
     if column.shape[0] == 1:
         column = column.T
@@ -122,7 +125,7 @@ def as_column(value: Expression) -> ca.SX:
 
 
 def sized_column(value: Expression, sizes: tuple[int, ...], *, key: str) -> ca.SX:
-    """The value as a column of one of these sizes; InputError, with the key, when it is none."""
+    """Return the value as a column with one of these sizes; otherwise raise InputError with the key."""
     try:
         column = as_column(value)
     except ValueError:
@@ -148,7 +151,7 @@ def _wrong(task: Task, field: str, problem: str, remedy: str, value: object = No
 
 
 def _column_of(task: Task, field: str, size: int) -> ca.SX:
-    """The field as (size, 1); one number stands for all entries."""
+    """Return the field as a column (size, 1); one number is used for all entries."""
     try:
         column = as_column(getattr(task, field))
     except ValueError:
@@ -166,9 +169,9 @@ def _column_of(task: Task, field: str, size: int) -> ca.SX:
 def _check_gain(task: Task) -> None:
     for number in _numbers(ca.SX(task.gain)):
         if number <= 0:
-            raise _wrong(task, "gain", "must be greater than 0", "a gain in 1/s, such as 0.5", number)
+            raise _wrong(task, "gain", "must be greater than 0", "give a gain in 1/s, such as 0.5", number)
 
 
 def _numbers(column: ca.SX) -> list[float]:
-    """The entries that are plain numbers."""
+    """Return the entries that are plain numbers."""
     return [float(column[i]) for i in range(column.numel()) if column[i].is_constant()]

@@ -1,4 +1,4 @@
-"""Which velocities the thrusters can reach within one step."""
+"""A limit to the velocities that the thrusters can reach within one step."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ _NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
 
 @dataclass(frozen=True, eq=False)
 class ThrustLimit:
-    """lower ≤ M (v − ν)/dt + load ≤ upper, entry by entry: (3) over one step, solved for the thrust.
+    """The limit lower ≤ M (v − ν)/dt + load ≤ upper on each axis: (3) over one step, solved for the thrust.
 
-    The load is taken at ν, so a thrust on its bound brings the vehicle to the v that this row predicts up to
-    O(dt²). Thrust is the force that acts in the water: where it lags, pass the bounds that it can have on
-    average over the step.
+    The load is evaluated at ν, so with the thrust on a bound the vehicle reaches the predicted v up to an error of
+    O(dt²). The thrust is the force that acts in the water; if it lags behind its command, give bounds on its average
+    over the step.
 
     Attributes:
-        nu: ν (4,), the present velocity over ground in {B} [m/s, rad/s].
+        nu: present velocity ν (4,) over ground in {B} [m/s, rad/s].
         mass: M, diagonal (4,) or symmetric positive definite (4, 4) [kg, kg m²].
-        load: (4,) thrust that holds ν: C(ν)ν + D(ν)ν less what else pushes [N, N m].
+        load: (4,) thrust that holds ν: C(ν)ν + D(ν)ν minus other forces [N, N m].
         lower, upper: (4,) bounds of the thrust [N, N m].
-        dt: step in which v is to be reached [s].
+        dt: time in which v is to be reached [s].
 
     Raises:
-        InputError: wrong shapes, numbers that are not finite, a mass that is not positive, lower > upper, dt not
-            greater than 0; it names field or row.
+        InputError: a shape is wrong, a number is not finite, a mass is not positive, lower > upper, or dt is not
+            greater than 0. The message names the field or row.
     """
 
     nu: Expression
@@ -79,20 +79,20 @@ class ThrustLimit:
         force: Expression = (0.0, 0.0, 0.0, 0.0),
         name: str = "thrust",
     ) -> ThrustLimit:
-        """The limit of the plant (3) of `surctl.vehicle`, with its own expressions for C and D.
+        """Return the thrust limit of the plant (3) of `surctl.vehicle`, with the plant's expressions for C and D.
 
         Args:
             nu: (4,) velocity over ground in {B} [m/s, rad/s].
             parameters: mass, linear_drag, quadratic_drag, thrust_limit, (4,) each, numbers or SX, as the ports of
-                `PLANT_PARAMETERS`; others are not read.
-            dt: step [s].
-            water: (3,) velocity of the water in {B} [m/s], R(ψ)ᵀ times the current; as in the plant, forces are
-                those of ν − water, and the water's velocity turns in {B} at −r.
+                `PLANT_PARAMETERS`; other parameters are ignored.
+            dt: time of one step [s].
+            water: (3,) velocity of the water in {B} [m/s], which is R(ψ)ᵀ times the current. As in the plant, forces
+                depend on ν − water, and the water's velocity turns in {B} at −r.
             force: (4,) known force on the vehicle in {B} [N, N m].
-            name: of the limit.
+            name: name of the limit.
 
         Raises:
-            InputError: a parameter is missing, or as the class does.
+            InputError: a parameter is missing, or an error of the class occurs.
         """
         for key in _NEEDED:
             if key not in parameters:
@@ -108,21 +108,21 @@ class ThrustLimit:
         return ThrustLimit(velocity, p["mass"], load=load, lower=-most, upper=most, dt=dt, name=name)
 
     def needed(self, v: ca.SX) -> ca.SX:
-        """Thrust (4,) [N, N m] that brings ν to v (4,) [m/s, rad/s] within the step."""
+        """Return the thrust (4,) [N, N m] that changes ν to v (4,) [m/s, rad/s] within the step."""
         return ca.SX(self.mass) @ (v - ca.SX(self.nu)) / ca.SX(self.dt) + ca.SX(self.load)
 
     def toward(self, target: ca.SX) -> ca.SX:
-        """A velocity (4,) that the thrust reaches: that of the thrust needed for `wanted` (4,), brought into bounds.
+        """Return the velocity (4,) that results from the thrust needed for `target` (4,), limited to its bounds.
 
-        `wanted` itself when its thrust is within bounds. For a diagonal M the reachable set is a box, and this is
-        its point nearest to `wanted`.
+        It is `target` itself if its thrust is within the bounds. For a diagonal M the reachable set is a box, and the
+        result is the point of this box nearest to `target`.
         """
         required = self.needed(target)
         missing = ca.fmin(ca.fmax(required, ca.SX(self.lower)), ca.SX(self.upper)) - required
         return target + ca.SX(self.dt) * self._divided(missing)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Four rows, named NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr; a·v and its bounds are in N and N m."""
+        """Return four rows, named NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr; a·v and its bounds are in N and N m."""
         slope = ca.densify(ca.SX(self.mass) / ca.SX(self.dt))
         offset = ca.SX(self.load) - slope @ ca.SX(self.nu)
         lower, upper = ca.SX(self.lower) - offset, ca.SX(self.upper) - offset
@@ -132,18 +132,18 @@ class ThrustLimit:
         )
 
     def _divided(self, force: ca.SX) -> ca.SX:
-        """M⁻¹ force, (4,)."""
+        """Return M⁻¹ force, (4,)."""
         mass = ca.SX(self.mass)
         return force / ca.diag(mass) if mass.sparsity().is_diag() else ca.solve(mass, force)
 
 
 def _mass_matrix(name: str, mass: Expression) -> ca.SX:
-    """M as (4, 4), sparse where a diagonal was given."""
+    """Return M as a matrix (4, 4); it is sparse if only the diagonal is given."""
     try:
         matrix = as_expression(mass)
     except ValueError:
         raise InputError(
-            "is not numbers", key=f"limit {name}: mass", value=mass, remedy="give 4 numbers, or a (4, 4) matrix"
+            "is not numeric", key=f"limit {name}: mass", value=mass, remedy="give 4 numbers, or a (4, 4) matrix"
         ) from None
     if matrix.shape != (4, 4):
         return ca.diag(checked_positive(name, "mass", matrix, 4))

@@ -1,4 +1,4 @@
-"""What moves: parameters with provenance, kinematics (1)–(2), dynamics (3), linearisation."""
+"""The vehicle: parameters with provenance, kinematics (1)–(2), dynamics (3), linearisation and identification."""
 
 from surctl.vehicle.dynamics import (
     PLANT_DISTURBANCE,

@@ -1,7 +1,7 @@
 """Dynamics (3) with current, optional linear heave drag, thrust limits and first-order thrust lag.
 
-Added mass is folded into the inverted inertia: a plant that feeds back lagged added-mass acceleration diverges
-when the added mass exceeds the dry mass, as it does for this robot.
+Added mass is part of the inverted inertia matrix. A model that instead feeds back a delayed added-mass acceleration
+diverges if the added mass exceeds the dry mass, which is the case for this robot.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ PLANT_DISTURBANCE = Layout(
 PLANT_PARAMETERS = Layout(
     (
         Port("mass", (4,), "kg, kg m^2", "diagonal of M: rigid-body and added mass"),
-        Port("linear_drag", (4,), "N s/m, N m s", "Xu, Yv, Zw, Nr"),
-        Port("quadratic_drag", (4,), "N s^2/m^2, N m s^2", "Xuu, Yvv, Zww, Nrr"),
-        Port("thrust_limit", (4,), "N, N m", "largest thrust per axis, both signs"),
-        Port("thrust_lag", (1,), "s", "first-order lag; 0 for none"),
+        Port("linear_drag", (4,), "N s/m, N m s", "linear drag Xu, Yv, Zw, Nr"),
+        Port("quadratic_drag", (4,), "N s^2/m^2, N m s^2", "quadratic drag Xuu, Yvv, Zww, Nrr"),
+        Port("thrust_limit", (4,), "N, N m", "largest thrust on each axis, in both directions"),
+        Port("thrust_lag", (1,), "s", "time constant of the first-order thrust lag; 0 for none"),
     )
 )
 
 
 def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
-    """The vehicle as the flat vector `PLANT_PARAMETERS` describes, (17,).
+    """Return the parameters of a vehicle as a flat vector (17,) with the layout `PLANT_PARAMETERS`.
 
     Example:
         >>> from surctl.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters
@@ -73,24 +73,24 @@ def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
 
 
 def damping_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
-    """D(ν)ν of (3), (4,): linear and quadratic drag per axis [N, N m]."""
+    """Return D(ν)ν of (3), (4,): linear and quadratic drag on each axis [N, N m]."""
     return p["linear_drag"] * nu + p["quadratic_drag"] * nu * ca.fabs(nu)
 
 
 def coriolis_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
-    """C(ν)ν for diagonal M, (4,): (−m22 v r, m11 u r, 0, (m22 − m11) u v) [N, N m]."""
+    """Return C(ν)ν for diagonal M, (4,): (−m22 v r, m11 u r, 0, (m22 − m11) u v) [N, N m]."""
     m = p["mass"]
     return ca.vertcat(-m[1] * nu[1] * nu[3], m[0] * nu[0] * nu[3], 0, (m[1] - m[0]) * nu[0] * nu[1])
 
 
 @dataclass(frozen=True)
 class Plant:
-    """The vehicle's differential equation, symbolic in every parameter.
+    """The differential equation of the vehicle, with every parameter as an input.
 
     Attributes:
-        ode: (x (12,), tau_command (4,), d (7,), p (17,)) → ẋ (12,); layouts `PLANT_STATE`,
-            `PLANT_DISTURBANCE`, `PLANT_PARAMETERS`.
-        jacobians: the same arguments → (∂ẋ/∂x (12, 12), ∂ẋ/∂tau_command (12, 4)), exact.
+        ode: (x (12,), tau_command (4,), d (7,), p (17,)) → ẋ (12,), with the layouts `PLANT_STATE`,
+            `PLANT_DISTURBANCE` and `PLANT_PARAMETERS`.
+        jacobians: the same arguments → exact ∂ẋ/∂x (12, 12) and ∂ẋ/∂tau_command (12, 4).
     """
 
     ode: ca.Function
@@ -99,10 +99,10 @@ class Plant:
 
 @cache
 def build_plant() -> Plant:
-    """Assemble (1)–(3).
+    """Assemble the plant (1)–(3).
 
-    A constant irrotational current enters through ν_r = ν − ν_c in every hydrodynamic and inertial term
-    (Fossen 2021, property 10.1); in {B} it turns with the vehicle: ν̇_c = −r S ν_c.
+    A constant irrotational current enters as ν_r = ν − ν_c in every hydrodynamic and inertial term (Fossen 2021,
+    property 10.1). In {B}, the current rotates against the turn of the vehicle: ν̇_c = −r S ν_c.
     """
     x, state = PLANT_STATE.symbols("x")
     d, disturbance = PLANT_DISTURBANCE.symbols("d")
@@ -133,7 +133,7 @@ def build_plant() -> Plant:
 
 
 def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Thrust (4,) [N, N m] that holds the body velocity ν (4,) in still water: τ = C(ν)ν + D(ν)ν.
+    """Return the thrust τ = C(ν)ν + D(ν)ν (4,) [N, N m] that holds the body velocity ν (4,) in still water.
 
     Example:
         >>> import numpy as np
@@ -146,7 +146,7 @@ def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64
 
 @cache
 def trim_function() -> ca.Function:
-    """(ν, p) → `trim_thrust`, both in columns for many at once."""
+    """Return a function (ν, p) → `trim_thrust`; both arguments may have one column for each of many cases."""
     flat, parameters = PLANT_PARAMETERS.symbols("p")
     velocity = ca.SX.sym("nu", 4)
     return ca.Function(
@@ -155,7 +155,9 @@ def trim_function() -> ca.Function:
 
 
 def steady_speed(force: float, linear: float, quadratic: float) -> float:
-    """Speed [m/s] at which drag X u + X₂ u² equals a force ≥ 0 [N]: (−X + √(X² + 4 X₂ F)) / (2 X₂).
+    """Return the speed u [m/s] at which the drag X u + X₂ u² equals a force F ≥ 0 [N].
+
+    It is u = (−X + √(X² + 4 X₂ F)) / (2 X₂).
 
     Example:
         >>> from surctl.vehicle import load_vehicle, steady_speed

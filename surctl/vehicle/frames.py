@@ -1,7 +1,8 @@
-"""The two conventions at the edges: ENU/FLU, in which everything here is computed, and NED/FRD.
+"""Conversion between the frame conventions ENU/FLU, which all computations use, and NED/FRD of other programs.
 
-{E} has x east, y north, z up, ψ counter-clockwise from x; {B} x forward, y left, z up. NED has x north, y east, z down,
-ψ clockwise from north; FRD x forward, y right, z down (Fossen 2021, section 2.1). Each change is its own inverse.
+ENU is the frame {E}: x east, y north, z up, ψ counter-clockwise from x. FLU is the frame {B}: x forward, y left, z up.
+NED has x north, y east, z down, and ψ clockwise from north. FRD has x forward, y right, z down (Fossen 2021,
+section 2.1). Each conversion is its own inverse.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ FRAME_TEXT: dict[Frame, str] = {
     "enu": "ENU/FLU: x east, y north, z up, psi counter-clockwise from x; body x forward, y left, z up",
     "ned": "NED/FRD: x north, y east, z down, psi clockwise from x; body x forward, y right, z down",
 }
-"""What a file says of its frame."""
+"""The text with which a file states its frame."""
 
 
 def swap_pose(eta: ArrayLike) -> NDArray[np.float64]:
-    """Pose x, y, z [m], ψ [rad], (…, 4), from ENU to NED or from NED to ENU: (y, x, −z, π/2 − ψ).
+    """Convert poses (…, 4) of x, y, z [m] and ψ [rad] from ENU to NED or back: (y, x, −z, π/2 − ψ).
 
-    A heading that runs on past a turn still does. NaN stays with its quantity.
+    Headings are not wrapped to one turn. The NaN of a quantity is converted with the quantity.
 
     Example:
         >>> import numpy as np
@@ -42,7 +43,9 @@ def swap_pose(eta: ArrayLike) -> NDArray[np.float64]:
 
 
 def swap_body(vector: ArrayLike) -> NDArray[np.float64]:
-    """Velocity u, v, w [m/s], r [rad/s], or thrust [N, N m], (…, 4), from FLU to FRD or back: (u, −v, −w, −r).
+    """Convert body vectors (…, 4) from FLU to FRD or back: (u, −v, −w, −r).
+
+    A body vector is a velocity u, v, w [m/s], r [rad/s], or a thrust [N, N m].
 
     Example:
         >>> from surctl.vehicle import swap_body
@@ -53,7 +56,7 @@ def swap_body(vector: ArrayLike) -> NDArray[np.float64]:
 
 
 def check_frame(frame: object, *, key: str = "frame") -> Frame:
-    """The frame, if it is one of `FRAMES`; else InputError.
+    """Return the frame if it is one of `FRAMES`; otherwise raise InputError.
 
     Example:
         >>> from surctl.vehicle import check_frame

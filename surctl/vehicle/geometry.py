@@ -1,4 +1,4 @@
-"""A first vehicle from a tape measure and a balance: the numbers of (3) for a sphere."""
+"""Estimate the parameters of (3) for a spherical vehicle from its size, mass and thrust."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from surctl.vehicle.parameters import PARAMETERS, Parameter, Vehicle
 
 __all__ = ["sphere"]
 
-_DRAG = (0.4, 1.0)  # drag coefficients of spheres with openings and fittings, from smooth to bluff
-_THRUST = 0.15  # share by which a bollard test and the thrust at speed differ
-_LINEAR = 0.03  # m/s at which linear and quadratic drag are the same
-_YAW_DRAG = 0.7  # quadratic yaw drag over rho R^5: fins and holes of a shell; a smooth sphere has next to none
-_LARGEST = 5.0  # m; beyond it somebody wrote centimetres
-_YAW_LINEAR = 0.3  # linear over quadratic yaw drag [rad/s]
+_DRAG = (0.4, 1.0)  # range of drag coefficients of spheres with openings and fittings
+_THRUST = 0.15  # relative difference between the thrust in a bollard test and at speed
+_LINEAR = 0.03  # [m/s] speed at which linear and quadratic drag are equal
+_YAW_DRAG = 0.7  # quadratic yaw drag over rho R^5 for a shell with fins and holes; a smooth sphere has nearly none
+_LARGEST = 5.0  # [m] largest plausible diameter; a larger number is probably in centimetres
+_YAW_LINEAR = 0.3  # [rad/s] ratio of linear to quadratic yaw drag
 
 
 def sphere(
@@ -29,27 +29,27 @@ def sphere(
     thrust_lag: float = 0.3,
     density: float = 1000.0,
 ) -> Vehicle:
-    """A spherical vehicle from its geometry; every derived number has a range and says where it comes from.
+    """Return a spherical vehicle from its geometry; every derived parameter has a range and a provenance.
 
-    Mass with added mass is m + f (3/2 ρV − m): for flooded fraction f = 1 all water inside the shell moves with it,
-    and the added mass is that of a sphere, ½ρV (Fossen 2021, ch. 8); for f = 0 water passes freely. The moment of
-    inertia is that of the same mass without added mass spread over the sphere, 2/5 (m + f (ρV − m)) R²; quadratic
-    drag is ½ρ C_d πR², 1.5 times that in heave. Linear drag and yaw drag have no such formula: they are chosen.
+    The mass with added mass is m + f (3/2 ρV − m). For the flooded fraction f = 1, all water inside the shell moves
+    with it, and the added mass is that of a sphere, ½ρV (Fossen 2021, ch. 8); for f = 0, water passes freely. The
+    moment of inertia is 2/5 (m + f (ρV − m)) R², that of a solid sphere without added mass. The quadratic drag is
+    ½ρ C_d πR², and 1.5 times that in heave. Linear drag and yaw drag are chosen, because no such formula exists.
 
     Args:
-        name: of the vehicle.
-        diameter: [m].
-        dry_mass: mass in air, drained [kg].
-        thrust: largest force of surge, sway and heave [N].
+        name: name of the vehicle.
+        diameter: diameter of the hull [m].
+        dry_mass: mass in air, without water inside [kg].
+        thrust: largest force in surge, sway and heave [N].
         yaw_thrust: largest moment about z [N m].
-        flooded: flooded fraction f, 0 to 1; the range goes from half of it to 1.
-        drag_coefficient: C_d of the frontal area.
-        thrust_lag: first-order lag of the thrust [s].
-        density: of the water [kg/m³].
+        flooded: flooded fraction f, 0 to 1; its range is from half this value to 1.
+        drag_coefficient: drag coefficient C_d for the frontal area.
+        thrust_lag: time constant of the first-order thrust lag [s].
+        density: density of the water [kg/m³].
 
     Raises:
-        InputError: a number that is not finite or not positive, a flooded fraction outside 0 to 1, or a robot that
-            is heavier than the water it can displace.
+        InputError: a number is not finite or not positive, the flooded fraction is outside 0 to 1, or the robot is
+            heavier than the water that it displaces.
 
     Example:
         >>> from surctl.vehicle import sphere
@@ -67,9 +67,9 @@ def sphere(
     if not 0 <= thrust_lag < float("inf"):
         raise InputError("must be at least 0 and finite", key="thrust lag", value=thrust_lag, remedy="correct it")
     if diameter > _LARGEST:
-        raise InputError("is no small robot's", key="diameter", value=diameter, remedy="it counts in metres")
+        raise InputError("is too large for a small robot", key="diameter", value=diameter, remedy="give it in metres")
     if not 0 <= flooded <= 1:
-        raise InputError("must lie between 0 and 1", key="flooded", value=flooded, remedy="1 is a full shell")
+        raise InputError("must lie between 0 and 1", key="flooded", value=flooded, remedy="1 means a full shell")
     radius = diameter / 2
     displaced = density * 4 / 3 * pi * radius**3
     if dry_mass > displaced:
@@ -77,7 +77,7 @@ def sphere(
             f"sinks: a sphere of {diameter:g} m displaces {displaced:.3g} kg",
             key="dry mass",
             value=dry_mass,
-            remedy="check diameter and mass: kg and m",
+            remedy="check the diameter (in m) and the mass (in kg)",
         )
 
     def mass(f: float) -> float:
@@ -94,12 +94,12 @@ def sphere(
     quadratic, yaw = drag(drag_coefficient), _YAW_DRAG * density * radius**5
     inertia = f"derived: m + f (1.5 rho V - m) of {dry_mass:g} kg in air, f = {flooded:g}; range f {least:g} to 1"
     drags = f"derived: 0.5 rho Cd A, Cd = {drag_coefficient:g}; range Cd {coefficients[0]:g} to {coefficients[1]:g}"
-    linear = f"chosen: as large as the quadratic drag at {_LINEAR:g} m/s"
+    linear = f"chosen: equal to the quadratic drag at {_LINEAR:g} m/s"
     turning = f"chosen: {_YAW_DRAG:g} rho R^5 for a shell with fins and holes"
-    limits = f"given; range for thrust that differs by {_THRUST:.0%} from it"
+    limits = f"given; the range is ±{_THRUST:.0%}"
     surge = (quadratic, (drag(coefficients[0]), drag(coefficients[1])), drags)
     stretched = (1.5 * surge[0], (1.5 * surge[1][0], 1.5 * surge[1][1]), f"{drags}; 1.5 times in heave")
-    # name: value, range, provenance
+    # each parameter: value, range, provenance
     numbers: dict[str, tuple[float, tuple[float, float] | None, str]] = {
         "radius": (radius, None, f"given: diameter {diameter:g} m"),
         **dict.fromkeys(("m11", "m22", "m33"), (mass(flooded), (mass(least), mass(1.0)), inertia)),

@@ -1,8 +1,8 @@
-"""A vehicle fitted to a log: output-error least squares with 95 % intervals, and what the log cannot tell.
+"""Identify a vehicle from a log by output-error least squares, with 95 % intervals and a test of identifiability.
 
-The simulated motion is fitted to the measured one (Ljung 1999, section 7.4; Tischler & Remple 2012), so noise in the
-measurements does not bias masses and drag, as it would if measured velocities were differentiated. With white noise
-in each column the estimate is the maximum-likelihood one.
+The simulated motion is fitted to the measured motion (Ljung 1999, section 7.4; Tischler & Remple 2012). So measurement
+noise does not bias masses and drag, as it would if measured velocities were differentiated. With white noise in each
+column, the result is the maximum-likelihood estimate.
 """
 
 from __future__ import annotations
@@ -25,33 +25,34 @@ __all__ = ["FITTED", "Identified", "identify"]
 FITTED = (
     "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag",
 )  # fmt: skip
-"""Parameters that a log tells something of."""
+"""Parameters that can be identified from a log."""
 
-_MASS_OF = dict(zip(FITTED[4:12], 2 * FITTED[:4], strict=True))  # of each drag
-_STEP = 0.05  # s; longest step of the integration
-_LEAST_LAG = 0.02  # s; below it the integration would need shorter steps
-_PRIOR = 2.0  # sd of the relative change of a parameter before the log is read
-_NARROW = 0.5  # largest half-interval of a number that the log tells, over its size
-_CONVERGED = 1e-6  # relative change of the cost that is none: a cost of 1000 counts in whole numbers
+_MASS_OF = dict(zip(FITTED[4:12], 2 * FITTED[:4], strict=True))  # mass on the axis of each drag parameter
+_STEP = 0.05  # [s] longest integration step
+_LEAST_LAG = 0.02  # [s] smallest thrust lag; a smaller one would need shorter integration steps
+_PRIOR = 2.0  # prior standard deviation of the relative change of a parameter
+_NARROW = 0.5  # largest ratio of half-interval to value of an identified parameter
+_CONVERGED = 1e-6  # relative change of the cost at which a fit has converged
 _TRIES = 40
-_FIRST_ROWS, _LONGER, _NEAR = 50, 1.5, 1e-3  # of the fits that find where to begin, and when they are good enough
-_ROUNDS = 4  # of fit and noise levels
-_WHITE = 4.0  # correlation of neighbouring residuals, over its sd, from which they are no noise
-_ROUNDING = 1e-6  # sd of what is left [m, rad, m/s, rad/s] that no instrument has
+_FIRST_ROWS, _LONGER, _NEAR = 50, 1.5, 1e-3  # first fit: number of rows, growth per fit, and its tolerance
+_ROUNDS = 4  # largest number of alternations between fit and noise estimate
+_WHITE = 4.0  # correlation of neighbouring residuals over its standard deviation, above which they are not white noise
+_ROUNDING = 1e-6  # [m, rad, m/s, rad/s] residual standard deviation that is only rounding
 _NORMAL = 1.959963984540054
 
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """What a log tells.
+    """The result of fitting a vehicle to a log.
 
     Attributes:
-        vehicle: the fitted numbers with their intervals as ranges; what the log cannot tell is as in `start`.
-        start: the vehicle that the fit began with.
-        estimates: name → (estimate, half of its 95 % interval), of all that were fitted.
-        identified: the names whose interval is narrow enough to be of use.
-        noise: column → sd of what the fit leaves over.
-        notes: what speaks against the intervals.
+        vehicle: the vehicle with fitted values and their intervals as ranges; parameters that are not identified have
+            the values of `start`.
+        start: the vehicle with which the fit started.
+        estimates: (estimate, half of its 95 % interval) of every fitted parameter by name.
+        identified: names of the parameters with a sufficiently narrow interval.
+        noise: standard deviation of the residuals by column.
+        notes: reasons why the intervals may be wrong.
     """
 
     vehicle: Vehicle
@@ -63,20 +64,20 @@ class Identified:
 
 
 def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
-    """Fit masses, drag and thrust lag of `start` to the log, with its unknown initial motion.
+    """Fit masses, drag and thrust lag of the vehicle `start` to a log, together with the unknown initial motion.
 
-    Still water is assumed, and that the thrusters give what is commanded after a first-order lag. What they gave when
-    the log began is fitted too. A start vehicle without lag keeps none. Thrust limits and radius are the
-    start's: a log does not show them.
+    The model assumes still water, and thrust that follows its command with a first-order lag. The thrust at the start
+    of the log is fitted too. If `start` has no thrust lag, the result has none. Thrust limits and radius are those of
+    `start`, because a log does not show them.
 
     Raises:
-        InputError: the simulated motion is not finite: motion and thrust do not belong together.
+        InputError: no simulated motion is finite, so the columns of motion and thrust do not match.
 
     Example:
         >>> import numpy as np
         >>> from surctl.vehicle import MotionLog, identify, load_vehicle
         >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(300)
-        >>> force = np.where(t % 10 < 5, 4.0, -2.0)  # N, in surge; Euler's steps of 1 ms are the truth
+        >>> force = np.where(t % 10 < 5, 4.0, -2.0)  # N, in surge; the true motion uses Euler steps of 1 ms
         >>> motion, thrust, x, u, f = np.zeros((300, 8)), np.outer(force, [1, 0, 0, 0]), 0.0, 0.0, 4.0
         >>> for k in range(1, 300):
         ...     for _ in range(100):
@@ -94,7 +95,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     noise = np.array([_roughness(log.motion[p, k]) for k, p in enumerate(present.T)])
     theta, converged = _begun(log, start, noise), False
     for _ in range(_ROUNDS):
-        theta = _flyable(problem, theta, noise)
+        theta = _simulable(problem, theta, noise)
         fit = least_squares(
             problem.residuals, theta, problem.jacobian, problem.bounds, ftol=_CONVERGED, max_nfev=_TRIES, args=(noise,)
         )
@@ -119,15 +120,16 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         estimates,
         identified,
         {c: float(noise[k]) for k, c in enumerate(LOG_MOTION) if present[:, k].any()},
-        (() if converged else ("the fit has not settled: estimates and intervals are rough",)) + _notes(left, present),
+        (() if converged else ("the fit has not converged: estimates and intervals are rough",))
+        + _notes(left, present),
     )
 
 
 def _begun(log: MotionLog, start: Vehicle, noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """θ of the first rows, then of half as many more, and so on.
+    """Return an initial θ: fit the first rows of the log, then 1.5 times as many rows, and so on.
 
-    Over the whole log a simulated heading that is off by more than half a turn has minima of its own, in which the fit
-    would stay; over a short one it is not.
+    Over the whole log, a simulated heading may be wrong by more than half a turn; then the fit would end in a local
+    minimum. Over a short log the error is smaller.
     """
     from scipy.optimize import least_squares
 
@@ -135,7 +137,7 @@ def _begun(log: MotionLog, start: Vehicle, noise: NDArray[np.float64]) -> NDArra
     while rows < len(log.time):
         if np.isfinite(log.motion[:rows]).any():
             part = _Problem(MotionLog(log.time[:rows], log.motion[:rows], log.thrust[:rows], log.source), start)
-            theta = _flyable(part, theta, noise)
+            theta = _simulable(part, theta, noise)
             theta = least_squares(
                 part.residuals, theta, part.jacobian, part.bounds, ftol=_NEAR, max_nfev=_TRIES, args=(noise,)
             ).x
@@ -143,13 +145,13 @@ def _begun(log: MotionLog, start: Vehicle, noise: NDArray[np.float64]) -> NDArra
     return theta
 
 
-def _flyable(problem: _Problem, theta: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """θ itself, or as much of it as gives a motion that stays finite over the log.
+def _simulable(problem: _Problem, theta: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return θ, or a share of it for which the simulated motion is finite over the whole log.
 
-    What a short log says of drag may be below 0, and over a longer one the motion then runs away.
+    A short log may give a negative drag, and with it the motion over a longer log can diverge.
 
     Raises:
-        InputError: no motion is finite, not that of the start vehicle either: motion and thrust do not belong together.
+        InputError: no motion is finite, not even that of the start vehicle, so motion and thrust do not match.
     """
     for share in (1.0, 0.5, 0.25, 0.0):
         tried = np.concatenate([share * theta[: len(problem.names)], theta[len(problem.names) :]])
@@ -159,18 +161,18 @@ def _flyable(problem: _Problem, theta: NDArray[np.float64], noise: NDArray[np.fl
             if np.isfinite(cost):
                 return candidate
     raise InputError(
-        "no motion fits it",
+        "no simulated motion fits the log",
         file=problem.log.source,
         remedy="check units and signs of thrust and motion (x forward, y left, z up, psi counter-clockwise)",
     )
 
 
 def _moved(velocities: NDArray[np.float64], noise: NDArray[np.float64], measured: NDArray[np.bool_]) -> frozenset[str]:
-    """Masses of the axes that moved by more than noise.
+    """Return the names of the masses on axes that moved by more than the noise.
 
-    On an axis that stood still the fit makes of the noise a motion of its own, which its mass then seems to explain.
+    On an axis at rest, the fit would interpret the noise as motion, and its mass would seem to be identified.
     """
-    x, y, z, psi, *rates = noise  # where no velocity was measured: the noise of what it gives in a second
+    x, y, z, psi, *rates = noise  # an axis without a measured velocity uses the position noise per second
     has_rate = measured[4:]
     level = np.where(has_rate, rates, [max(x, y), max(x, y), z, psi])
     return frozenset(np.array(FITTED[:4])[np.sqrt(np.mean(velocities**2, axis=1)) > level].tolist())
@@ -179,9 +181,10 @@ def _moved(velocities: NDArray[np.float64], noise: NDArray[np.float64], measured
 def _identified(
     estimates: Mapping[str, tuple[float, float]], scale: Mapping[str, float], moved: frozenset[str]
 ) -> tuple[str, ...]:
-    """The names whose interval is narrow: masses and lag against the estimate, drag, which may be 0, or the start.
+    """Return the names of the parameters with a narrow interval, relative to the estimate.
 
-    A motion shows drag over mass only, so that an axis whose mass is open leaves its drag open.
+    The interval of a drag parameter, which may be 0, is relative to the larger of the estimate and the start value. A
+    motion only shows the ratio of drag to mass, so without an identified mass the drag of this axis is not identified.
     """
     held = frozenset(FITTED[:4]) - moved
 
@@ -196,9 +199,12 @@ def _identified(
 
 
 def _spread(slope: NDArray[np.float64]) -> NDArray[np.float64]:
-    """sd of each θ from the slopes of the residuals over their noise: √diag (SᵀS)⁻¹, where SᵀS is near singular too."""
+    """Return the standard deviation √diag (SᵀS)⁻¹ of each θ from the slopes S of the normalised residuals.
+
+    The result is also valid if SᵀS is nearly singular.
+    """
     size = np.linalg.norm(slope, axis=0)
-    size[size == 0] = 1.0  # the begin of what was not measured and acts on nothing
+    size[size == 0] = 1.0  # initial value of a quantity that is not measured and has no effect
     _, s, vh = np.linalg.svd(slope / size, full_matrices=False)
     s = np.maximum(s, len(slope) * np.finfo(float).eps * s[0])
     sd: NDArray[np.float64] = np.linalg.norm(vh.T / s, axis=1) / size
@@ -218,18 +224,21 @@ def _vehicle(
             known[key] = Parameter(max(value, 0.0), PARAMETERS[key].unit, bounds, said)
         elif key in estimates:
             prior = known[key]
-            said = f"{prior.provenance} ({log.source} cannot tell it)"
+            said = f"{prior.provenance} (not identifiable from {log.source})"
             known[key] = Parameter(prior.value, prior.unit, prior.range, said)
     return Vehicle(name, f"{start.name} fitted to a log", known)
 
 
 def _roughness(values: NDArray[np.float64]) -> float:
-    """A first guess of white noise on a smooth signal: sd of the second differences over √6."""
+    """Return a first estimate of white noise on a smooth signal: standard deviation of the second differences / √6."""
     return max(float(np.std(np.diff(values, 2))) / np.sqrt(6.0), 1e-4) if len(values) > 2 else 1.0
 
 
 def _notes(left: NDArray[np.float64], present: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Columns whose residuals are no white noise: then the model leaves something out, and intervals are too short."""
+    """Return a note for each column whose residuals are not white noise: there the model or the data are not complete.
+
+    The intervals are then too short.
+    """
     said = []
     for k, column in enumerate(LOG_MOTION):
         e = left[present[:, k], k]
@@ -238,21 +247,24 @@ def _notes(left: NDArray[np.float64], present: NDArray[np.bool_]) -> tuple[str, 
         alike = float(e[1:] @ e[:-1] / (e @ e))
         if abs(alike) * np.sqrt(len(e)) > _WHITE:
             said.append(
-                f"what is left of {column} is no white noise (correlation {alike:+.2f} from row to row): current, "
-                "filtered measurements or another drag law; the intervals are too short"
+                f"the residual of {column} is not white noise (correlation {alike:+.2f} from row to row), so the "
+                "intervals are too short; possible causes: a current, filtered measurements, another drag law"
             )
     return tuple(said)
 
 
 class _Problem:
-    """Residuals of a log over θ: relative changes of the parameters, then motion (8,) and thrust (4,) at its begin."""
+    """The residuals of a log as a function of θ.
+
+    θ contains the relative changes of the parameters, then motion (8,) and thrust (4,) at the start of the log.
+    """
 
     def __init__(self, log: MotionLog, start: Vehicle) -> None:
         self.log = log
         lagged = start["thrust_lag"] > 0
         self.names = tuple(k for k in FITTED if k != "thrust_lag" or lagged)
         self.start = np.array([start[k] for k in self.names])
-        # a drag that is 0 at the start moves on the scale of what the axis has
+        # a drag whose start value is 0 is scaled by the quadratic drag of its axis
         floor = {"X": start["Xuu"], "Y": start["Yvv"], "Z": start["Zww"], "N": start["Nrr"]}
         self.scale = np.array(
             [v if v > 0 else max(0.1 * floor.get(k[0], 1.0), 1e-3) for k, v in zip(self.names, self.start, strict=True)]
@@ -264,7 +276,7 @@ class _Problem:
         began = [log.motion[p, k][0] if p.any() else 0.0 for k, p in enumerate(self.present.T)]
         self.first = np.concatenate([np.zeros(len(self.names)), began, log.thrust[0]])
         self.thrust = start.thrust_limit
-        # masses stay positive; a drag near 0 may come out below it, else its interval would be wrong
+        # masses are positive; an estimate of a drag near 0 may be negative, otherwise its interval would be wrong
         low = np.full(len(self.first), -np.inf)
         low[:4] = -0.95
         if lagged:
@@ -272,7 +284,7 @@ class _Problem:
         self.bounds = (low, np.full(len(low), np.inf))
 
     def _run(self, theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """States (12, n) over the log, and the parameters (13,)."""
+        """Return the states (12, n) over the log and the parameters (13,)."""
         n = len(self.names)
         p = np.zeros(13)
         p[:n] = self.start + self.scale * theta[:n]
@@ -281,11 +293,11 @@ class _Problem:
         return np.column_stack([begin, np.asarray(after)]), p
 
     def velocities(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(4, n) u, v, w, r as simulated."""
+        """Return the simulated velocities u, v, w, r (4, n)."""
         return self._run(theta)[0][4:8]
 
     def misfit(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, 8) simulated less measured; 0 where nothing was measured."""
+        """Return simulated minus measured motion (n, 8); 0 where no measurement exists."""
         x, _ = self._run(theta)
         return np.where(self.present, x[:8].T - np.where(self.present, self.log.motion, 0.0), 0.0)
 
@@ -293,7 +305,7 @@ class _Problem:
         return np.concatenate([(self.misfit(theta) / noise)[self.present], self._prior(theta)])
 
     def _prior(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Holds what the log says nothing of: relative changes near 0, the first thrust near its command."""
+        """Return residuals that keep unobservable θ near their prior: no change, first thrust equal to its command."""
         return np.concatenate([theta[: len(self.names)] / _PRIOR, (theta[-4:] - self.log.thrust[0]) / self.thrust])
 
     def jacobian(self, theta: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -315,19 +327,19 @@ class _Problem:
 
 
 def _cut(blocks: ca.DM, width: int) -> NDArray[np.float64]:
-    """(rows, n * width) side by side → (n, rows, width)."""
+    """Split a matrix (rows, n * width) of n blocks side by side into an array (n, rows, width)."""
     flat = np.asarray(blocks)
     return flat.reshape(flat.shape[0], -1, width).transpose(1, 0, 2)
 
 
 @cache
 def _stepper(parts: int, lagged: bool) -> tuple[ca.Function, ca.Function]:
-    """(x (12,), thrust (4,), p (13,) in the order of `FITTED`, dt) → the state after dt, and its Jacobians.
+    """Return two functions of (x (12,), thrust (4,), p (13,), dt): the state after dt, and its Jacobians.
 
-    RK4 in `parts` steps of the plant (1)–(3) in still water.
+    They integrate the plant (1)–(3) in still water by RK4 in `parts` steps; p has the order of `FITTED`.
     """
     x, thrust, p, dt = ca.SX.sym("x", 12), ca.SX.sym("thrust", 4), ca.SX.sym("p", 13), ca.SX.sym("dt")
-    limits = ca.DM.ones(4) * 1e12  # what was commanded is what acts
+    limits = ca.DM.ones(4) * 1e12  # the thrust in the log is not limited again
     plant = ca.vertcat(p[0:4], p[4:8], p[8:12], limits, p[12] if lagged else 0)
     still = ca.DM.zeros(PLANT_DISTURBANCE.size)
     ode, state, h = build_plant().ode, x, dt / parts

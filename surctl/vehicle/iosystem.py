@@ -17,23 +17,25 @@ __all__ = ["plant_system"]
 
 
 def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), units: bool = True) -> Any:
-    """`control.NonlinearIOSystem` from thrust command to the whole plant state, continuous in time.
+    """Return a `control.NonlinearIOSystem` from thrust command to the whole plant state, continuous in time.
 
-    `control.input_output_response` interpolates inputs between its times, where the simulation here holds them, and may
-    step over a short one: give its times on both sides of a step, and `solve_ivp_kwargs={"max_step": ...}`. With
-    "rtol" and "atol" of 1e-12 it agrees with the simulation's fixed steps (`surctl.simulation.advance`) to 1e-8 in SI
-    units. `control.linearize` about trimmed motion gives `linearise`.
+    `control.input_output_response` interpolates inputs between its times, but the simulation of this toolkit holds them
+    constant. It may also skip a short input. So give it times on both sides of a step, and
+    `solve_ivp_kwargs={"max_step": ...}`. With "rtol" and "atol" of 1e-12 it agrees with the simulation's fixed steps
+    (`surctl.simulation.advance`) to 1e-8 in SI units. `control.linearize` about trimmed motion gives the same system as
+    `linearise`.
 
     Args:
-        vehicle: what moves; its thrust limits and thrust lag are in the system.
-        current: (3,) [m/s] in {E}, ENU, steady.
-        units: signals are named with their units, "u [m/s]".
+        vehicle: the vehicle; the system includes its thrust limits and thrust lag.
+        current: steady current (3,) [m/s] in {E}, ENU.
+        units: append units to the signal names, such as "u [m/s]".
 
     Returns:
-        System with inputs `THRUST_NAMES`, states and outputs `STATE_NAMES`; without thrust lag the first 8 of them.
+        System with inputs `THRUST_NAMES`, and with states and outputs `STATE_NAMES`; without thrust lag, only the first
+        8 of these.
 
     Raises:
-        InputError: a current that is not three finite numbers.
+        InputError: the current does not consist of three finite numbers.
 
     Example:
         >>> import control
@@ -45,7 +47,7 @@ def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), unit
         >>> round(float(response.states[4, -1]), 2)  # m/s after a minute
         0.38
     """
-    import control  # seconds to import: only when asked for
+    import control  # imported here because the import takes seconds
 
     flow = np.asarray(current, dtype=float)
     if flow.shape != (3,) or not np.isfinite(flow).all():

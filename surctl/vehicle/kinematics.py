@@ -1,4 +1,4 @@
-"""Kinematics (1)–(2): η̇ = J(ψ) ν, ENU world {E}, FLU body {B}."""
+"""Kinematics (1)–(2): η̇ = J(ψ) ν with the ENU world frame {E} and the FLU body frame {B}."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["jacobian", "planar_rotation"]
 
 
 def planar_rotation(psi: ca.SX) -> ca.SX:
-    """R(ψ), 2×2: body-frame horizontal vectors to {E}; ψ [rad] counter-clockwise from x.
+    """Return R(ψ), 2×2, which rotates horizontal vectors from {B} to {E}; ψ [rad] is counter-clockwise from x.
 
     Example:
         >>> import casadi as ca
@@ -21,7 +21,7 @@ def planar_rotation(psi: ca.SX) -> ca.SX:
 
 
 def jacobian(psi: ca.SX) -> ca.SX:
-    """J(ψ) of (2), 4×4: ν = (u, v, w, r) in {B} [m/s, rad/s] to η̇ in {E}.
+    """Return J(ψ) of (2), 4×4, which maps ν = (u, v, w, r) in {B} [m/s, rad/s] to η̇ in {E}.
 
     Example:
         >>> import casadi as ca

@@ -1,4 +1,4 @@
-"""Linearisation of the vehicle to python-control, with named signals."""
+"""Linearise a vehicle as a python-control system with named signals."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ SIGNAL_UNITS = dict(
         strict=True,
     )
 )
-"""Unit of each signal."""
+"""Unit of each signal, by name."""
 
 
 def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, units: bool = False) -> Any:
-    """`control.StateSpace` from thrust command to the whole plant state, about trimmed motion.
+    """Return a `control.StateSpace` from thrust command to the whole plant state, linearised about trimmed motion.
 
     Args:
         vehicle: the vehicle; its trim thrust must lie strictly inside the thrust limits.
-        nu: body velocity (4,) [m/s, rad/s] of the operating point, still water.
+        nu: body velocity (4,) [m/s, rad/s] of the operating point in still water.
         psi: heading [rad].
-        units: signals are named with their units, "u [m/s]", as plots show them.
+        units: append units to the signal names, such as "u [m/s]".
 
     Returns:
-        StateSpace with states and outputs `STATE_NAMES` and inputs `THRUST_NAMES`, in `SIGNAL_UNITS`. With `thrust_lag`
-        0 the four thrust states are removed, not kept as integrators.
+        StateSpace with states and outputs `STATE_NAMES` and inputs `THRUST_NAMES`, in `SIGNAL_UNITS`. If `thrust_lag`
+        is 0, the system does not contain the four thrust states.
 
     Raises:
         InputError: the operating point needs more thrust than the vehicle has.
@@ -55,7 +55,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
         >>> plant.input_labels[0], plant.state_labels[4], round(float(plant.A[4, 4]), 4)
         ('Fu_cmd', 'u', -0.217)
     """
-    import control  # seconds to import: only when asked for
+    import control  # imported here because the import takes seconds
 
     nu = np.asarray(nu, dtype=float)
     check_trim(vehicle, nu)
@@ -75,11 +75,11 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
 
 
 def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
-    """InputError where the vehicle lacks the thrust to hold the body velocity nu (4,) [m/s, rad/s]."""
+    """Raise InputError if the vehicle lacks the thrust to hold the body velocity nu (4,) [m/s, rad/s]."""
     tau = trim_thrust(vehicle, nu)
     if np.any(np.abs(tau) >= vehicle.thrust_limit):
         raise InputError(
-            f"needs thrust {np.round(tau, 2).tolist()} of at most {vehicle.thrust_limit.tolist()}",
+            f"needs thrust {np.round(tau, 2).tolist()}, but the limits are {vehicle.thrust_limit.tolist()} (N, N m)",
             key="operating point nu",
             value=nu.tolist(),
             remedy="linearise at a slower speed",
@@ -87,23 +87,23 @@ def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
 
 
 def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:
-    """The names, each with its unit if it has one: "u [m/s]"."""
+    """Return the signal names, each with its unit if it has one, such as "u [m/s]"."""
     return [f"{name} [{SIGNAL_UNITS[name]}]" if units and name in SIGNAL_UNITS else name for name in names]
 
 
 def plant_jacobians(
     parameters: NDArray[np.float64], nu: NDArray[np.float64], *, psi: float = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """∂ẋ/∂x and ∂ẋ/∂τ of many plants at once, each about its own trimmed motion in still water.
+    """Return ∂ẋ/∂x and ∂ẋ/∂τ of many plants, each about its own trimmed motion in still water.
 
     Args:
-        parameters: (n, 17) as `plant_parameters` lays them out.
+        parameters: (n, 17), one result of `plant_parameters` per row.
         nu: (n, 4) body velocities [m/s, rad/s].
-        psi: heading [rad] of all.
+        psi: heading [rad] of all plants.
 
     Returns:
         A (n, 12, 12), B (n, 12, 4) in the order of `STATE_NAMES` and `THRUST_NAMES`, and the trim thrust (n, 4)
-        [N, N m]. Where the trim is beyond a thrust limit, B is not the slope of anything that can be flown.
+        [N, N m]. If a trim thrust exceeds a thrust limit, this B describes no possible motion.
 
     Example:
         >>> import numpy as np
@@ -117,7 +117,7 @@ def plant_jacobians(
     tau = np.asarray(trim_function()(nu.T, parameters.T)).T
     x = np.hstack([np.zeros((count, 3)), np.full((count, 1), psi), nu, tau])
     a, b = build_plant().jacobians(x.T, tau.T, np.tile(PLANT_DISTURBANCE.pack(), (count, 1)).T, parameters.T)
-    # CasADi puts the matrices of many calls side by side
+    # CasADi returns the matrices of many calls side by side
     return (
         np.asarray(a).reshape(x.shape[1], count, -1).swapaxes(0, 1),
         np.asarray(b).reshape(x.shape[1], count, -1).swapaxes(0, 1),

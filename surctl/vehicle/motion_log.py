@@ -1,4 +1,4 @@
-"""A log of motion and thrust as a CSV file, which a vehicle can be fitted to."""
+"""Read a log of motion and thrust, from which a vehicle can be identified."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from surctl.vehicle.frames import FRAME_TEXT, Frame, check_frame, swap_body, swa
 __all__ = ["LOG_MOTION", "LOG_THRUST", "MotionLog", "read_motion_log"]
 
 LOG_MOTION = ("x_m", "y_m", "z_m", "psi_rad", "u_m_per_s", "v_m_per_s", "w_m_per_s", "r_rad_per_s")
-"""Columns of η and ν; a log has some of them, a cell may be empty."""
+"""Columns of η and ν; a log may have only some of them, and cells may be empty."""
 LOG_THRUST = ("Fu_N", "Fv_N", "Fw_N", "Fr_N_m")
-"""Columns of the commanded thrust, held from one row to the next."""
+"""Columns of the commanded thrust, which is constant from one row to the next."""
 
 _LEAST = 50  # rows
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLog:
-    """Motion and thrust over time.
+    """A log of motion and thrust over time.
 
     Attributes:
         time: (n,) [s], increasing.
-        motion: (n, 8) η in {E} and ground velocity ν in {B}; NaN where nothing was measured; ψ without jumps.
-        thrust: (n, 4) commanded thrust in {B} [N, N m], held until the next row.
-        source: the file.
+        motion: (n, 8) η in {E} and velocity over ground ν in {B}; NaN where no measurement exists; ψ without jumps.
+        thrust: (n, 4) commanded thrust in {B} [N, N m], constant until the next row.
+        source: name of the file.
     """
 
     time: NDArray[np.float64]
@@ -52,23 +52,24 @@ class MotionLog:
                 f"has no number at {self.time[row]:g} s",
                 file=self.source,
                 key=LOG_THRUST[column],
-                remedy="thrust has to be known all the time: fill it in or cut the log",
+                remedy="fill it in or shorten the log, because the thrust must be known at all times",
             )
         if not np.isfinite(self.motion).any():
-            raise InputError("holds no motion", file=self.source, remedy=f"give columns of {', '.join(LOG_MOTION)}")
+            remedy = f"add at least one of the columns {', '.join(LOG_MOTION)}"
+            raise InputError("contains no motion", file=self.source, remedy=remedy)
 
 
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
-    """Read a log (CSV, .mat or netCDF): `t_s`, the thrust, and any of the columns of motion; others are left alone.
+    """Read a log (CSV, .mat or netCDF) with `t_s`, the thrust, and any columns of motion; other columns are ignored.
 
     Args:
         path: the file.
-        frame: in which it is written; default: what its first line says (`# frame=ned`), else enu. The log that is
-            returned is in enu.
+        frame: frame of the file; default: the frame in its comments (`# frame=ned`), otherwise enu. The returned log is
+            in enu.
 
     Raises:
-        InputError: a file that cannot be read, a missing column, a cell that is no number, time that stands still; a
-            frame that is unknown, or another one than the file says.
+        InputError: the file cannot be read, a column is missing, a cell is not a number, or the time does not increase;
+            the frame is unknown, or differs from the frame that the file states.
 
     Example:
         >>> from pathlib import Path
@@ -85,7 +86,7 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     time = table.numbers("t_s")
     if not np.isfinite(time).all():
         row = int(np.flatnonzero(~np.isfinite(time))[0])
-        raise InputError("is no time", file=table.at(row), key="t_s", remedy="fill it in or leave out the row")
+        raise InputError("is not a time", file=table.at(row), key="t_s", remedy="fill it in or remove the row")
     nothing = np.full(len(time), np.nan)
     motion = np.column_stack([table.numbers(c) if c in table.columns else nothing for c in LOG_MOTION])
     heading = motion[:, 3]
@@ -106,10 +107,10 @@ def _frame(table: Recorded, frame: Frame | str | None) -> Frame:
     recorded = check_frame(said, key=f"frame of {table.name}")
     if requested not in (None, recorded):
         raise InputError(
-            f"is not what the file says ({recorded})",
+            f"is not the frame that the file states ({recorded})",
             file=table.name,
             key="frame",
             value=frame,
-            remedy="leave --frame away",
+            remedy="omit --frame",
         )
     return recorded

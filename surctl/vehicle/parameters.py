@@ -1,4 +1,4 @@
-"""The vehicle's numbers: TOML in, frozen dataclass out; each with unit, range and provenance."""
+"""The parameters of a vehicle, read from a TOML file; each has a unit, a range and a provenance."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LIBRARY = Path(__file__).parent / "library"
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """What a vehicle file says about one parameter: its table, unit, whether zero is allowed, a default."""
+    """The definition of a vehicle parameter: its table in the file, unit, meaning, whether 0 is allowed, default."""
 
     table: str
     unit: str
@@ -34,29 +34,29 @@ class ParameterSpec:
 
 PARAMETERS: Mapping[str, ParameterSpec] = {
     "radius": ParameterSpec("hull", "m", "hull radius"),
-    "m11": ParameterSpec("inertia", "kg", "rigid-body and added mass, surge"),
-    "m22": ParameterSpec("inertia", "kg", "rigid-body and added mass, sway"),
-    "m33": ParameterSpec("inertia", "kg", "rigid-body and added mass, heave"),
-    "m44": ParameterSpec("inertia", "kg m^2", "rigid-body and added moment of inertia about z"),
-    "Xu": ParameterSpec("drag", "N s/m", "linear drag, surge", zero_allowed=True),
-    "Yv": ParameterSpec("drag", "N s/m", "linear drag, sway", zero_allowed=True),
-    "Zw": ParameterSpec("drag", "N s/m", "linear drag, heave (none in the paper)", True, 0.0),
-    "Nr": ParameterSpec("drag", "N m s", "linear drag, yaw", zero_allowed=True),
-    "Xuu": ParameterSpec("drag", "N s^2/m^2", "quadratic drag, surge", zero_allowed=True),
-    "Yvv": ParameterSpec("drag", "N s^2/m^2", "quadratic drag, sway", zero_allowed=True),
-    "Zww": ParameterSpec("drag", "N s^2/m^2", "quadratic drag, heave", zero_allowed=True),
-    "Nrr": ParameterSpec("drag", "N m s^2", "quadratic drag, yaw", zero_allowed=True),
-    "Fu_max": ParameterSpec("thrust", "N", "surge force limit, both signs"),
-    "Fv_max": ParameterSpec("thrust", "N", "sway force limit, both signs"),
-    "Fw_max": ParameterSpec("thrust", "N", "heave force limit, both signs"),
-    "Fr_max": ParameterSpec("thrust", "N m", "yaw moment limit, both signs"),
-    "thrust_lag": ParameterSpec("thrust", "s", "first-order lag of the thrust", True, 0.3),
+    "m11": ParameterSpec("inertia", "kg", "rigid-body plus added mass in surge"),
+    "m22": ParameterSpec("inertia", "kg", "rigid-body plus added mass in sway"),
+    "m33": ParameterSpec("inertia", "kg", "rigid-body plus added mass in heave"),
+    "m44": ParameterSpec("inertia", "kg m^2", "rigid-body plus added moment of inertia about z"),
+    "Xu": ParameterSpec("drag", "N s/m", "linear drag in surge", zero_allowed=True),
+    "Yv": ParameterSpec("drag", "N s/m", "linear drag in sway", zero_allowed=True),
+    "Zw": ParameterSpec("drag", "N s/m", "linear drag in heave (none in the paper)", True, 0.0),
+    "Nr": ParameterSpec("drag", "N m s", "linear drag in yaw", zero_allowed=True),
+    "Xuu": ParameterSpec("drag", "N s^2/m^2", "quadratic drag in surge", zero_allowed=True),
+    "Yvv": ParameterSpec("drag", "N s^2/m^2", "quadratic drag in sway", zero_allowed=True),
+    "Zww": ParameterSpec("drag", "N s^2/m^2", "quadratic drag in heave", zero_allowed=True),
+    "Nrr": ParameterSpec("drag", "N m s^2", "quadratic drag in yaw", zero_allowed=True),
+    "Fu_max": ParameterSpec("thrust", "N", "largest surge force in both directions"),
+    "Fv_max": ParameterSpec("thrust", "N", "largest sway force in both directions"),
+    "Fw_max": ParameterSpec("thrust", "N", "largest heave force in both directions"),
+    "Fr_max": ParameterSpec("thrust", "N m", "largest yaw moment in both directions"),
+    "thrust_lag": ParameterSpec("thrust", "s", "time constant of the first-order thrust lag", True, 0.3),
 }
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number with its unit, the range it may lie in, and where it comes from."""
+    """The value of a parameter with its unit, its range, and its provenance (where the value comes from)."""
 
     value: float
     unit: str
@@ -66,7 +66,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle: its name, where it was read, and every parameter of (3) by name (SI units)."""
+    """A vehicle: its name, a note, every parameter of (3) by name (SI units), and its source file."""
 
     name: str
     note: str
@@ -74,7 +74,7 @@ class Vehicle:
     source: str = ""
 
     def __getitem__(self, name: str) -> float:
-        """Value of the parameter in its SI unit; InputError with the nearest known name."""
+        """Return the value of a parameter in its SI unit; for an unknown name, raise InputError with a similar name."""
         if name not in self.parameters:
             raise InputError("no such vehicle parameter", key=name, remedy=nearest(name, self.parameters))
         return self.parameters[name].value
@@ -100,7 +100,7 @@ class Vehicle:
         return np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
 
     def steady_yaw(self, share: float) -> float:
-        """Yaw rate [rad/s] that a share of the yaw thrust holds against drag, at the worst of the stated ranges."""
+        """Return the yaw rate [rad/s] that a share of the yaw moment sustains against drag in the worst case."""
 
         def worst(name: str, which: int) -> float:
             known = self.parameters[name].range
@@ -110,12 +110,12 @@ class Vehicle:
         return float(2 * moment / max(linear + np.sqrt(linear**2 + 4 * quadratic * moment), 1e-6))
 
     def digest(self) -> str:
-        """SHA-256 of every parameter's value by its name; provenance and ranges are left out."""
+        """Return the SHA-256 of all parameter names and values, without provenance and ranges."""
         numbers = json.dumps({name: p.value for name, p in self.parameters.items()}, sort_keys=True)
         return hashlib.sha256(numbers.encode()).hexdigest()
 
     def with_values(self, values: Mapping[str, float]) -> Vehicle:
-        """A copy with some values changed (their provenance says so); ranges are kept."""
+        """Return a copy with some values changed; each must lie in the range of its parameter."""
         changed = dict(self.parameters)
         for name, value in values.items():
             self[name]
@@ -134,11 +134,11 @@ class _VehicleFile(Strict):
 
 
 def load_vehicle(name_or_path: str) -> Vehicle:
-    """A built-in vehicle by name, or a vehicle file by path.
+    """Load a built-in vehicle by name, or a vehicle file by path.
 
     Raises:
-        InputError: unknown name, unreadable file, missing or unknown key, wrong unit or sign, value outside
-            its own range, or a table without provenance.
+        InputError: the name is unknown, the file is unreadable, a key is missing or unknown, a unit or sign is wrong, a
+            value is outside its own range, or a table has no provenance.
 
     Example:
         >>> from surctl.vehicle import load_vehicle
@@ -151,7 +151,7 @@ def load_vehicle(name_or_path: str) -> Vehicle:
 
 
 def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
-    """A vehicle from the table of its file; `source` names the file in error messages."""
+    """Return a vehicle from the table of its file; `source` is the name of the file in error messages."""
     if table.get("kind") != "vehicle":
         raise InputError(
             "is not a vehicle file", file=source, key="kind", value=table.get("kind"), remedy='write kind = "vehicle"'
@@ -179,7 +179,7 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
     shared = table.get("provenance")
     if shared is not None and (not isinstance(shared, str) or not shared.strip()):
         raise InputError(
-            "must be a text", file=source, key=f"{section}.provenance", remedy="say where the numbers come from"
+            "must be a text", file=source, key=f"{section}.provenance", remedy="state where the numbers come from"
         )
     parameters = {}
     for name, entry in table.items():
@@ -202,7 +202,7 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
 
 
 def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
-    """What the file says of a parameter, short or long, in the parameter's SI unit."""
+    """Return the entry of a parameter in the file, a text or a table, converted to the parameter's SI unit."""
     spec = PARAMETERS[name]
     try:
         return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
@@ -219,7 +219,7 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
 
 
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
-    """The parameter, if sign and range hold."""
+    """Return the parameter; raise InputError if its sign or range is wrong."""
     spec = PARAMETERS[name]
     key, value = f"{spec.table}.{name}", parameter.value
     if not np.isfinite(value) or value < 0 or (value == 0 and not spec.zero_allowed):

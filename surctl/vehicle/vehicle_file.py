@@ -1,4 +1,4 @@
-"""A vehicle as the text of its file."""
+"""Write a vehicle file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["write_vehicle"]
 
 
 def write_vehicle(vehicle: Vehicle) -> str:
-    """The vehicle file's text; reading it gives the same numbers, ranges and provenances back.
+    """Return the text of a vehicle file; reading it gives the same numbers, ranges and provenances.
 
     Example:
         >>> from pathlib import Path

@@ -1,4 +1,4 @@
-"""Shapes, distances and cones, planar at the robot's depth, and upright solids; for sensing and simulation."""
+"""Geometry for sensing and simulation: planar shapes, distances and cones, and upright solids."""
 
 from surctl.world.echoes import nearest_echo
 from surctl.world.prism import WHOLE, Heights, Prism

@@ -1,14 +1,14 @@
-"""The nearest echo of a whole scene, where every surface answers or only one that faces the listener.
+"""The nearest echo of a whole scene, where either every surface reflects or only a surface that faces the sonar.
 
-With an incidence limit a surface that is met too obliquely sends its echo elsewhere, and still hides what stands
-behind it: an oblique box is silent, it is not transparent. So the shapes cannot be asked one by one. What is
-nearest then lies in one of few directions: on each face, range and incidence both grow away from its foot point, so
-that its best visible point is that foot point, or where the face, the cone, or another shape's shadow ends: at a
-corner, on an edge ray, beside a rim. `Shape.outlook` lists them; each is looked along, the first hit counts.
+With an incidence limit, an oblique surface reflects its echo away from the sonar, but it still hides the shapes behind
+it. So the function cannot treat the shapes one by one. The nearest echo lies in one of a few directions. On each face,
+range and incidence both increase with the distance from its foot point. So the best visible point is the foot point, or
+the end of the face, of the cone, or of another shape's shadow: a corner, an edge ray, or a rim. `Shape.outlook` lists
+these directions, and the first hit in each direction counts.
 
-Corners and rims are looked past at 1e-9 rad, which moves a range r by less than 1e-9·r·tan(limit). Shapes may touch.
-Where two overlap, the seam between them is not among the directions: a range that is least exactly there comes out as
-the next best one.
+The rays pass corners and rims at an angle of 1e-9 rad, which changes a range r by less than 1e-9·r·tan(limit). Shapes
+may touch. If two shapes overlap, the directions do not include the intersection of their surfaces; if the smallest
+range is exactly there, the result is the next larger one.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from surctl.world.shapes import Shape, Vector2
 
 __all__ = ["nearest_echo"]
 
-_IN_CONE = 1e-12  # as `Shape.nearest_in_cone`
+_IN_CONE = 1e-12  # tolerance of `Shape.nearest_in_cone`
 
 
 def nearest_echo(
     shapes: Iterable[Shape], apex: Vector2, axis: float, *, half_angle: float, incidence_limit: float | None = None
 ) -> float:
-    """Distance from `apex` to the nearest reflecting point with |bearing − axis| ≤ half_angle [m].
+    """Return the distance [m] from `apex` to the nearest reflecting point with |bearing − axis| ≤ half_angle.
 
     Args:
-        shapes: all that is there.
-        apex: (2,) [m] in {E}.
+        shapes: all shapes of the scene.
+        apex: (2,) [m] in {E}, position of the sonar.
         axis: bearing of the cone's axis [rad], counter-clockwise from x of {E}.
         half_angle: half the opening angle [rad], 0 ≤ half_angle < π/2.
-        incidence_limit: largest angle [rad], in (0, π/2), between a surface's outward normal and the way back to
-            the apex at which it reflects; None: every surface reflects.
+        incidence_limit: largest angle [rad], in (0, π/2), between a surface's outward normal and the direction to the
+            apex at which the surface reflects; None: every surface reflects.
 
     Returns:
-        Distance [m]; inf when there is none, 0 when the apex lies inside a shape.
+        Distance [m]; inf if there is no echo, 0 if the apex lies inside a shape.
 
     Raises:
-        InputError: an angle out of range, or apex or axis not finite.
+        InputError: an angle is out of range, or apex or axis is not finite.
 
     Example:
         >>> import math

@@ -1,8 +1,7 @@
-"""Upright solids of finite height: a planar shape between two depths, and its exact distance to a point in space.
+"""Upright solids: a planar shape between two depths, and its exact distance to a point in space.
 
-z is up, as everywhere: a depth below the surface is negative. A prism is the product of a planar set and an interval,
-so that the square of its distance is the sum of their squares; a sphere is clear of it by that distance less its
-radius.
+z points up, so z is negative below the surface. A prism is the product of a planar set and an interval, so the square
+of its distance is the sum of their squared distances. The clearance of a sphere is this distance minus its radius.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ __all__ = ["WHOLE", "Heights", "Prism"]
 
 @dataclass(frozen=True)
 class Heights:
-    """From which z to which z something reaches [m]; infinite: beyond floor or surface.
+    """The interval of z [m] that a body occupies; an infinite end means beyond the floor or the surface.
 
     Attributes:
-        bottom, top: z of its ends, bottom < top.
+        bottom, top: z of the lower and the upper end [m], bottom < top.
     """
 
     bottom: float = -inf
@@ -34,24 +33,24 @@ class Heights:
                 f"is not below the top, {self.top:g}",
                 key="bottom",
                 value=self.bottom,
-                remedy="z is up: write z of both ends, negative below the surface, the lower one as bottom",
+                remedy="z is up: write z of both ends (negative below the surface), with the lower one as bottom",
             )
 
     @property
     def whole(self) -> bool:
-        """Whether it reaches through the whole water column."""
+        """Whether the body occupies the whole water column."""
         return isinf(self.bottom) and isinf(self.top)
 
     def gap(self, z: float) -> float:
-        """Signed vertical distance [m] from z to the interval, negative inside."""
+        """Return the signed vertical distance [m] from z to the interval; it is negative inside."""
         return max(self.bottom - z, z - self.top)
 
     def crosses(self, z: float, distance: float) -> bool:
-        """Whether anything of it lies less than `reach` [m] above or below z."""
+        """Return whether any part of the body lies less than `distance` [m] above or below z."""
         return self.gap(z) < distance
 
     def shares(self, other: Heights) -> bool:
-        """Whether the two have any depth in common."""
+        """Return whether the two intervals have a depth in common."""
         return self.bottom < other.top and other.bottom < self.top
 
 
@@ -61,13 +60,13 @@ WHOLE = Heights()
 
 @dataclass(frozen=True)
 class Prism:
-    """An upright solid: `base` at every depth of `heights`."""
+    """An upright solid with the horizontal section `base` at every depth of `heights`."""
 
     base: Shape
     heights: Heights = WHOLE
 
     def distance(self, x: float, y: float, z: float) -> float:
-        """Signed distance [m] of a point in {E} to the surface; inside, minus that to the nearest face."""
+        """Return the signed distance [m] of a point in {E} to the surface; inside, minus the distance to a face."""
         across = self.base.foot(x, y)[0]
         if self.heights.whole:
             return across

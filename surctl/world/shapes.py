@@ -1,16 +1,14 @@
 """Convex shapes and their exact distances, in the horizontal plane at the robot's depth.
 
-Everything here is planar: a shape is the cut of a body by the plane z = robot's depth; whether a body reaches
-this depth at all is said by `prism.Heights`. World frame {E}, x along the tank, y to the left, metres and
-radians.
+All geometry here is planar: a shape is the section of a body at the robot's depth, and `prism.Heights` defines the
+depths that the body occupies. Coordinates are in {E}, with x along the tank and y to the left, in metres and radians.
 
-One fact serves every cone query. Let K be convex and p the point of K nearest to the apex. If p lies in the
-cone it is the echo. If not, the nearest point of K within the cone lies on one of the cone's two edge rays:
-from any point q of K strictly inside the cone one could move towards p, stay in K and in the cone, and come
-closer.
-So a foot point and two ray hits give the answer in closed form, and the answer is always visible.
+Every cone query uses one fact. Let K be convex and p the point of K nearest to the apex. If p lies in the cone, p is
+the echo. Otherwise, the nearest point of K in the cone lies on one of the cone's two edge rays: from any point q of K
+strictly inside the cone one could move towards p, stay in K and in the cone, and come closer. So a foot point and two
+ray hits give the echo in closed form, and this echo is always visible.
 
-Where only a surface that faces the apex answers, `echoes.nearest_echo` looks along the `outlook` of every shape.
+If only surfaces that face the apex reflect, `echoes.nearest_echo` casts rays along the `outlook` of every shape.
 """
 
 from __future__ import annotations
@@ -31,42 +29,48 @@ __all__ = ["Box", "Disc", "Shape", "Vector2", "Wall", "site_walls"]
 Vector2: TypeAlias = Sequence[float] | NDArray[np.float64]
 """Two numbers, (x, y) in {E}; shapes store them as a tuple of floats."""
 
-_IN_CONE = 1e-12  # slack of cos: a corner exactly on the cone's edge counts as inside
-_BESIDE = 1e-9  # rad; a ray beside a corner or a rim, of which no rounding decides whether it hits
+_IN_CONE = 1e-12  # tolerance of a cosine, so that a corner exactly on the cone's edge counts as inside
+_BESIDE = 1e-9  # [rad] angle between a ray and the corner or rim that it passes, so that rounding cannot change the hit
 
 
 class Shape(ABC):
-    """A solid convex set in the plane. A new shape gives `foot`, `hit`, `outlook` and `moved`; the rest is derived."""
+    """A solid convex set in the plane; a subclass defines `foot`, `hit`, `outlook` and `moved`."""
 
     @abstractmethod
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
-        """Signed distance [m] of (x, y), negative inside, and the nearest surface point (x, y) [m]."""
+        """Return the signed distance [m] of (x, y), negative inside, and the nearest surface point (x, y) [m]."""
 
     @abstractmethod
     def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """First hit from (x, y), outside, along the unit vector (ex, ey): distance [m], inf if none, and cos of the
-        angle between the outward normal there and the way back."""
+        """Return the distance [m] from (x, y) to the first hit along the unit vector (ex, ey), and an incidence cosine.
+
+        The distance is inf if there is no hit. The cosine is that of the angle between the outward normal at the hit
+        and the direction back to (x, y). The point (x, y) lies outside.
+        """
 
     @abstractmethod
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """Unit vectors from (x, y), outside, among which is the best for each of its faces, and those just past its
-        rims (by 1e-9 rad), where what stands behind it comes into sight."""
+        """Return the unit vectors from (x, y), outside, along which the nearest echo of a scene may lie.
+
+        They include the best direction to each face of the shape, and directions 1e-9 rad past its rims, where shapes
+        behind it become visible.
+        """
 
     @abstractmethod
     def moved(self, offset: Vector2) -> Shape:
-        """The same shape displaced by `offset` (2,) [m] in {E}."""
+        """Return the same shape displaced by `offset` (2,) [m] in {E}."""
 
     def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
-        """Distance [m] of `hit`."""
+        """Return the distance [m] of `hit`."""
         return self.hit(x, y, ex=ex, ey=ey)[0]
 
     def nearest(self, point: Vector2) -> tuple[float, NDArray[np.float64]]:
-        """Signed distance [m] of `point` (2,), negative inside, and the nearest surface point (2,) [m]."""
+        """Return the signed distance [m] of `point` (2,), negative inside, and the nearest surface point (2,) [m]."""
         distance, x, y = self.foot(float(point[0]), float(point[1]))
         return distance, np.array((x, y))
 
     def nearest_in_cone(self, apex: Vector2, axis: float, *, half_angle: float) -> float:
-        """Distance from `apex` to the nearest point of the shape with |bearing − axis| ≤ half_angle.
+        """Return the distance [m] from `apex` to the nearest point of the shape with |bearing − axis| ≤ half_angle.
 
         Args:
             apex: (2,) [m] in {E}.
@@ -74,8 +78,7 @@ class Shape(ABC):
             half_angle: half the opening angle [rad], 0 ≤ half_angle < π/2.
 
         Returns:
-            Distance [m]; inf when nothing of the shape lies in the cone, 0 when the apex lies inside the
-            shape.
+            Distance [m]; inf if no part of the shape lies in the cone, 0 if the apex lies inside the shape.
 
         Raises:
             InputError: the half angle is out of range, or apex or axis is not finite.
@@ -98,11 +101,11 @@ class Shape(ABC):
 
 @dataclass(frozen=True)
 class Disc(Shape):
-    """An upright cylinder, or a sphere cut at the robot's depth.
+    """The section of an upright cylinder, or of a sphere, at the robot's depth.
 
     Attributes:
-        center: (2,) [m] in {E}.
-        radius: [m], greater than 0.
+        center: centre (2,) [m] in {E}.
+        radius: radius [m], greater than 0.
     """
 
     center: Vector2
@@ -114,7 +117,7 @@ class Disc(Shape):
         object.__setattr__(self, "radius", _positive("disc.radius", self.radius))
 
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
-        """See `Shape.foot`; from the exact centre the point in +x is taken."""
+        """See `Shape.foot`; for the exact centre, the surface point in direction +x is returned."""
         cx, cy = self.center
         dx, dy = x - cx, y - cy
         length = hypot(dx, dy)
@@ -133,7 +136,7 @@ class Disc(Shape):
         return along - root, root / self.radius
 
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: the centre, where the incidence is 0 and the range least, and the two rims."""
+        """See `Shape.outlook`: directions to the centre, where incidence and range are least, and past both rims."""
         dx, dy = self.center[0] - x, self.center[1] - y
         length = hypot(dx, dy)
         ux, uy, s = dx / length, dy / length, min(1.0, self.radius / length)
@@ -148,12 +151,12 @@ class Disc(Shape):
 
 @dataclass(frozen=True)
 class Box(Shape):
-    """An upright box.
+    """The section of an upright box at the robot's depth.
 
     Attributes:
-        center: (2,) [m] in {E}.
-        size: (2,) full lengths [m] along the box's own x and y, each greater than 0.
-        angle: of the box's x from x of {E} [rad], counter-clockwise.
+        center: centre (2,) [m] in {E}.
+        size: full lengths (2,) [m] along the box's own x and y axes, each greater than 0.
+        angle: angle from x of {E} to the box's x axis [rad], counter-clockwise.
     """
 
     center: Vector2
@@ -180,7 +183,7 @@ class Box(Shape):
         return c * dx + s * dy, c * dy - s * dx
 
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
-        """See `Shape.foot`; from inside, the nearest face is taken (the x faces win ties)."""
+        """See `Shape.foot`; from inside, the point lies on the nearest face (on an x face if two are equally near)."""
         px, py = self._local(x, y)
         hx, hy = self._half
         qx, qy = max(-hx, min(hx, px)), max(-hy, min(hy, py))
@@ -196,7 +199,7 @@ class Box(Shape):
         return distance, cx + c * qx - s * qy, cy + s * qx + c * qy
 
     def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """See `Shape.hit`; the slab method in the box's own frame. The face is that of the slab entered last."""
+        """See `Shape.hit`; the slab method in the box's own frame, where the ray hits the slab that it enters last."""
         px, py = self._local(x, y)
         c, s = self._axis
         hx, hy = self._half
@@ -209,11 +212,11 @@ class Box(Shape):
         return near, abs(lx) if near_x >= near_y else abs(ly)
 
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: the foot on a face, either side of the nearest corner, and past its two neighbours.
+        """See `Shape.outlook`: the foot on a face, both sides of the nearest corner, and past its two neighbours.
 
-        Range and incidence of a face grow away from its own foot point, so that its best is that point, or, when the
-        apex stands before no face, its end at the nearest corner. A corner has no normal: it answers as an end of
-        its faces, where one of them faces the apex, and not by itself (an edge scatters, but does not mirror).
+        Range and incidence of a face increase with the distance from its foot point, so the best point is the foot
+        point; if the apex is not in front of a face, it is the face's end at the nearest corner. A corner has no
+        normal: it reflects as the end of a face that faces the apex, and not by itself (an edge only scatters sound).
         """
         px, py = self._local(x, y)
         hx, hy = self._half
@@ -226,7 +229,7 @@ class Box(Shape):
         for corner_x, corner_y in ((cx, cy), (cx, -cy), (-cx, cy)):
             dx, dy = corner_x - px, corner_y - py
             length = hypot(dx, dy)
-            # outward is away from the centre, which lies at (-px, -py) from here
+            # "outward" means away from the centre, which lies at (-px, -py) from the apex
             side = 1.0 if px * dy < py * dx else -1.0
             directions.append(_beside(dx / length, dy / length, side))
             if (corner_x, corner_y) == (cx, cy):
@@ -241,11 +244,11 @@ class Box(Shape):
 
 @dataclass(frozen=True)
 class Wall(Shape):
-    """A half-plane: all that lies behind the line through `point`.
+    """A half-plane: all points behind the line through `point`.
 
     Attributes:
         point: (2,) any point of the surface [m] in {E}.
-        normal: (2,) pointing into the water; any length greater than 0, kept as a unit vector.
+        normal: (2,) vector into the water, of any length greater than 0; it is stored as a unit vector.
     """
 
     point: Vector2
@@ -272,7 +275,7 @@ class Wall(Shape):
         return (self.foot(x, y)[0] / approach, approach) if approach > 0.0 else (inf, 0.0)
 
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: its foot point alone; a half-plane has no rim at a finite distance."""
+        """See `Shape.outlook`: only the foot point, because a half-plane has no rim at a finite distance."""
         return [(-self.normal[0], -self.normal[1])]
 
     def moved(self, offset: Vector2) -> Wall:
@@ -281,10 +284,10 @@ class Wall(Shape):
 
 
 def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
-    """The walls x = 0, x = length, y = 0, y = width of the rectangular tank [0, length] × [0, width] [m].
+    """Return the walls x = 0, x = length, y = 0, y = width of the rectangular tank [0, length] × [0, width] [m].
 
     Raises:
-        InputError: a side that is not greater than 0 and finite.
+        InputError: a side is not finite or not greater than 0.
 
     Example:
         >>> from surctl.world import nearest_echo, site_walls
@@ -302,12 +305,12 @@ def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
 
 
 def _beside(ux: float, uy: float, side: float) -> tuple[float, float]:
-    """The unit vector turned by 1e-9 rad, to the left for side 1."""
+    """Return the unit vector turned by 1e-9 rad, to the left for side 1 and to the right for side −1."""
     return ux - side * _BESIDE * uy, uy + side * _BESIDE * ux
 
 
 def _slab(position: float, direction: float, *, half: float) -> tuple[float, float]:
-    """Where a line enters and leaves |coordinate| ≤ half; (inf, −inf) when it never does."""
+    """Return the parameters at which a line enters and leaves |coordinate| ≤ half; (inf, −inf) if it never does."""
     if direction == 0.0:
         return (-inf, inf) if abs(position) <= half else (inf, -inf)
     one, other = (-half - position) / direction, (half - position) / direction

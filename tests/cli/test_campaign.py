@@ -108,7 +108,7 @@ def test_random_worlds_are_flown_and_kept(tmp_path):
         (["--random-worlds", "0"], "--random-worlds"),
         (["tank-statik", "--monte-carlo"], "did you mean 'tank-static'"),
         (["tank-static", "--monte-carlo", "--law", "papre"], "law = 'papre'"),
-        (["tank-static", "--monte-carlo", "--avoidance", "printed"], "takes the corrected form only"),
+        (["tank-static", "--monte-carlo", "--avoidance", "printed"], "accepts only the corrected form"),
         (["tank-static", "--monte-carlo", "--chance", "dropout=0.1"], "has no effect with true positions"),
         (["tank-static", "--monte-carlo", "--out", "/dev/null"], "--out"),
         (["--from", "none.toml"], "none.toml: no such file"),

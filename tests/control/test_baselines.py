@@ -91,7 +91,7 @@ def test_every_law_of_the_registry_is_built_in_every_mode() -> None:
 def test_a_misspelt_law_is_told_the_nearest_and_a_form_that_is_not_taken() -> None:
     with pytest.raises(InputError, match="did you mean 'dwa'"):
         build_law("dwaa")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="law cbf takes the corrected form only"):
+    with pytest.raises(InputError, match="law cbf accepts only the corrected form"):
         build_law("cbf", avoidance="printed")
 
 

@@ -22,7 +22,7 @@ from surctl.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
 DT, PATIENCE = 0.5, 10.0
-STATE = Layout((Port("progress", (1,), "m", "arc length of the path's target"), *DEAD_END_PORTS))
+STATE = Layout((Port("progress", (1,), "m", "arc length of the target point on the path"), *DEAD_END_PORTS))
 SMALL = {name: STATE.slice(name) for name in ("furthest", "searched", "stalled", "trapped")}
 
 

@@ -20,7 +20,7 @@ from surctl.ir import Layout, Port
 from surctl.vehicle import load_vehicle
 
 DT, PATIENCE, DEPTH, END = 0.5, 4.0, -2.0, (9.0, 0.0)
-PROGRESS = Port("progress", (1,), "m", "arc length of the path's target")
+PROGRESS = Port("progress", (1,), "m", "arc length of the target point on the path")
 STATES = {depths: Layout((PROGRESS, *DEAD_END_PORTS, *(LAYER_PORTS if depths else ()))) for depths in (False, True)}
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default").with_values({"patience": PATIENCE})
 PITCH = 2 * VEHICLE["radius"] + GAINS["margin"]

@@ -103,8 +103,8 @@ def test_a_law_is_built_once() -> None:
         ({"law": "gaurded"}, "law = 'gaurded': is not known; did you mean 'guarded'?"),
         ({"law": "paper", "avoidance": "print"}, "did you mean 'printed'?"),
         ({"mode": "projcted"}, "did you mean 'projected'?"),
-        ({"law": "guarded", "avoidance": "printed"}, "compare the forms with law paper"),
-        ({"law": "guarded", "avoidance": "consistent"}, "compare the forms with law paper"),
+        ({"law": "guarded", "avoidance": "printed"}, "use law paper to compare the forms"),
+        ({"law": "guarded", "avoidance": "consistent"}, "use law paper to compare the forms"),
     ],
 )
 def test_what_cannot_be_built_is_refused(kwargs: dict[str, str], fragment: str) -> None:

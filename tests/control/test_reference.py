@@ -46,7 +46,7 @@ def _parameters(vehicle: str) -> tuple[float, ...]:
 @settings(derandomize=True, deadline=None)
 @given(st.floats(-1, 1), st.floats(-1, 1), st.sampled_from(["sur400", "sur540-flooded"]))
 def test_the_target_is_closed_in_on_no_faster_than_the_thrusters_stop(x: float, y: float, name: str) -> None:
-    """s²/(2a) + s t ≤ d, with the share of the thrust that the braking distance counts on."""
+    """s²/(2a) + s t ≤ d, with the share of the thrust that the braking distance assumes."""
     vehicle, gains = load_vehicle(name), load_gains("default")
     found = np.asarray(_function()([9 + x, y, -0.15, 0], 9.0, [0, 0], _parameters(name))[0]).ravel()
     speed, distance = float(np.hypot(*found)), float(np.hypot(x, y))

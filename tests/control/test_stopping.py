@@ -86,7 +86,7 @@ def test_only_the_guarded_law_has_a_choice(key: str) -> None:
     with pytest.raises(InputError, match="did you mean") as caught:
         build_law(**{key: {"barrier": "inertial", "movers": "predicts"}[key]})
     assert caught.value.key == key
-    with pytest.raises(InputError, match="law paper has none"):
+    with pytest.raises(InputError, match="law paper has no such option"):
         build_law("paper", **{key: {"barrier": "inertia", "movers": "barrier"}[key]})
 
 

@@ -241,14 +241,14 @@ def test_the_law_that_senses_is_readable_and_small() -> None:
     # no vector of the self-test is a whole state
     assert len(source) - source.index("int surctl_guarded_selftest") < 20_000
     fields = {
-        "fix[3]": "[m] position x, y, z in {E} as the base station measured it 0.1 s before it arrives",
-        "fix_fresh": "[1] 1 where a fix has arrived since the last step, else 0",
+        "fix[3]": "[m] position x, y, z in {E} that the base station measured 0.1 s before it arrives",
+        "fix_fresh": "[1] 1 if a fix has arrived since the last step, else 0",
         "yaw": "[rad] heading psi of {B} in {E}, counter-clockwise",
         "yaw_rate": "[rad/s] yaw rate r in {B}",
-        "contacts[8][6]": "[m, m/s, 1] obstacles that move, as the base station saw them 0.1 s before, in {E}",
-        "contacts_fresh": "[1] 1 where such a message has arrived since the last step, else 0",
-        "samples[4][5]": "[m] raw ranges of each sonar's last firing, one sonar a row; axes at 0, 90, 180, -90 deg",
-        "fresh[4]": "[1] 1 where a firing of the sonar has arrived since the last step, else 0",
+        "contacts[8][6]": "[m, m/s, 1] moving obstacles in {E} that the base station measured 0.1 s before",
+        "contacts_fresh": "[1] 1 if a message with contacts has arrived since the last step, else 0",
+        "samples[4][5]": "[m] raw ranges of each sonar's last firing, one sonar per row; axes at 0, 90, 180, -90 deg",
+        "fresh[4]": "[1] 1 if a firing of the sonar has arrived since the last step, else 0",
     }
     struct = header[header.index("/* what it is told in each step */") : header.index("} surctl_guarded_input_t;")]
     assert struct.count("double ") == len(fields)

@@ -30,7 +30,7 @@ def test_tasks_over_different_symbols_are_refused():
 
 
 def test_an_empty_stack_is_refused():
-    with pytest.raises(InputError, match="holds no task"):
+    with pytest.raises(InputError, match="contains no task"):
         Stack(())
 
 

@@ -18,7 +18,7 @@ from surctl.vehicle import (
     sphere,
     write_vehicle,
 )
-from surctl.vehicle.identify import _flyable, _Problem
+from surctl.vehicle.identify import _Problem, _simulable
 from surctl.vehicle.parameters import vehicle_from_table
 
 START = load_vehicle("sur540-flooded")
@@ -66,7 +66,7 @@ def test_what_was_not_moved_is_not_told(seed: int) -> None:
     assert not {"m22", "m33", "m44", "Yv", "Zw", "Nr", "Yvv", "Zww", "Nrr"} & set(found.identified)
     kept = found.vehicle.parameters["m22"]
     assert (kept.value, kept.range) == (START["m22"], START.parameters["m22"].range)
-    assert "log.csv cannot tell it" in kept.provenance
+    assert "not identifiable from log.csv" in kept.provenance
     fitted = found.vehicle.parameters["m11"]
     assert fitted.range is not None and fitted.range[0] < fitted.value < fitted.range[1]
     assert "identified from log.csv, 200 rows" in fitted.provenance
@@ -84,7 +84,7 @@ def test_a_short_log_that_speaks_for_drag_below_zero_does_not_end_the_fit() -> N
     problem = _Problem(log, light)
     with np.errstate(over="ignore", invalid="ignore"):
         assert not np.isfinite(problem.residuals(runs_away, np.ones(8))).all()
-    begun = _flyable(problem, runs_away, np.ones(8))
+    begun = _simulable(problem, runs_away, np.ones(8))
     assert np.isfinite(problem.residuals(begun, np.ones(8))).all()
 
 
@@ -103,7 +103,7 @@ def test_a_current_is_noticed() -> None:
     motion = log.motion.copy()
     motion[:, 0] += 0.03 * np.sin(log.time)
     found = identify(MotionLog(log.time, motion, log.thrust), START, name="fitted")
-    assert any("x_m is no white noise" in note for note in found.notes)
+    assert any("x_m is not white noise" in note for note in found.notes)
 
 
 def _csv(log: MotionLog, **changed: list[str]) -> str:
@@ -130,8 +130,8 @@ def test_a_log_as_a_file(tmp_path: Path) -> None:
     [
         ({"Fu_N": ["nan"] * 60}, "Fu_N: has no number at 0 s"),
         ({"t_s": ["0"] * 60}, "t_s = 0.0: does not increase"),
-        ({"t_s": [""] * 60}, "t_s: is no time"),
-        (dict.fromkeys(LOG_MOTION, ["nan"] * 60), "holds no motion"),
+        ({"t_s": [""] * 60}, "t_s: is not a time"),
+        (dict.fromkeys(LOG_MOTION, ["nan"] * 60), "contains no motion"),
         ({"x_m": ["3,5"] * 59 + ["fast"]}, "cells"),
         ({"x_m": ["0"] * 59 + ["fast"]}, "'fast': is not a number"),
     ],
@@ -169,7 +169,7 @@ def test_the_sphere_of_the_paper() -> None:
 @pytest.mark.parametrize(
     ("change", "fragment"),
     [
-        ({"diameter": 54.0}, "no small robot's"),
+        ({"diameter": 54.0}, "too large for a small robot"),
         ({"dry_mass": 7900.0}, "sinks"),
         ({"flooded": 75.0}, "between 0 and 1"),
         ({"thrust": float("nan")}, "greater than 0"),

@@ -1,7 +1,7 @@
-"""Textbook laws to compare with: the same wish, contacts and velocity loop, another way around what is there.
+"""Textbook laws for comparison: same desired velocity, contacts and velocity loop, but another avoidance method.
 
-Their parameters are the module constants, tuned as analysis/13_baselines says. With sonars they turn as the guarded
-law does and take the marks of its map as contacts, but know no caution before what is unknown.
+Their parameters are the module constants; analysis/13_baselines describes how they were tuned. With sonars, these laws
+turn like the guarded law and use the marks of its map as contacts, but they do not slow down before unknown space.
 """
 
 from surctl.control.baselines.apf import apf_law

@@ -1,9 +1,9 @@
 """Artificial potential field (Khatib, "Real-time obstacle avoidance for manipulators and mobile robots", IJRR 1986).
 
-The velocity-limited form of his section on moving to a goal: F = m k_v (v_d − ẋ) + Σ F_FIRAS, where v_d goes to the
-attracting point. The velocity loop is that first term, so the command is v_d + Σ F_FIRAS / (m k_v); it damps, and its
-speed is limited. The attracting point is the path's look-ahead point: the line of sight of (9) leads to it. A field
-knows no velocity of an obstacle, and has its local minima. Near a contact the speed along its normal is damped further.
+The law uses Khatib's velocity-limited form: F = m k_v (v_d − ẋ) + Σ F_FIRAS, where v_d points to the attracting point.
+The velocity loop provides the first term, so the command is v_d + Σ F_FIRAS / (m k_v), with limited speed. The
+attracting point is the look-ahead point on the path, to which the line of sight of (9) leads. The field ignores the
+velocity of obstacles and has local minima. Near a contact, the speed along its normal is damped further.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from surctl.ir import fold, tabulated
 __all__ = ["DAMPING", "NEAREST", "RANGE", "STRENGTH", "apf_law"]
 
 RANGE = 0.5
-"""ρ_0 [m], clearance below which a contact repels (tuned from 0.2 to 2)."""
+"""ρ_0 [m], the clearance below which a contact repels (tuned from 0.2 to 2)."""
 
 STRENGTH = 0.01
-"""η / (m k_v) [m⁴/s] (tuned from 0.0001 to 1)."""
+"""Strength η / (m k_v) of the repulsion [m⁴/s] (tuned from 0.0001 to 1)."""
 
 NEAREST = 0.1
-"""[m] below which a clearance repels no more strongly (tuned from 0.02 to 0.2): the field has a pole at 0."""
+"""Clearance [m] below which the repulsion no longer grows (tuned from 0.02 to 0.2); the field has a pole at 0."""
 
 DAMPING = 1.0
-"""Share of the speed along a contact's normal, within ρ_0, that is taken off the command (tuned from 0 to 4)."""
+"""Share of the speed along a contact's normal that is subtracted from the command within ρ_0 (tuned from 0 to 4)."""
 
 
 def apf_law(s: Situation) -> Decision:
-    """Attraction of the wish, and η (1/ρ − 1/ρ_0) / ρ² away from each contact within ρ_0."""
+    """Return the decision: the desired velocity plus η (1/ρ − 1/ρ_0) / ρ² away from each contact within ρ_0."""
     now = over_ground(s)
 
     def repelled(repulsion: ca.SX, row: ca.SX) -> ca.SX:

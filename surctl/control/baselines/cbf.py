@@ -1,10 +1,11 @@
 """Line-of-sight tracking behind a control barrier function (Ames, Xu, Grizzle and Tabuada, "Control barrier function
 based quadratic programs for safety critical systems", IEEE TAC 2017), on the kinematics.
 
-h_i = clearance − margin and ḣ_i ≥ −α h_i for every contact, whose own velocity is counted: n_i·v ≤ α h_i + n_i·v_i.
-The velocity nearest to the wish that keeps every row and the speed limit is found exactly, row after row: where a row
-is missed the next optimum lies on its line (Seidel 1991; de Berg et al., *Computational Geometry*, 4.4). No braking
-distance stands behind it: the rows speak of the velocity asked for, not of what the thrust can do about it.
+Every contact has the barrier h_i = clearance − margin with ḣ_i ≥ −α h_i; with the contact's own velocity v_i this is
+n_i·v ≤ α h_i + n_i·v_i. The velocity nearest to the desired velocity that satisfies every row and the speed limit is
+computed exactly, row by row: if a row is violated, the next optimum lies on its line (Seidel 1991; de Berg et al.,
+*Computational Geometry*, 4.4). The barriers do not consider the braking distance: they bound the velocity command, not
+the velocity that the limited thrust can achieve.
 """
 
 from __future__ import annotations
@@ -23,19 +24,22 @@ from surctl.vehicle import planar_rotation
 __all__ = ["ALPHA", "FAN", "cbf_law", "nearest_velocity"]
 
 ALPHA = 0.2
-"""α [1/s] (tuned from 0.03 to 1)."""
+"""Barrier gain α [1/s] (tuned from 0.03 to 1)."""
 
 EXTRA = 0.02
-"""[m] beyond the gains' margin (tuned from 0 to 0.15): the velocity lags behind the rows."""
+"""Distance [m] added to the margin (tuned from 0 to 0.15), because the velocity lags behind the command."""
 
 FAN = 24
-"""Courses at full speed, beside standing still, among which the least bad is taken where no velocity keeps all rows."""
+"""Number of courses at full speed that are tried, in addition to zero velocity, if no velocity satisfies all rows."""
 
-_ROUNDING = 1e-9  # [m/s] by which a row may be missed: rounding
+_ROUNDING = 1e-9  # [m/s] tolerance of a row for rounding
 
 
 def cbf_law(s: Situation) -> Decision:
-    """The velocity nearest to the wish that keeps every barrier; the same rows for the modes that take them."""
+    """Return the decision: the velocity nearest to the desired velocity that satisfies every barrier.
+
+    The barriers are also limit rows for the priority modes with inequalities.
+    """
     rows = [
         (c.normal, ALPHA * (c.clearance - s.p["margin"] - EXTRA) + ca.dot(c.velocity, c.normal))
         for c in s.perceived.all
@@ -50,15 +54,16 @@ def cbf_law(s: Situation) -> Decision:
 
 
 def nearest_velocity(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """argmin |v − wish| with n·v ≤ bound for every row and |v| ≤ cap, and whether there is such a v.
+    """Minimise |v − desired| subject to n·v ≤ bound for every row and |v| ≤ cap.
 
     Args:
-        wish: (2, 1) [m/s].
-        rows: (n (2, 1) of length 1, bound [m/s]).
-        cap: [m/s].
+        desired: desired velocity (2, 1) [m/s].
+        rows: pairs of a unit vector n (2, 1) and a bound [m/s].
+        cap: largest speed [m/s].
 
     Returns:
-        v (2, 1) and 1, or, where no v keeps all, the one of a fixed fan that misses its worst row least, and 0.
+        The minimiser v (2, 1) and 1. If no v is feasible: the velocity from a fixed fan of courses with the smallest
+        worst violation, and 0.
     """
     v, feasible = limited(desired, cap), ca.SX(1)
     for i, (normal, bound) in enumerate(rows):

@@ -1,9 +1,10 @@
 """Dynamic window (Fox, Burgard and Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997).
 
-The robot is holonomic, so the window lies in the plane of its two velocities and the arcs are straight; a contact is
-moved at its own velocity. A velocity is admissible if the robot can brake before the contact that it meets first:
-|v| ≤ √(2 b s), s = |v| t_c the way until then, which is |v| ≤ 2 b t_c. Of the admissible ones the largest
-α·heading + β·clearance + γ·velocity is taken, each term from 0 to 1; without any, the robot brakes.
+The robot is holonomic, so the window lies in the plane of its two velocities and the arcs are straight lines. Contacts
+move at their own velocity. A velocity is admissible if the robot can brake before the first contact that it meets:
+|v| ≤ √(2 b s) with the distance s = |v| t_c until then, which means |v| ≤ 2 b t_c. The law chooses the admissible
+velocity with the largest α·heading + β·clearance + γ·velocity, where each term is between 0 and 1. If no velocity is
+admissible, the robot brakes.
 """
 
 from __future__ import annotations
@@ -25,27 +26,33 @@ from surctl.ir import fold, tabulated
 __all__ = ["CLEARANCE", "FREE_DISTANCE", "GRID", "HEADING", "HORIZON", "VELOCITY", "dwa_law"]
 
 HORIZON = 0.5
-"""[s] whose acceleration spans the window (tuned from 0.5 to 3); one period of 0.05 s changes the speed by 3 mm/s."""
+"""Time [s] of full acceleration that spans the window (tuned from 0.5 to 3).
+
+In one control period of 0.05 s the speed changes by only 3 mm/s.
+"""
 
 GRID = 7
-"""Candidates along each axis of the window."""
+"""Number of candidates along each axis of the window."""
 
 FREE_DISTANCE = 4.0
-"""[m] of way free ahead beyond which more is no better (tuned from 0.75 to 4)."""
+"""Free distance ahead [m] above which the clearance term no longer grows (tuned from 0.75 to 4)."""
 
 EXTRA = 0.0
-"""[m] beyond the gains' margin (tuned from 0 to 0.2): a window this small is followed closely."""
+"""Distance [m] added to the margin (tuned from 0 to 0.2); 0 suffices, because the window is small."""
 
 HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
-"""α, β, γ (β tuned from 0.3 to 5 for the others as they are; Fox et al. have 2, 0.2, 0.2)."""
+"""The weights α, β, γ (β tuned from 0.3 to 5 with fixed α and γ; Fox et al. use 2, 0.2, 0.2)."""
 
 
 def dwa_law(s: Situation) -> Decision:
-    """The best admissible velocity of the window around the present one, and of the wish itself if it lies there."""
+    """Return the decision: the best admissible velocity in the window around the present velocity.
+
+    The candidates include the desired velocity, or the nearest velocity to it in the window.
+    """
     now, brake = over_ground(s), s.p["brake"] * weakest_acceleration(s.p)
     extent = weakest_acceleration(s.p) * HORIZON
     aside = s.desired.velocity - now
-    # the wish, or the nearest to it that the window holds, so that the grid costs no accuracy where nothing is near
+    # this candidate is the point of the window nearest to the desired velocity: without contacts the grid adds no error
     nearest_desired = now + ca.vertcat(*(ca.fmin(ca.fmax(aside[k], -extent), extent) for k in range(2)))
     steps = np.linspace(-1, 1, GRID)
     window = [nearest_desired, *(now + extent * ca.DM([a, b]) for a in steps for b in steps)]
@@ -59,7 +66,7 @@ def dwa_law(s: Situation) -> Decision:
         better = value > most + 1e-9
         return [ca.if_else(better, velocity, best), ca.fmax(value, most), ca.logic_or(any_admissible, admissible)]
 
-    # to brake as hard as it can is what is left
+    # without an admissible velocity, the robot brakes as hard as it can
     start = [now - limited(now, extent), ca.SX(-1.0), ca.SX(0)]
     best, _, admitted = fold("window", judged, start, tabulated([velocity] for velocity in window))
     return decided(s, best, degraded=ca.logic_not(admitted))
@@ -69,7 +76,7 @@ def _value(s: Situation, velocity: ca.SX, speed: ca.SX, first: ca.SX) -> ca.SX:
     desired = s.desired.velocity
     desired_speed = length(desired)
     along = ca.dot(velocity, desired) / ca.fmax(speed * desired_speed, 1e-6)
-    # the way is counted at the wished speed: to creep towards a thing is no clearance
+    # the free distance is measured at no less than the desired speed, so a slow approach does not count as clearance
     free = ca.fmin(first * ca.fmax(speed, desired_speed), FREE_DISTANCE) / FREE_DISTANCE
     fast = 1 - ca.fmin(ca.fabs(speed - desired_speed) / ca.fmax(desired_speed, 1e-3), 1)
     return HEADING * 0.5 * (1 + along) + CLEARANCE * free + VELOCITY * fast

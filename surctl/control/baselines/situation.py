@@ -1,4 +1,4 @@
-"""What a law is built from, and what every baseline shares: the levels below its velocity, and the time to contact."""
+"""The inputs from which a law is built, and functions shared by the baselines: lower levels and time to contact."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ __all__ = [
 ]
 
 NEVER = 1e3
-"""[s] to a contact that is not met."""
+"""Time [s] to a contact that the robot never meets."""
 
-_CHANGED = 1e-3  # [m/s] from which a velocity is no longer the wish
+_CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
 
 
 class Situation(NamedTuple):
-    """What a law decides on, symbolic: wish, contacts, own state, pose and velocity, gains and mission by name.
+    """The symbolic inputs of a law's decision: desired motion, contacts, state, pose, velocity, gains and mission.
 
-    `form` of (20) and `dt` [s] are those of `build_law`; `scan` is None for a law without sonars;
-    `moving` says whether a contact may move; `barrier` and `movers` are those of `build_law`.
+    `form`, `dt`, `barrier` and `movers` are arguments of `build_law` (`form` is its argument `avoidance`). `scan` is
+    None for a law without sonars. `moving` is True if contacts may move.
     """
 
     form: AvoidanceForm
@@ -55,8 +55,10 @@ class Situation(NamedTuple):
 
 
 def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[HalfPlane] = ()) -> Decision:
-    """The decision for `velocity` (2, 1) [m/s] in {E}: below it depth, then the path's heading, or the spin of a law
-    with sonars, as in the guarded law."""
+    """Return the decision for `velocity` (2, 1) [m/s] in {E}, with the lower levels of the guarded law.
+
+    The lower levels are depth, then the heading of the path, or a constant yaw rate for a law with sonars.
+    """
     return Decision(
         [TaskLevel.of(velocity_task(s.eta, velocity)), *lower_levels(s.eta, s.desired, s.p, s.scan)],
         rows,
@@ -68,25 +70,25 @@ def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[Ha
 
 
 def length(vector: ca.SX) -> ca.SX:
-    """Euclidean norm."""
+    """Return the Euclidean norm of a vector."""
     return ca.sqrt(ca.sumsqr(vector))
 
 
 def limited(vector: ca.SX, most: ca.SX) -> ca.SX:
-    """The vector, shortened to `most` where it is longer."""
+    """Return the vector, shortened to length `most` if it is longer."""
     return vector * ca.fmin(1, most / ca.fmax(length(vector), 1e-9))
 
 
 def over_ground(s: Situation) -> ca.SX:
-    """Measured horizontal velocity (2, 1) [m/s] in {E}."""
+    """Return the measured horizontal velocity over ground (2, 1) [m/s] in {E}."""
     return planar_rotation(s.eta[3]) @ s.nu[:2]
 
 
 def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: bool = False) -> ca.SX:
-    """When a robot at constant `velocity` (2, 1) [m/s] comes within `margin` of a contact that keeps its own [s].
+    """Return the time [s] until a robot at constant `velocity` (2, 1) [m/s] comes within `margin` of a moving contact.
 
-    The contact is a disc of radius `reach` + margin around its centre, or a straight wall if `flat`. 0 where the robot
-    is within the margin and comes nearer; `NEVER` where it meets nothing, or leaves.
+    The contact keeps its velocity. It is a disc of radius `combined_radius` + margin around its centre, or a straight
+    wall if `flat`. The result is 0 if the robot is within the margin and approaches; it is `NEVER` if they do not meet.
     """
     gap = contact.clearance - margin
     relative = velocity - contact.velocity
@@ -94,23 +96,23 @@ def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: b
     nearing = towards > 1e-9
     if flat:
         return ca.if_else(nearing, ca.fmin(ca.fmax(gap, 0) / ca.fmax(towards, 1e-9), NEVER), NEVER)
-    # with d the centre's distance, R = d − gap: |w|² t² − 2 d (w·n) t + gap (d + R) = 0, its first root
+    # first root t of |w|² t² − 2 d (w·n) t + gap (d + R) = 0, with the distance d of the centre and R = d − gap
     d = contact.clearance + contact.combined_radius
     square, half, rest = ca.sumsqr(relative), d * towards, gap * (2 * d - gap)
     disc = half * half - square * rest
-    # the stable form of (half − √disc) / square
+    # numerically stable form of (half − √disc) / square
     first = ca.fmax(rest, 0) / ca.fmax(half + ca.sqrt(ca.fmax(disc, 0)), 1e-9)
     first = ca.if_else(gap > 0, first, 0)
     return ca.if_else(ca.logic_and(nearing, disc > 0), ca.fmin(first, NEVER), NEVER)
 
 
 def first_contact(s: Situation, velocity: ca.SX, *, extra: float) -> ca.SX:
-    """Time [s] until a velocity (2, 1) [m/s] in {E} meets the first contact or wall; `NEVER` at the most.
+    """Return the time [s] until a robot at `velocity` meets the first contact or wall, or `NEVER`.
 
     Args:
-        s: what is around.
-        velocity: kept all the time.
-        extra: clearance beyond the margin at which a thing counts as met [m].
+        s: the situation with all contacts.
+        velocity: constant velocity (2, 1) [m/s] in {E}.
+        extra: clearance beyond the margin at which a contact counts as met [m].
     """
     margin, first = s.p["margin"] + extra, ca.SX(NEVER)
     for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):

@@ -1,9 +1,10 @@
 """Velocity obstacles (Fiorini and Shiller, "Motion planning in dynamic environments using velocity obstacles", IJRR
 1998), in the sampled form of van den Berg, Lin and Manocha 2008 (RVO library) without reciprocity.
 
-A velocity is forbidden if the robot, keeping it, would come within the margin of a contact that keeps its own, within
-the horizon. Of a fixed fan around the wish the allowed one nearest to the wish is taken; if none is, the one of the
-smallest w / t_c + |v − wish|, which is the penalty of that library.
+A velocity is forbidden if a robot at this constant velocity would come within the margin of a contact at constant
+velocity within the horizon. Of a fixed fan of candidates around the desired velocity v_d, the law chooses the allowed
+one nearest to v_d. If all are forbidden, it chooses the one with the smallest w / t_c + |v − v_d|, the penalty of the
+RVO library.
 """
 
 from __future__ import annotations
@@ -20,25 +21,31 @@ from surctl.ir import fold, tabulated
 __all__ = ["COURSES", "HORIZON", "SAFETY", "SPEEDS", "vo_law"]
 
 HORIZON = 4.0
-"""[s] (tuned from 2 to 30): what the heaviest vehicle needs from full speed to rest. A longer one closes the gaps."""
+"""Prediction time [s] (tuned from 2 to 30): the heaviest vehicle needs it to stop from full speed.
+
+With a longer horizon, gaps between contacts count as closed.
+"""
 
 SAFETY = 0.1
-"""w [m]: weight of 1 / t_c against the distance to the wish where every velocity is forbidden (tuned from 0.1 to 5)."""
+"""Weight w [m] of 1 / t_c against the distance to the desired velocity, if all are forbidden (tuned from 0.1 to 5)."""
 
 EXTRA = 0.02
-"""[m] beyond the gains' margin (tuned from 0 to 0.2): the robot does not follow a velocity at once."""
+"""Distance [m] added to the margin (tuned from 0 to 0.2), because the robot does not follow a velocity at once."""
 
 COURSES = tuple(np.radians([0, *(s * a for a in (8, 16, 24, 32, 45, 60, 75, 90, 110, 135) for s in (1, -1)), 180]))
-"""[rad] from the wish; of two equals the first is taken, so that what is met head-on stays on the right (E10)."""
+"""Candidate courses [rad] relative to the desired one.
+
+The first of two equal candidates is chosen, so a head-on contact stays on the right side of the robot (E10).
+"""
 
 SPEEDS = (1.0, 0.5)
-"""Of the wished speed. Standing still is a candidate too, and full speed (the cap) where the wish is slower."""
+"""Candidate speeds as shares of the desired speed; zero velocity and full speed (the cap) are candidates too."""
 
 _FORBIDDEN = 1e3
 
 
 def vo_law(s: Situation) -> Decision:
-    """The allowed velocity nearest to the wish."""
+    """Return the decision: the allowed velocity nearest to the desired velocity."""
     desired, best = s.desired.velocity, s.desired.velocity
     least_cost = _cost(s, desired)
     ahead = desired / ca.fmax(length(desired), 1e-6)
