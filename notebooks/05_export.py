@@ -70,9 +70,7 @@ def _(mo):
 
 @app.cell
 def _(files):
-    _text = files["surctl_closed_form.c"].path.read_text(encoding="utf-8")
-    _at = _text.index("static void surctl_closed_form_law") if "static void surctl_closed_form_law" in _text else 0
-    print("\n".join(_text[_at:].splitlines()[:24]))
+    print("\n".join(files["surctl_closed_form_law.c"].path.read_text(encoding="utf-8").splitlines()[:24]))
     return
 
 

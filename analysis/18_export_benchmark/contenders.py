@@ -63,7 +63,9 @@ def casadi_c(law: Law, base: Contender, numbers: NDArray[np.float64], *, shim: b
     words = ("sin", "cos", "sqrt", "fabs", "floor", "fmin", "fmax", "atan2")
     macros = "".join(f"#define {word} {word}f\n" for word in words) if shim else ""
     text = f"#include <math.h>\n{macros}{generator.dump()}\n{_frame(base.bundle.name, kind, function)}"
-    files = MappingProxyType({**base.bundle.files, f"{base.bundle.name}.c": text})
+    kept = {file: code for file, code in base.bundle.files.items() if file not in base.bundle.sources}
+    alone = {f"{base.bundle.name}.c": text, base.bundle.selftest: _selftest(base.bundle.name)}
+    files = MappingProxyType({**kept, **alone})
     told = f"CasADi, {real}" + (" with sinf and the like" if shim else "")
     return Contender(told, base.law, replace(base.bundle, files=files, envelope=None), False)
 
@@ -76,7 +78,6 @@ def _frame(name: str, kind: str, function: ca.Function) -> str:
 int {name}_initialize({name}_state_t *s, {name}_gains_t *g) {{ (void)g; s->x[0] = 0; return 0; }}
 void {name}_terminate({name}_state_t *s) {{ (void)s; }}
 const char *{name}_id(void) {{ return ""; }}
-int {name}_selftest({name}_state_t *s) {{ (void)s; return 0; }}
 int {name}_step({name}_state_t *s, const {name}_gains_t *g, const {name}_input_t *in, {name}_output_t *out)
 {{
     const {kind} *arg[{function.sz_arg()}] = {{ s->x, in->eta }};
@@ -89,3 +90,7 @@ int {name}_step({name}_state_t *s, const {name}_gains_t *g, const {name}_input_t
     return (int)status;
 }}
 """
+
+
+def _selftest(name: str) -> str:
+    return f'#include "{name}.h"\nint {name}_selftest({name}_state_t *s) {{ (void)s; return 0; }}\n'

@@ -161,7 +161,7 @@ def as_process(setup: Setup, real: Real) -> Iterator[Line]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_bundle(bundle, folder / "bundle")
-        sources = [folder / "bundle" / file for file in ("controller.c", "link.c", f"{bundle.name}.c")]
+        sources = [folder / "bundle" / file for file in ("controller.c", "link.c", *bundle.sources)]
         program = compile_program(sources, folder / "controller")
         process = subprocess.Popen([str(program), "0"], stdout=subprocess.PIPE, text=True)
         try:

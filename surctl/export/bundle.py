@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.certcheck.bundle import numbers_sha256
 from surctl.errors import InputError
-from surctl.export.contract import Exportable, checked_name
+from surctl.export.contract import FILES, Exportable, checked_name
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.guard_text import range_text
 from surctl.export.origin import Origin, check_belonging, manifest_entries
@@ -49,6 +49,25 @@ class Bundle:
     files: Mapping[str, str]
     real: Real = "float64"
     envelope: Envelope | None = None
+
+    @property
+    def selftest(self) -> str:
+        """The C file that a program may leave out."""
+        return f"{self.name}_selftest.c"
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The controller's C files, without the self-test's."""
+        begins = (f"{self.name}.", f"{self.name}_")
+        others = {self.selftest, *(f"{file}.c" for file in FILES)}
+        return tuple(
+            file for file in self.files if file.startswith(begins) and file.endswith(".c") and file not in others
+        )
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """The one for others, and the one that the controller's files share."""
+        return (f"{self.name}.h", f"{self.name}_internal.h")
 
 
 @dataclass(frozen=True)
@@ -90,8 +109,8 @@ def build_bundle(
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> bundle = build_bundle(law, law.gains.unpack(p), real="float32")
-        >>> bundle.name, bundle.real, [name for name in sorted(bundle.files) if "closed_form" in name]
-        ('surctl_closed_form', 'float32', ['surctl_lean.c', 'surctl_lean.h'])
+        >>> bundle.name, bundle.real, bundle.sources
+        ('surctl_closed_form', 'float32', ('surctl_lean.c', 'surctl_lean_law.c'))
     """
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:

@@ -19,14 +19,23 @@ from numpy.typing import NDArray
 from surctl.errors import SurctlError, ToolMissing
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.precision import Guarded, Rounded, plain, replayed
-from surctl.export.process import Controller, code_bytes
+from surctl.export.process import Controller, code_bytes, compile_controller
 from surctl.export.records import Records, as_records
 from surctl.export.rows import Rows
 from surctl.export.targets import Target
 from surctl.export.trial import trial_steps
 from surctl.ir import compile_program, compiler_version, stack_from_report
 
-__all__ = ["STEPS", "BuildReport", "CheckReport", "Instructions", "built_for", "check_builds", "instructions"]
+__all__ = [
+    "STEPS",
+    "BuildReport",
+    "CheckReport",
+    "Instructions",
+    "built_for",
+    "check_builds",
+    "instructions",
+    "step_stack",
+]
 
 STEPS = 100_000
 """Single steps that are tried beside the flights."""
@@ -241,7 +250,7 @@ def _tried(
 ) -> BuildReport:
     bundle, version = host.bundle, compiler_version(target.compiler)
     try:
-        controller, counts = built_for(host, target, folder)
+        controller, counts, code = built_for(host, target, folder)
         raw = controller.output(stream, len(want))
     except SurctlError as failure:
         return BuildReport(target.name, version, failure=str(failure))
@@ -254,8 +263,8 @@ def _tried(
         len(wrong),
         int(wrong[0]) if len(wrong) else None,
         controller.code_bytes,
-        _runtime_bytes(bundle, target, folder),
-        _stack(bundle, target, folder),
+        code_bytes(code[:-1], target.size_tool),
+        None if target.machine is None else step_stack(bundle, code),  # of no interest where memory is plenty
         instructions(counts, accepted),
     )
 
@@ -271,8 +280,10 @@ def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]
     return rows
 
 
-def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None]:
-    """The bundle compiled for a target, and where its instruction counts come to lie, a line a step.
+def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None, list[Path]]:
+    """The bundle compiled for a target, where its instruction counts come to lie (a line a step), and its objects.
+
+    The last object is the self-test's.
 
     Args:
         host: the law and its bundle.
@@ -284,29 +295,20 @@ def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controlle
     """
     law, bundle = host.law, host.bundle
     write_bundle(bundle, folder / "bundle")
-    source, code = folder / "bundle" / f"{bundle.name}.c", folder / "law.o"
     # where memory is little, the compiler tells the frames, too: nothing of the code changes
     stack_flags = () if target.machine is None else ("-fstack-usage",)
-    compile_program([source], code, flags=("-c", *target.flags, *stack_flags), compiler=target.compiler)
+    code = compile_controller(bundle, folder / "bundle", flags=(*target.flags, *stack_flags), compiler=target.compiler)
     size = code_bytes(code, target.size_tool)
     main, program = folder / "bundle" / "sil_main.c", folder / "sil"
     if target.machine is None:
-        compile_program([main, code], program, flags=target.flags, compiler=target.compiler)
-        return Controller(law, bundle, (str(program),), size), None
+        compile_program([main, *code], program, flags=target.flags, compiler=target.compiler)
+        return Controller(law, bundle, (str(program),), size), None, code
     bare = (*target.bare(folder / "bundle"), "-DSURCTL_COUNTED")
     start = folder / "bundle" / "target_start.c"
-    compile_program([start, main, code], program, flags=bare, compiler=target.compiler)
+    compile_program([start, main, *code], program, flags=bare, compiler=target.compiler)
     counts = folder / "counts"
     plugin = _plugin(folder, program, f"{bundle.name}_step", counts)
-    return Controller(law, bundle, (*target.board(str(program)), *plugin), size), counts if plugin else None
-
-
-def _runtime_bytes(bundle: Bundle, target: Target, folder: Path) -> int | None:
-    """Code and constants without the self-test, in a folder where the bundle was built."""
-    code = folder / "runtime.o"
-    flags = ("-c", f"-D{bundle.name.upper()}_NO_SELFTEST", *target.flags)
-    compile_program([folder / "bundle" / f"{bundle.name}.c"], code, flags=flags, compiler=target.compiler)
-    return code_bytes(code, target.size_tool)
+    return Controller(law, bundle, (*target.board(str(program)), *plugin), size), counts if plugin else None, code
 
 
 def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, ...]:
@@ -337,13 +339,11 @@ def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructio
     return Instructions(int(completed.min()), float(completed.mean()), int(completed.max()))
 
 
-def _stack(bundle: Bundle, target: Target, folder: Path) -> int | None:
-    """Below a step, in a folder where the bundle was built."""
-    if target.machine is None:  # of no interest where memory is plenty
-        return None
-    header = bundle.files[f"{bundle.name}.h"]
-    text = bundle.files[f"{bundle.name}.c"].replace(f'#include "{bundle.name}.h"', header)
+def step_stack(bundle: Bundle, code: Sequence[Path]) -> int | None:
+    """Bytes of stack below a step, itself included, of objects that were compiled with `-fstack-usage`."""
+    text = "\n".join(bundle.files[file] for file in (*bundle.headers, *bundle.sources, bundle.selftest))
     try:
-        return stack_from_report((folder / "law.su").read_text(encoding="utf-8"), text, f"{bundle.name}_step")
+        told = "".join(file.with_suffix(".su").read_text(encoding="utf-8") for file in code)
+        return stack_from_report(told, text, f"{bundle.name}_step")
     except (SurctlError, FileNotFoundError):
         return None

@@ -29,7 +29,8 @@ STATUS: tuple[tuple[str, int, str], ...] = (
 )
 """(name, code, meaning) of what a step returns: positive codes are bits, negative ones mean fail-safe."""
 
-_FILES = ("sil_main", "link", "controller", "target_start", "target_link", "fmu")
+FILES = ("sil_main", "link", "controller", "target_start", "target_link", "fmu", "proof")
+"""Names of the bundle's other C files."""
 _HEADERS_OF_C = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
     "stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype"
@@ -166,7 +167,7 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
 def _check_files(name: str) -> None:
     """InputError where the bundle's files or macros would be those of something else, on any file system."""
     small = name.lower()
-    if small in _FILES:
+    if small in FILES:
         raise InputError("is taken by a file of the bundle", key="name", value=name, remedy="choose another")
     if small in _HEADERS:
         raise InputError(

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from surctl.export.contract import Exportable, telemetry_ports, thrust
 from surctl.export.fields import entries
-from surctl.ir import C_TYPE, Program, Real
-from surctl.ir.c99_folded import folded_lines, preamble
+from surctl.ir import C_TYPE, Parts, Program, Real
+from surctl.ir.c99_folded import folded_lines, helpers
 
 __all__ = ["changing", "direct_law", "results"]
 
 _TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
 
 
-def direct_law(law: Exportable, block: Program, name: str, real: Real) -> str:
+def direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
     """`<name>_law(state, gains, input, next, status, output)`.
 
     Reads state->x, *gains and *input; writes next, *status and *output, none of which it reads.
@@ -39,20 +39,21 @@ def direct_law(law: Exportable, block: Program, name: str, real: Real) -> str:
     body = folded_lines(block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True)
     # told by the text: an entry of the state that stays as it is is an instruction that nothing reads
     used = "\n".join(body)
+    head = [
+        f"void {name}_law(const {name}_state_t *state, const {name}_gains_t *gains,",
+        f"    const {name}_input_t *input, {kind} *next, {kind} *status, {name}_output_t *output)",
+    ]
     lines = [
         f"/* {block.operations} operations */",
-        "#if defined(__GNUC__)",
-        "__attribute__((noinline)) /* smaller than with the guard in one function */",
-        "#endif",
-        f"static void {name}_law(const {name}_state_t *state, const {name}_gains_t *gains,",
-        f"    const {name}_input_t *input, {kind} *next, {kind} *status, {name}_output_t *output)",
+        *head,
         "{",
         *(f"    (void){word};" for word in ("state", "input", "gains") if f"{word}->" not in used),
         *([] if changing(block) else ["    (void)next;"]),
         *body,
         "}",
     ]
-    return preamble([block], real) + "\n" + "\n".join(lines) + "\n"
+    text = "\n".join([line for line in (helpers([block], real), *lines) if line]) + "\n"
+    return Parts({"": text}, ("\n".join(head) + ";",))
 
 
 def changing(block: Program) -> list[int]:

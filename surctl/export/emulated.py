@@ -84,7 +84,7 @@ def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
         (True, 'float32', 14)
     """
     write_bundle(bundle, folder)
-    names = ("target_start.c", "target_link.c", "link.c", f"{bundle.name}.c")
+    names = ("target_start.c", "target_link.c", "link.c", *bundle.sources)
     program = compile_program(
         [folder / name for name in names], folder / "linked", flags=target.bare(folder), compiler=target.compiler
     )

@@ -13,7 +13,7 @@ import os
 import platform
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -73,21 +73,22 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
             "has no name in FMI 2.0",
             key="target",
             value=" ".join(machine),
-            remedy="export c99, and compile fmu.c of an FMU made on Linux there",
+            remedy="export c99, and compile the sources of an FMU made on Linux there",
         )
     place, ending = _PLATFORMS[machine]
     name = bundle.name
     unit = render_unit(law, name=name, identity=bundle.id, real=bundle.real)
-    sources = {"fmu.c": unit, f"{name}.c": bundle.files[f"{name}.c"], f"{name}.h": bundle.files[f"{name}.h"]}
+    sources = {"fmu.c": unit, **{file: bundle.files[file] for file in (*bundle.sources, *bundle.headers)}}
+    compiled = [file for file in sources if file.endswith(".c")]
     with tempfile.TemporaryDirectory(prefix="surctl-fmu-") as scratch:
         for file, text in sources.items():
             (Path(scratch) / file).write_bytes(text.encode())
         library = Path(scratch) / f"{name}{ending}"
         linked = ("-Wl,--build-id=none",) if ending == ".so" else ()
-        compile_program([Path(scratch) / "fmu.c"], library, flags=(*_REPRODUCIBLE, *linked))
+        compile_program([Path(scratch) / file for file in compiled], library, flags=(*_REPRODUCIBLE, *linked))
         binary = library.read_bytes()
     members = {
-        "modelDescription.xml": _description(law, bundle, gains),
+        "modelDescription.xml": _description(law, bundle, gains, compiled),
         f"binaries/{place}/{name}{ending}": binary,
         **{f"sources/{file}": text.encode() for file, text in sources.items()},
     }
@@ -116,7 +117,7 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
     return ExportedFile(target, digest)
 
 
-def _description(law: Exportable, bundle: Bundle, gains: Vector) -> bytes:
+def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str]) -> bytes:
     """modelDescription.xml."""
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -135,7 +136,9 @@ def _description(law: Exportable, bundle: Bundle, gains: Vector) -> bytes:
         canHandleVariableCommunicationStepSize="false",
         canNotUseMemoryManagementFunctions="false",
     )
-    ElementTree.SubElement(ElementTree.SubElement(unit, "SourceFiles"), "File", name="fmu.c")
+    listed = ElementTree.SubElement(unit, "SourceFiles")
+    for file in sources:
+        ElementTree.SubElement(listed, "File", name=file)
     logs = ElementTree.SubElement(root, "LogCategories")
     ElementTree.SubElement(logs, "Category", name="logStatusWarning")
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(law.dt)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from surctl.export.envelope import Envelope, Rate
 from surctl.export.fields import entries, transfers
 from surctl.ir import Layout, Port, Real, c_literal
 
-__all__ = ["ANY_NUMBER", "box_lines", "jump_lines", "keep_lines", "number_calls", "range_text"]
+__all__ = ["ANY_NUMBER", "box_lines", "flat_lines", "jump_lines", "keep_lines", "number_calls", "range_text"]
 
 Vector = NDArray[np.float64]
 
@@ -57,6 +58,26 @@ def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], re
     return lines
 
 
+def flat_lines(layout: Layout, box: Vector, array: str, real: Real) -> list[str]:
+    """As `box_lines`, of numbers that stand in one array: a loop goes through ports that share their bounds."""
+    lines: list[str] = []
+    ports = [(port, layout.slice(port.name)) for port in layout if port.size]
+
+    def shared(item: tuple[Port, slice]) -> tuple[float, ...] | str:
+        port, part = item
+        return tuple(box[part][0]) if (box[part] == box[part][0]).all() else port.name
+
+    for _, group in groupby(ports, key=shared):
+        these = list(group)
+        first, end = these[0][1].start, these[-1][1].stop
+        if len(these) > 1 and end - first > _FEW:
+            lines.append(f"for (int k = {first}; k < {end}; ++k) {{ {_test(f'{array}[k]', box[first], real)} }}")
+            continue
+        for port, part in these:
+            lines += _port_lines(port, part.start, box[part], lambda _, at: f"{array}[{at}]", real)
+    return lines
+
+
 def _port_lines(port: Port, first: int, box: Vector, member: Callable[[str, str], str], real: Real) -> list[str]:
     alike = (box == box[0]).all()
     if alike and port.size > _FEW:
@@ -91,15 +112,15 @@ def _bound(value: float, real: Real) -> str:
     return short + ("f" if real == "float32" else "")
 
 
-def number_calls(layout: Layout, struct: str, name: str) -> list[str]:
+def number_calls(layout: Layout, struct: str) -> list[str]:
     """Calls that say whether each port of a struct holds finite numbers only; of the state whether x does."""
     if struct == "state":
-        return [f"{name}_numbers(state->x, {layout.size}U)"] if layout.size else []
+        return [f"numbers(state->x, {layout.size}U)"] if layout.size else []
     calls = []
     for port in layout:
         if port.size:
             first = f"&{struct}->{port.name}" + ("" if port.size == 1 else "".join("[0]" for _ in port.shape))
-            calls.append(f"{name}_numbers({first}, {port.size}U)")
+            calls.append(f"numbers({first}, {port.size}U)")
     return calls
 
 

@@ -198,7 +198,7 @@ def connect(address: str, *, patience: float = 5.0) -> Line:
         >>> from surctl.ir import compile_program
         >>> law, folder = build_law("closed_form"), Path("closed_form")
         >>> _ = write_bundle(build_bundle(law, {}), folder)
-        >>> code = [folder / name for name in ("controller.c", "link.c", "surctl_closed_form.c")]
+        >>> code = [folder / name for name in ("controller.c", "link.c", *bundle.sources)]
         >>> controller = Popen([compile_program(code, folder / "controller"), "0"], stdout=PIPE, text=True)  # any port
         >>> with connect(controller.stdout.readline().split()[-1]) as line:
         ...     line.ask().real, line.identity.inputs == law.inputs.size

@@ -33,12 +33,14 @@ class Mutant:
 
     Attributes:
         kind: sign, operator, gain, guard or memory.
-        line: of the C file, from 1.
+        file: C file.
+        line: of it, from 1.
         old, new: what was changed there.
         bundle: the changed bundle.
     """
 
     kind: str
+    file: str
     line: int
     old: str
     new: str
@@ -81,32 +83,38 @@ _GUARD: Sequence[tuple[str, str, str]] = (
 
 
 def _all(bundle: Bundle) -> Iterator[Mutant]:
-    lines = bundle.files[f"{bundle.name}.c"].split("\n")
+    for file in bundle.sources:
+        yield from _of_file(bundle, file)
+
+
+def _of_file(bundle: Bundle, file: str) -> Iterator[Mutant]:
+    lines = bundle.files[file].split("\n")
     inside = ""
     for at, line in enumerate(lines):
-        opened = re.match(rf"(?:static )?\w+ {bundle.name}_(\w+)\(", line)
+        opened = re.match(rf"(?:static )?\w+ (?:{bundle.name}_)?(\w+)\(", line)
         inside = opened.group(1) if opened else ("" if line == "}" else inside)
         if opened or line.lstrip().startswith(("*", "/*", "#")):
             continue
         rules = _LAW if inside == "law" else (_GUARD if inside in ("inside", "jumped", "step", "refuse") else ())
         for kind, pattern, new in rules:
             for match in re.finditer(pattern, line):
-                yield _mutant(bundle, lines, kind, at, match, new)
+                yield _mutant(bundle, file, lines, kind, at, match, new)
         if inside == "law":
             for match in re.finditer(r"(?<![\w.])0x1\.[0-9a-f]+p[+-]\d+f?(?![\w.])", line):
                 if float.fromhex(match.group(0).rstrip("f")) >= _LEAST:
-                    yield _mutant(bundle, lines, "gain", at, match, f"({match.group(0)} * 1.01{_tail(bundle)})")
+                    new = f"({match.group(0)} * 1.01{_tail(bundle)})"
+                    yield _mutant(bundle, file, lines, "gain", at, match, new)
 
 
 def _tail(bundle: Bundle) -> str:
     return "" if bundle.real == "float64" else "f"
 
 
-def _mutant(bundle: Bundle, lines: list[str], kind: str, at: int, match: re.Match[str], new: str) -> Mutant:
-    changed = lines[at][: match.start()] + new + lines[at][match.end() :]
+def _mutant(bundle: Bundle, file: str, lines: list[str], kind: str, at: int, found: re.Match[str], new: str) -> Mutant:
+    changed = lines[at][: found.start()] + new + lines[at][found.end() :]
     text = "\n".join([*lines[:at], changed, *lines[at + 1 :]])
-    files = MappingProxyType({**bundle.files, f"{bundle.name}.c": text})
-    return Mutant(kind, at + 1, match.group(0), new, replace(bundle, files=files))
+    files = MappingProxyType({**bundle.files, file: text})
+    return Mutant(kind, file, at + 1, found.group(0), new, replace(bundle, files=files))
 
 
 def caught_by(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import which
@@ -19,7 +22,7 @@ from surctl.export.records import Records
 from surctl.export.rows import Rows
 from surctl.ir import compile_program
 
-__all__ = ["Controller", "FaultResults", "build_controller"]
+__all__ = ["Controller", "FaultResults", "build_controller", "code_bytes", "compile_controller"]
 
 Vector = NDArray[np.float64]
 
@@ -147,10 +150,32 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
     """
     write_bundle(bundle, directory)
     directory = directory.resolve()
-    code = directory / f"{bundle.name}.o"
-    compile_program([directory / f"{bundle.name}.c"], code, flags=("-c",))
-    program = compile_program([directory / "sil_main.c", code], directory / "sil")
+    code = compile_controller(bundle, directory)
+    program = compile_program([directory / "sil_main.c", *code], directory / "sil")
     return Controller(in_precision(law, bundle.real, bundle.envelope), bundle, (str(program),), code_bytes(code))
+
+
+def compile_controller(
+    bundle: Bundle, folder: Path, *, flags: Sequence[str] = (), compiler: str | None = None
+) -> list[Path]:
+    """Objects beside the controller's files, in the order of `bundle.sources`; the self-test's is the last.
+
+    Args:
+        bundle: the controller, written to `folder`.
+        folder: where its files are.
+        flags: more flags.
+        compiler: see `compile_program`.
+
+    Raises:
+        SurctlError: the compiler refuses.
+    """
+
+    def compiled(file: str) -> Path:
+        source = folder / file
+        return compile_program([source], source.with_suffix(".o"), flags=("-c", *flags), compiler=compiler)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(compiled, (*bundle.sources, bundle.selftest)))
 
 
 def _run(command: list[str], data: bytes, steps: int) -> bytes:
@@ -166,10 +191,10 @@ def _run(command: list[str], data: bytes, steps: int) -> bytes:
     return done.stdout
 
 
-def code_bytes(code: Path, tool: str = "size") -> int | None:
-    """The `text` column (code and constants) of the `size` tool, or of its namesake for another processor."""
+def code_bytes(code: Sequence[Path], tool: str = "size") -> int | None:
+    """Sum of the `text` column (code and constants) of the `size` tool, or of its namesake for another processor."""
     if which(tool) is None:
         return None
-    done = subprocess.run([tool, str(code)], capture_output=True, text=True, check=False, timeout=_TIMEOUT)
-    lines = done.stdout.splitlines()
-    return int(lines[1].split()[0]) if done.returncode == 0 and len(lines) > 1 else None
+    done = subprocess.run([tool, *map(str, code)], capture_output=True, text=True, check=False, timeout=_TIMEOUT)
+    lines = done.stdout.splitlines()[1:]
+    return sum(int(line.split()[0]) for line in lines) if done.returncode == 0 and lines else None

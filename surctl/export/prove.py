@@ -164,17 +164,17 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
     source, options = _program(law, bundle, limit), _options(law, bundle)
     with tempfile.TemporaryDirectory(prefix="surctl-proof-") as scratch:
         folder = Path(scratch).resolve()
-        for file in (f"{bundle.name}.c", f"{bundle.name}.h"):
+        for file in (*bundle.headers, *bundle.sources):
             (folder / file).write_bytes(bundle.files[file].encode())
         (folder / "proof.c").write_bytes(source.encode())
         begin = time.perf_counter()
-        log = _run(folder, [*options, f"-cpp-extra-args=-I. -D{bundle.name.upper()}_NO_SELFTEST"])
+        log = _run(folder, [*options, "-cpp-extra-args=-I."], ("proof.c", *bundle.sources))
         spent = time.perf_counter() - begin
         table = folder / "out.csv"
         if not table.exists():
             raise SurctlError(f"{_TOOL} did not analyse the program: {_first_error(log)}")
         rows = list(csv.DictReader(io.StringIO(table.read_text(encoding="utf-8")), delimiter="\t"))
-    files = ("proof.c", f"{bundle.name}.c")
+    files = ("proof.c", *bundle.headers, *bundle.sources)
     rows = [row for row in rows if row["file"] in files and row["property kind"] not in _OF_SHOWING]
     alarms = [
         Alarm(row["file"], int(row["line"]), row["property kind"], row["property"])
@@ -202,8 +202,8 @@ def _loops(block: Block) -> Iterator[Loop]:
             yield from (step for step in inner.steps if isinstance(step, Loop))
 
 
-def _run(folder: Path, options: Sequence[str]) -> str:
-    command = [_TOOL, *_OPTIONS, *options, "proof.c", "-then", "-report-csv", "out.csv"]
+def _run(folder: Path, options: Sequence[str], sources: Sequence[str]) -> str:
+    command = [_TOOL, *_OPTIONS, *options, *sources, "-then", "-report-csv", "out.csv"]
     try:
         done = subprocess.run(
             command,
@@ -247,7 +247,7 @@ def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
     return "\n".join(
         [
             f"/* What is analysed: one step of {name}, from every state, input and gain that its guard lets in. */",
-            f'#include "{name}.c"',
+            f'#include "{name}.h"',
             '#include "__fc_builtin.h"',
             "",
             "#define any_count Frama_C_unsigned_int_interval",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,10 @@ from surctl.export.contract import STATUS, Exportable, telemetry_ports, thrust
 from surctl.export.direct import changing, direct_law, results
 from surctl.export.envelope import Envelope
 from surctl.export.fields import entries, field, starts, transfers
-from surctl.export.guard_text import ANY_NUMBER, box_lines, jump_lines, keep_lines, number_calls, range_text
+from surctl.export.guard_text import ANY_NUMBER, box_lines, flat_lines, jump_lines, keep_lines, number_calls, range_text
 from surctl.export.vectors import TOLERANCE, SelfTest
-from surctl.ir import C_TYPE, Layout, Port, Program, Real, c_literal, emit_block, memory
+from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
+from surctl.ir.c99_folded import PRAGMA
 from surctl.ir.compiler import FLAGS
 
 __all__ = ["render_files", "render_unit"]
@@ -47,10 +49,21 @@ def render_files(
         tests: vectors of the built-in self-test.
         real: precision of every number.
     """
-    values = _values(law, gains, within, name, identity, tests, real)
+    made = law.block
+    parts = (
+        direct_law(law, made, name, real)
+        if isinstance(made, Program)
+        else emit_parts(made, symbol=f"{name}_law", real=real)
+    )
+    values = _values(law, gains, within, name, identity, tests, real) | {"prototypes": parts.prototypes}
+    of_law = _law_files(name, parts)
+    values |= {"law_files": [(file, about) for file, about, _ in of_law]}
     templates = {
         f"{name}.h": "law.h.j2",
+        f"{name}_internal.h": "internal.h.j2",
         f"{name}.c": "law.c.j2",
+        **{file: "law_part.c.j2" for file, _, _ in of_law},
+        f"{name}_selftest.c": "selftest.c.j2",
         "sil_main.c": "sil_main.c.j2",
         "Makefile": "Makefile.j2",
         "link.h": "link.h.j2",
@@ -62,7 +75,26 @@ def render_files(
         "README.md": "README.md.j2",
     }
     environment = _environment()
-    return {file: environment.get_template(t).render(values) for file, t in templates.items()}
+    own = {file: {"about": about, "text": text} for file, about, text in of_law}
+    return {file: environment.get_template(t).render(values, **own.get(file, {})) for file, t in templates.items()}
+
+
+_PARTS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "": ("law", "the law"),
+        "senses": ("map", "the map of what stands around the robot, and what the law is told"),
+        "feel": ("sensing", "own motion, what each sonar hears, and what moves, as the law remembers them"),
+        "pre": ("guidance", "what the law wants and what limits it, before priorities decide"),
+        "projected_tick": ("priorities", "what is done of all that is wanted within the limits"),
+    }
+)
+"""Name and contents of the file that begins with a large function of the built-in laws; others are named after it."""
+
+
+def _law_files(name: str, parts: Parts) -> list[tuple[str, str, str]]:
+    """(file, what is in it, text) of each part of the law."""
+    named = {part: _PARTS.get(part, (f"law_{part}", f"{part}, a part of the law")) for part in parts.files}
+    return [(f"{name}_{named[part][0]}.c", named[part][1], text) for part, text in parts.files.items()]
 
 
 def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str:
@@ -77,6 +109,7 @@ def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str
         "outputs": law.outputs,
         "input_starts": [(k, repr(float(v))) for k, v in enumerate(law.inputs.pack()) if v],
         "transfers": transfers,
+        "f": lambda text: c_literal(float(text), real),
         **_words(real),
     }
     return _environment().get_template("fmu.c.j2").render(values)
@@ -134,7 +167,7 @@ def _values(
         "field": field,
         "starts": starts,
         "ram": _ram(law, within, np.dtype(real).itemsize),
-        **_guard(law, within, name, real),
+        **_guard(law, within, real),
         "constants": [
             (port, ", ".join(repr(float(v)) for v in value)) for port, value in getattr(law, "constant_table", ())
         ],
@@ -148,9 +181,7 @@ def _values(
         "thrusts": [f"output->{member}" for member, _ in entries([thrust(law)])]
         if isinstance(law.block, Program)
         else [f"tau[{k}]" for k in range(n_tau)],
-        "law": direct_law(law, law.block, name, real)
-        if isinstance(law.block, Program)
-        else emit_block(law.block, symbol=f"{name}_law", folded=True, real=real),
+        "pragma": PRAGMA,
         "operations": law.block.operations,
         "libm": sorted(law.block.libm),
         "tolerance": literal(TOLERANCE[real]),
@@ -172,24 +203,23 @@ def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:
     ]
 
 
-def _guard(law: Exportable, within: Envelope, name: str, real: Real) -> dict[str, Any]:
+def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
     """What the templates know of the guard."""
     boxes = ((law.state, within.state), (law.inputs, within.inputs), (law.gains, within.gains))
-    access: tuple[Callable[[str, str], str], ...] = (
-        lambda _, at: f"state->x[{at}]",
-        lambda part, _: f"input->{part}",
-        lambda part, _: f"gains->{part}",
-    )
     ranges = {
         port.name: range_text(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
     }
     inputs = entries(law.inputs)
     return {
-        "box": [box_lines(layout, box, member, real) for (layout, box), member in zip(boxes, access, strict=True)],
+        "box": [
+            flat_lines(law.state, within.state, "state->x", real),
+            box_lines(law.inputs, within.inputs, lambda part, _: f"input->{part}", real),
+            box_lines(law.gains, within.gains, lambda part, _: f"gains->{part}", real),
+        ],
         "numbers": [
             call
             for (layout, _), struct in zip(boxes, ("state", "input", "gains"), strict=True)
-            for call in number_calls(layout, struct, name)
+            for call in number_calls(layout, struct)
         ],
         "stored": keep_lines(law.inputs, within),
         "jumps": jump_lines(law.inputs, within, law.dt, real),
@@ -244,7 +274,7 @@ def _rows(table: Vector, real: Real) -> list[str]:
 
 def _decimal(value: float, real: Real) -> str:
     """A number of the self-test; the sign of a zero is not compared. A double has twelve digits, a float all of its."""
-    return repr(value + 0.0) if real == "float64" else c_literal(value + 0.0, real)
+    return repr(value + 0.0) if real == "float64" else f"{np.float32(value + 0.0)!s}f"
 
 
 def _gain_table(layout: Layout, gains: Vector) -> list[tuple[Port, str]]:

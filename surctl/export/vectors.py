@@ -47,9 +47,9 @@ class SelfTest:
 def self_test_vectors(law: Exportable, gains: Vector, within: Envelope) -> SelfTest:
     """Run `law` on its default inputs (first step) and on perturbed ones (the rest).
 
-    The perturbation is a low-discrepancy sequence, from ±0.1 to ±2 times 1 + |default|, so nothing is
-    random; expected values are rounded to 12 digits, so that the last bits of a machine's sine do not reach
-    the bundle. What would be outside the guard's box is moved to its edge: every step is one that is accepted.
+    The perturbation is a low-discrepancy sequence, from ±0.1 to ±2 times 1 + |default|, so nothing is random; expected
+    values are rounded to 12 digits, so that the last bits of a machine's sine do not reach the bundle, and inputs to 6,
+    to be short. What would be outside the guard's box is moved to its edge: every step is one that is accepted.
     """
     default = law.inputs.pack()
     inputs = np.array([_perturbed(default, k, spread) for k, spread in enumerate(_SPREADS)])
@@ -70,8 +70,8 @@ def self_test_vectors(law: Exportable, gains: Vector, within: Envelope) -> SelfT
 def _perturbed(default: Vector, k: int, spread: float) -> Vector:
     phase = (np.arange(default.size) + 1 + k * default.size) * _GOLDEN
     offset = 2.0 * (phase - np.floor(phase)) - 1.0
-    return _rounded(default + spread * (1.0 + np.abs(default)) * offset)
+    return _rounded(default + spread * (1.0 + np.abs(default)) * offset, digits=6)
 
 
-def _rounded(values: Vector) -> Vector:
-    return np.array([float(f"{v:.11e}") for v in values], dtype=float)
+def _rounded(values: Vector, digits: int = 12) -> Vector:
+    return np.array([float(f"{v:.{digits - 1}e}") for v in values], dtype=float)

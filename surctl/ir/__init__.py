@@ -4,6 +4,7 @@ from surctl.ir.angles import nearby_angles
 from surctl.ir.batch import Batch, compile_batch
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_lanes import Feed, emit_lanes
+from surctl.ir.c99_parts import Parts, emit_parts
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.c99_wide import Wide, emit_wide
 from surctl.ir.cache import CacheUnused, cache_folder, cached_bytes, shared_library
@@ -41,6 +42,7 @@ __all__ = [
     "Loop",
     "Native",
     "Operation",
+    "Parts",
     "Port",
     "Program",
     "Real",
@@ -60,6 +62,7 @@ __all__ = [
     "emit_block",
     "emit_c99",
     "emit_lanes",
+    "emit_parts",
     "emit_wide",
     "find_compiler",
     "fold",

@@ -16,7 +16,7 @@ from surctl.ir.moves import Move, move_lines, remaining
 from surctl.ir.ops import OPERATIONS
 from surctl.ir.program import Instruction, Program
 
-__all__ = ["Real", "c_literal", "emit_c99", "expression", "head", "identifier"]
+__all__ = ["Real", "broken", "c_literal", "emit_c99", "expression", "head", "identifier", "signature"]
 
 Real: TypeAlias = Literal["float64", "float32"]
 """Type of every number in the C text: double ("float64") or float ("float32")."""
@@ -24,7 +24,10 @@ Real: TypeAlias = Literal["float64", "float32"]
 C_TYPE: Mapping[Real, str] = MappingProxyType({"float64": "double", "float32": "float"})
 """The C type for each `Real`."""
 
-# C99, C11 and C++ keywords (C++ also reads the headers), and names that the standard headers define
+WIDTH = 120
+"""Characters of a line."""
+
+# C99, C11 and C++ keywords (headers are read by C++ too), and words that the standard headers define
 _WORDS = frozenset(
     re.findall(
         r"\w+",
@@ -113,8 +116,8 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
         >>> from surctl.ir import emit_c99, lower
         >>> v = ca.SX.sym("v", 2)
         >>> print(emit_c99(lower(ca.Function("speed", [v], [ca.norm_2(v)])), symbol="speed"), end="")
-        /* 4 operations; in0: 2 numbers, out0: 1; outputs may alias inputs */
-        static void speed(const double *in0, double *out0)
+        /* 4 operations; outputs may alias inputs */
+        static void speed(const double in0[2], double out0[1])
         {
             const double v0 = in0[0];
             const double v1 = v0 * v0;
@@ -136,16 +139,39 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
 
 
 def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> list[str]:
-    """Comment and signature of a program's function; `apart`: whether outputs never overlap inputs."""
-    arguments = [f"const {c_type} *in{k}" for k in range(len(program.inputs))]
-    arguments += [f"{c_type} *out{k}" for k in range(len(program.outputs))]
-    sizes = [f"in{k}: {size} numbers" for k, (_, size) in enumerate(program.inputs)]
-    sizes += [f"out{k}: {size}" for k, (_, size) in enumerate(program.outputs)]
-    alias = "no output is an input" if apart else "outputs may alias inputs"
-    return [
-        f"/* {program.operations} operations; {', '.join(sizes)}; {alias} */",
-        f"static void {symbol}({', '.join(arguments) or 'void'})",
-    ]
+    """Comment and signature of a program's function; `apart`: its outputs are never its inputs, as where none says."""
+    alias = "" if apart else "; outputs may alias inputs"
+    given, made = ([size for _, size in arrays] for arrays in (program.inputs, program.outputs))
+    return [f"/* {program.operations} operations{alias} */", *signature(f"static void {symbol}", given, made, c_type)]
+
+
+def signature(start: str, inputs: Sequence[int], outputs: Sequence[int], c_type: str) -> list[str]:
+    """Lines of a function's head: in0 … and out0 …, each with its number of entries."""
+    arguments = [f"const {c_type} {_array(f'in{k}', size)}" for k, size in enumerate(inputs)]
+    arguments += [f"{c_type} {_array(f'out{k}', size)}" for k, size in enumerate(outputs)]
+    return broken(f"{start}(", arguments or ["void"], ")")
+
+
+def _array(name: str, size: int) -> str:
+    return f"{name}[{size}]" if size else f"*{name}"  # C has no empty array
+
+
+def broken(start: str, items: Sequence[str], end: str, *, indent: str = "    ") -> list[str]:
+    """`start`, the items with commas in between, and `end`, on as many lines as they need; later ones are indented.
+
+    Example:
+        >>> from surctl.ir.c99 import broken
+        >>> broken("f(", ["x" * 60, "y" * 60], ");")[1][:8]
+        '    yyyy'
+    """
+    lines = [start]
+    for at, item in enumerate(items):
+        text = f"{item}," if at + 1 < len(items) else f"{item}{end}"
+        if at and len(lines[-1]) + 1 + len(text) > WIDTH:
+            lines.append(f"{indent}{text}")
+        else:
+            lines[-1] += f" {text}" if at else text
+    return lines
 
 
 def expression(instruction: Instruction, real: Real = "float64", *, operand: str = "v{}") -> str:

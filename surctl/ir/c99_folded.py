@@ -10,13 +10,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 
-from surctl.ir.c99 import C_TYPE, Real, c_literal, head, identifier
+from surctl.ir.c99 import C_TYPE, WIDTH, Real, broken, c_literal, head, identifier
 from surctl.ir.moves import Move, move_lines, remaining
 from surctl.ir.ops import LEAVES
 from surctl.ir.program import Instruction, Program
 
-__all__ = ["emit_folded", "folded_lines", "preamble"]
+__all__ = ["PRAGMA", "emit_folded", "folded_lines", "helpers", "preamble"]
 
 _COMPARE = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _LOGIC = {"and": "&&", "or": "||"}
@@ -38,15 +40,14 @@ static float floor_of(float a)
     whole = (float)(int)a;
     return (whole == a) ? a : ((whole > a) ? whole - 1.0f : whole);
 }"""
-_PRAGMA = "#if !defined(__GNUC__) || defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif"
+PRAGMA = "#if !defined(__GNUC__) || defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif"
 _CALLS = {"fmin": "min_of", "fmax": "max_of", "sq": "square_of"}
 
 _ATOM, _SIGNED, _TEST, _CHOICE = 9, 8, 5, 2
-_OPERAND = 6  # at or above this rank, an operand of a comparison, choice or logical operation needs no parentheses
-_LONGEST = 90  # largest number of characters of an expression that is inlined into another one
-_SHORT = 8  # largest number of characters of an expression that may be repeated at every use
-_LONG_LITERAL = 12  # a constant longer than this that is used twice gets a name
-_WIDTH = 120
+_OPERAND = 6  # from here on, an operand of a comparison, a choice or a logical operation needs no parentheses
+_LONGEST = 90  # characters of what is put inside another expression
+_SHORT = 8  # characters of what is as short as a name: it may stand wherever it is used
+_LONG_LITERAL = 12  # characters from which on a constant that is used twice gets a name
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +60,17 @@ class _Text:
 
 
 def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
-    """Text before the folded functions of these programs: the pragma and the helper functions that they call."""
+    """What stands before the folded text of these programs: the pragma, and the small functions that they call."""
+    return f"{PRAGMA}\n{helpers(programs, real)}"
+
+
+def helpers(programs: Iterable[Program], real: Real = "float64") -> str:
+    """The small functions that these programs call."""
     used = {i.op for program in programs for i in program.instructions}
     kind = C_TYPE[real]
     called = [f"static inline {kind} {text.format(kind)}" for op, text in _HELPERS.items() if op in used]
     floor = [_FLOOR] if real == "float32" and "floor" in used else []
-    return "\n".join([_PRAGMA, *called, *floor]) + "\n"
+    return "".join(f"{text}\n" for text in (*called, *floor))
 
 
 def emit_folded(
@@ -119,25 +125,27 @@ def folded_lines(
     folder = _Folder(instructions, stores, address, real, apart)
     folder.fold()
     lines = _declarations(folder.locals, C_TYPE[real], indent)
-    return [*lines, *(f"{indent}{to} = {folder.number(ref).text};" for to, ref in stores)]
+    return [*lines, *_statements([f"{to} = {folder.number(ref).text};" for to, ref in stores], indent)]
 
 
 def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> list[str]:
     """Declarations with as many assignments on a line as fit, and one declaration for successive locals of one type."""
     lines: list[str] = []
-    last = None
-    for truth, text in named:
-        if truth == last and len(lines[-1]) + len(text) + 3 <= _WIDTH:
-            lines[-1] += f", {text}"
-        elif truth == last:
-            lines[-1] += ","
-            lines.append(f"{indent}    {text}")
+    for truth, group in groupby(named, key=itemgetter(0)):
+        start = f"{indent}const {'int' if truth else kind} "
+        lines += broken(start, [text for _, text in group], ";", indent=f"{indent}    ")
+    return lines
+
+
+def _statements(each: Sequence[str], indent: str) -> list[str]:
+    """As many a line as fit."""
+    lines: list[str] = []
+    for text in each:
+        if lines and len(lines[-1]) + 1 + len(text) <= WIDTH:
+            lines[-1] += f" {text}"
         else:
-            if lines:
-                lines[-1] += ";"
-            lines.append(f"{indent}const {'int' if truth else kind} {text}")
-        last = truth
-    return [*lines[:-1], f"{lines[-1]};"] if lines else []
+            lines.append(f"{indent}{text}")
+    return lines
 
 
 class _Folder:
@@ -189,7 +197,7 @@ class _Folder:
         if not text.truth:
             return text
         one, none = c_literal(1.0, self.real), c_literal(0.0, self.real)
-        return _Text(f"({_within(text, _OPERAND)} ? {one} : {none})")
+        return _Text(f"{_within(text, _OPERAND)} ? {one} : {none}", _CHOICE)
 
     def _truth(self, at: int) -> _Text:
         text, instruction = self.texts[at], self.instructions[at]

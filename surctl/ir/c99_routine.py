@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from textwrap import indent
+from types import MappingProxyType
 
-from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
+from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, emit_c99, identifier, signature
 from surctl.ir.c99_folded import emit_folded, preamble
 from surctl.ir.c99_lanes import Feed, chooses, emit_lanes, emit_straight
 from surctl.ir.moves import copy_loop, entry, handed_on
@@ -24,6 +26,8 @@ _APART = """#if defined(__GNUC__)
 #define APART
 #endif
 """
+_HEAD = re.compile(r"^(?:APART )?(void \w+\([^)]*\))\n\{", re.MULTILINE)
+_MADE = re.compile(r"[sftr]\d+|(?:pack|later)\d+|out_[nr]\d+")  # names that nobody gave
 _TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
 
 
@@ -57,15 +61,15 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
         #pragma STDC FP_CONTRACT OFF
         #endif
         <BLANKLINE>
-        /* 2 operations; in0: 1 numbers, in1: 1 numbers, out0: 1; outputs may alias inputs */
-        static void dive_sink(const double *in0, const double *in1, double *out0)
+        /* 2 operations; outputs may alias inputs */
+        static void dive_sink(const double in0[1], const double in1[1], double out0[1])
         {
             const double v0 = in0[0] + 0x1.999999999999ap-4 * in1[0];
             out0[0] = v0;
         }
         <BLANKLINE>
-        /* in0: depth 1, in1: rate 1, out0: last 1 */
-        static void dive(const double *in0, const double *in1, double *out0)
+        /* in0: depth, in1: rate, out0: last */
+        static void dive(const double in0[1], const double in1[1], double out0[1])
         {
             out0[0] = in0[0];
             for (int i = 0; (i < 5); ++i) {
@@ -73,22 +77,10 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
             }
         }
     """
-    identifier(symbol)
-    writer = _Writer(symbol, real, overlapping(block), folded)
-    alone = _with_function(block)
-    if folded:
-        programs = [inner for inner in nested(block).values() if isinstance(inner, Program)]
-        writer.chunks.append(preamble(programs, real))
-    for inner in nested(block).values():
-        if isinstance(inner, Routine):
-            for step in inner.steps:
-                if isinstance(step, Loop) and step.lanes > 1:
-                    writer.lanes(step)
-        if inner is block or isinstance(inner, Routine) or inner.digest() in alone:
-            writer.block(inner, last=inner is block)
-    if any(chunk.partition("\n")[2].startswith("APART ") for chunk in writer.chunks):
-        writer.chunks.insert(1, _APART)
-    return "\n".join(writer.chunks)
+    writer = Writer(identifier(symbol), real, folded)
+    writer.write(block)
+    part = writer.parts.get("", Part())
+    return "\n".join([preamble(part.programs, real), *part.chunks] if folded else part.chunks)
 
 
 def _with_function(block: Block) -> set[str]:
@@ -109,26 +101,83 @@ def run_alone(block: Block) -> set[str]:
     return {step.block.digest() for step in steps if isinstance(step, Call) or step.lanes == 1}
 
 
-class _Writer:
-    """Collects the functions written so far, and their names by the digest of their text."""
+@dataclass
+class Part:
+    """Functions that go to one file, callees first, and the programs among them."""
 
-    def __init__(self, symbol: str, real: Real, overlapping: Overlaps, folded: bool) -> None:
-        self.symbol, self.real, self.kind = symbol, real, C_TYPE[real]
-        self.overlapping, self.folded = overlapping, folded
+    functions: list[str] = field(default_factory=list)
+    programs: list[Program] = field(default_factory=list)
+
+    @property
+    def chunks(self) -> list[str]:
+        """The functions, and before them what they need beside `preamble`."""
+        apart = any("\nAPART " in text for text in self.functions)
+        return [*[_APART] * apart, *self.functions]
+
+
+class Writer:
+    """The functions so far, and their names by what they are the text of.
+
+    Args:
+        symbol: name of the last function.
+        real: type of the numbers.
+        folded: see `emit_block`.
+        inner: beginning of the other functions' names; that of the last one's if it is empty.
+        files: part by key of a function (`key_of`), where it is not "".
+        shared: keys of the functions that other parts call: their names begin with `symbol`, and they are not static.
+    """
+
+    def __init__(
+        self,
+        symbol: str,
+        real: Real,
+        folded: bool,
+        *,
+        inner: str = "",
+        files: Mapping[str, str] = MappingProxyType({}),
+        shared: Collection[str] = (),
+    ) -> None:
+        self.symbol, self.real, self.kind, self.folded = symbol, real, C_TYPE[real], folded
+        self.inner, self.files, self.shared = inner or symbol, files, shared
+        self.overlapping: Overlaps = {}
         self.named: dict[str, str] = {}
-        self.chunks: list[str] = []
+        self.parts: dict[str, Part] = {}
+        self.prototypes: list[str] = []
 
-    def block(self, block: Block, *, last: bool) -> None:
-        """Write the block, unless a function with the same text exists."""
-        digest = block.digest()
-        if digest in self.named:
+    def write(self, block: Block) -> None:
+        """Write a block and every block inside it, callees first."""
+        self.overlapping = overlapping(block)
+        alone = _with_function(block)
+        for inner in nested(block).values():
+            if isinstance(inner, Routine):
+                for step in inner.steps:
+                    if isinstance(step, Loop) and step.lanes > 1:
+                        self._lanes(step)
+            if inner is block or isinstance(inner, Routine) or inner.digest() in alone:
+                self._block(inner, last=inner is block)
+
+    def _block(self, block: Block, *, last: bool) -> None:
+        """Write it, unless its text is there already."""
+        key = block.digest()
+        if key in self.named:
             return
-        name = self.symbol if last else free_name(f"{self.symbol}_{block.name}", self.named)
-        self.named[digest] = name
+        name = self.symbol if last else self._name(key, block.name)
+        self.named[key] = name
         if isinstance(block, Program):
-            self.chunks.append(self._program(block, name, last=last))
+            self._add(key, self._program(block, name, last=last), block)
         else:
-            self.chunks.append(_routine(block, name, self))
+            self._add(key, _routine(block, name, self))
+
+    def _name(self, key: str, wanted: str) -> str:
+        return free_name(f"{self.symbol if key in self.shared else self.inner}_{wanted}", self.named)
+
+    def _add(self, key: str, text: str, program: Program | None = None) -> None:
+        part = self.parts.setdefault(self.files.get(key, ""), Part())
+        if key in self.shared:
+            text = text.replace("static void ", "void ", 1)
+            self.prototypes += [f"{found};" for found in _HEAD.findall(text)]
+        part.functions.append(text)
+        part.programs += [] if program is None else [program]
 
     def _program(self, program: Program, name: str, *, last: bool) -> str:
         apart = not last and program.digest() not in self.overlapping
@@ -139,22 +188,21 @@ class _Writer:
             return emit_straight(program, symbol=name, real=self.real)
         return emit_c99(program, symbol=name, real=self.real, moves=handed_on(program, strided=True) if apart else ())
 
-    def lanes(self, loop: Loop) -> None:
+    def _lanes(self, loop: Loop) -> None:
         """Write the body of a loop over lanes."""
-        key = _lanes_key(loop)
+        key = key_of(loop)
         if key in self.named or not isinstance(loop.block, Program):
             return
-        self.named[key] = free_name(f"{self.symbol}_{loop.block.name}_{loop.lanes}", self.named)
-        self.chunks.append(
-            emit_lanes(
-                loop.block,
-                symbol=self.named[key],
-                lanes=loop.lanes,
-                feeds=_feeds(loop),
-                real=self.real,
-                folded=self.folded,
-            )
+        self.named[key] = self._name(key, f"{loop.block.name}_{loop.lanes}")
+        text = emit_lanes(
+            loop.block,
+            symbol=self.named[key],
+            lanes=loop.lanes,
+            feeds=_feeds(loop),
+            real=self.real,
+            folded=self.folded,
         )
+        self._add(key, text, loop.block)
 
 
 def _feeds(loop: Loop) -> tuple[Feed, ...]:
@@ -163,7 +211,11 @@ def _feeds(loop: Loop) -> tuple[Feed, ...]:
     return (side,) * (loop.index + own) + (spread,) * len(loop.spread) + (shared,) * len(loop.fixed)
 
 
-def _lanes_key(loop: Loop) -> str:
+def key_of(step: Call | Loop) -> str:
+    """By which the function that a step calls is told from others: the digest, of lanes also how they are fed."""
+    if isinstance(step, Call) or step.lanes == 1:
+        return step.block.digest()
+    loop = step
     kinds = " ".join(feed.kind for feed in _feeds(loop))
     return f"{loop.block.digest()} {loop.lanes} {kinds}"
 
@@ -175,9 +227,7 @@ def free_name(base: str, named: Mapping[str, str]) -> str:
     return identifier(name)
 
 
-def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
-    arguments = [f"const {writer.kind} *in{k}" for k in range(len(routine.inputs))]
-    arguments += [f"{writer.kind} *out{k}" for k in range(len(routine.results))]
+def _routine(routine: Routine, symbol: str, writer: Writer) -> str:
     overlaps = writer.overlapping.get(routine.digest(), frozenset())
     places = Places(routine, overlaps)
     sizes = routine.sizes()
@@ -186,19 +236,20 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     local = {name: pointers.get(place, place[0]) for name, place in places.of.items()}
     named = [(f"in{k}", name) for k, (name, _) in enumerate(routine.inputs)]
     named += [(f"out{k}", name) for k, name in enumerate(routine.results)]
-    meaning = ", ".join(f"{argument}: {identifier(name)} {sizes[name]}" for argument, name in named)
-    alias = "".join(f"; out{k} may be in{j}" for k, j in sorted(overlaps))
+    said = [f"{argument}: {name}" for argument, name in named if identifier(name) and not _MADE.fullmatch(name)]
+    said += [f"out{k} may be in{j}" for k, j in sorted(overlaps)]
     starts, shared = places.pool
     apart = "APART " if writer.folded and shared >= _LARGE and symbol != writer.symbol else ""
-    lines = [f"/* {meaning}{alias} */", f"{apart}static void {symbol}({', '.join(arguments)})", "{"]
-    if starts:
-        lines.append(f"    {writer.kind} pool[{shared}];")
-        lines += [f"    {writer.kind} *const {array} = pool + {start};" for array, start in starts.items()]
-    else:
-        lines += [f"    {writer.kind} {array}[{size}];" for array, size in places.own.items()]
-    for (base, start), name in pointers.items():
-        kind = f"const {writer.kind}" if base.startswith("in") else writer.kind
-        lines.append(f"    {kind} *const {name} = {base} + {start};")
+    given, made = ([sizes[name] for name in names] for names in ((n for n, _ in routine.inputs), routine.results))
+    lines = broken("/* ", said, " */", indent="   ") if said else []
+    lines += [*signature(f"{apart}static void {symbol}", given, made, writer.kind), "{"]
+    own = [f"{array}[{size}]" for array, size in places.own.items()]
+    lines += _declared(writer.kind, [f"pool[{shared}]"] if starts else own)
+    lines += _declared(writer.kind, [f"*const {array} = {_at('pool', start)}" for array, start in starts.items()])
+    for from_input in (True, False):
+        kind = f"const {writer.kind}" if from_input else writer.kind
+        found = [(p, name) for p, name in pointers.items() if p[0].startswith("in") == from_input]
+        lines += _declared(kind, [f"*const {name} = {base} + {start}" for (base, start), name in found])
     body: list[str] = []
     for step in routine.steps:
         body += (
@@ -218,6 +269,14 @@ def _routine(routine: Routine, symbol: str, writer: _Writer) -> str:
     others = [*(f"in{k}" for k in range(len(routine.inputs))), *pointers.values()]
     lines += [f"    (void){name};" for name in others if name not in used]
     return "\n".join([*lines, *body, "}"]) + "\n"
+
+
+def _declared(kind: str, each: list[str]) -> list[str]:
+    return broken(f"    {kind} ", each, ";", indent=" " * 8) if each else []
+
+
+def _at(array: str, start: int) -> str:
+    return f"{array} + {start}" if start else array
 
 
 def _moved(step: Step, places: Places) -> list[str]:
@@ -264,17 +323,17 @@ def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) ->
 
 
 def _step(
-    step: Step, sizes: Mapping[str, int], local: dict[str, str], writer: _Writer, stays: Mapping[str, str]
+    step: Step, sizes: Mapping[str, int], local: dict[str, str], writer: Writer, stays: Mapping[str, str]
 ) -> list[str]:
     if isinstance(step, Gather):
         return _gather(step, sizes[step.source] // step.width, local, writer)
     if isinstance(step, Call):
         function = writer.named[step.block.digest()]
-        return [f"    {function}({', '.join(local[name] for name in (*step.args, *step.results))});"]
+        return broken(f"    {function}(", [local[name] for name in (*step.args, *step.results)], ");", indent=" " * 8)
     return _loop(step, sizes, local, writer, stays)
 
 
-def _gather(step: Gather, count: int, local: Mapping[str, str], writer: _Writer) -> list[str]:
+def _gather(step: Gather, count: int, local: Mapping[str, str], writer: Writer) -> list[str]:
     index, source = f"{local[step.index]}[0]", local[step.source]
     none, one, last = (c_literal(value, writer.real) for value in (0.0, 1.0, count - 1.0))
     # compared before the cast: a NaN or a number outside the range of int cannot be cast
@@ -293,11 +352,11 @@ def _gather(step: Gather, count: int, local: Mapping[str, str], writer: _Writer)
 
 
 def _loop(
-    loop: Loop, sizes: Mapping[str, int], local: dict[str, str], writer: _Writer, stays: Mapping[str, str]
+    loop: Loop, sizes: Mapping[str, int], local: dict[str, str], writer: Writer, stays: Mapping[str, str]
 ) -> list[str]:
     """Lines of a loop; the results in `stays` are then read through a pointer, which is entered in `local`."""
     state = len(loop.carried)
-    function = writer.named[_lanes_key(loop) if loop.lanes > 1 else loop.block.digest()]
+    function = writer.named[key_of(loop)]
     results = [local[name] for name in loop.results]
     begun = [
         local[name] if result in stays else at
@@ -322,7 +381,7 @@ def _loop(
     arguments += [local[name] for name in loop.fixed]
     arguments += results[:state]
     arguments += [_part(local[name], sizes[name] // loop.count) for name in loop.results[state:]]
-    lines.append(f"        {function}({', '.join(arguments)});")
+    lines += broken(f"        {function}(", arguments, ");", indent=" " * 12)
     lines += [f"        {now[result]} = {local[result]};" for result in stays]
     local |= now
     return [*lines, "    }"]

@@ -37,7 +37,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
         closed_form(law, real="float32"), law.gains.unpack(p), real="float32", origin=Origin(vehicle, law)
     )
     write_bundle(made, folder)
-    sources = [folder / "controller.c", folder / "link.c", folder / f"{made.name}.c"]
+    sources = [folder / file for file in ("controller.c", "link.c", *made.sources)]
     compile_program(sources, folder / "controller", flags=("-O0",))
     return folder
 

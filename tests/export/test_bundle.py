@@ -16,6 +16,7 @@ import pytest
 from surctl.control import build_law
 from surctl.errors import InputError
 from surctl.export import Bundle, build_bundle, write_bundle
+from surctl.export.process import compile_controller
 from surctl.export.rendering import comment
 from surctl.ir import Layout, Port, compile_program, find_compiler
 from surctl.simulation import load_scenario
@@ -62,9 +63,12 @@ def test_the_id_follows_what_is_computed_and_not_the_name() -> None:
 
 def test_files_and_manifest() -> None:
     bundle = bundle_of(stand_in())
-    code, link = ["standin.h", "standin.c", "sil_main.c", "Makefile"], ["link.h", "link.c", "controller.c"]
-    emulated = ["target_start.c", "target_link.c", "target.ld"]
-    assert list(bundle.files) == [*code, *link, *emulated, "README.md", "manifest.json"]
+    code = ["standin.h", "standin_internal.h", "standin.c", "standin_law.c", "standin_selftest.c"]
+    link, emulated = ["link.h", "link.c", "controller.c"], ["target_start.c", "target_link.c", "target.ld"]
+    around = ["sil_main.c", "Makefile", *link, *emulated, "README.md", "manifest.json"]
+    assert list(bundle.files) == [*code, *around]
+    assert (*bundle.headers, *bundle.sources, bundle.selftest) == tuple(code)
+    assert all(f"| `{file}` |" in bundle.files["README.md"] for file in code)
     manifest = json.loads(bundle.files["manifest.json"])
     assert manifest["id"] == bundle.id and manifest["dt_s"] == 0.05
     for name, digest in manifest["sha256"].items():
@@ -90,25 +94,27 @@ def test_it_compiles_strictly_and_tests_itself(tmp_path: Path) -> None:
     folder = tmp_path / "bundle"
     bundle = bundle_of(stand_in())
     write_bundle(bundle, folder)
-    program = compile_program([folder / "sil_main.c", folder / "standin.c"], folder / "sil")
+    program = compile_program([folder / "sil_main.c", *compile_controller(bundle, folder)], folder / "sil")
     done = subprocess.run([str(program), "--selftest"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, f"{bundle.id} ok\n")
 
 
 def test_the_self_test_notices_a_changed_gain(tmp_path: Path) -> None:
     need_compiler()
-    write_bundle(bundle_of(stand_in()), tmp_path / "bundle")
-    source = tmp_path / "bundle" / "standin.c"
+    bundle, folder = bundle_of(stand_in()), tmp_path / "bundle"
+    write_bundle(bundle, folder)
+    source = folder / "standin.c"
     text = source.read_text()
     assert text.count("{ 1.0, 2.0, ") == 1
     source.write_text(text.replace("{ 1.0, 2.0, ", "{ 1.0, 2.0001, "))
-    program = compile_program([tmp_path / "bundle" / "sil_main.c", source], tmp_path / "sil")
+    program = compile_program([folder / "sil_main.c", *compile_controller(bundle, folder)], folder / "sil")
     assert subprocess.run([str(program), "--selftest"], capture_output=True, check=False).returncode > 0
 
 
 def test_null_pointers_give_null_and_zero_thrust(tmp_path: Path) -> None:
     need_compiler()
-    write_bundle(bundle_of(stand_in()), tmp_path / "bundle")
+    bundle, folder = bundle_of(stand_in()), tmp_path / "bundle"
+    write_bundle(bundle, folder)
     main = tmp_path / "main.c"
     main.write_text(
         """#include "standin.h"
@@ -131,17 +137,42 @@ int main(void)
 }
 """
     )
-    include = ["-I", str(tmp_path / "bundle")]
-    program = compile_program([main, tmp_path / "bundle" / "standin.c"], tmp_path / "m", flags=include)
+    include = ["-I", str(folder)]
+    program = compile_program([main, *compile_controller(bundle, folder)], tmp_path / "m", flags=include)
     assert subprocess.run([str(program)], check=False).returncode == 0
 
 
 def test_fast_math_is_refused_by_the_source_itself(tmp_path: Path) -> None:
     compiler = need_compiler()
     write_bundle(bundle_of(stand_in()), tmp_path / "bundle")
-    command = [*compiler.split(), "-ffast-math", "-c", "-o", "x.o", "standin.c"]
-    done = subprocess.run(command, cwd=tmp_path / "bundle", capture_output=True, text=True, check=False)
-    assert done.returncode != 0 and "without -ffast-math" in done.stderr
+    for file in ("standin.c", "standin_law.c", "standin_selftest.c"):
+        command = [*compiler.split(), "-ffast-math", "-c", "-o", "x.o", file]
+        done = subprocess.run(command, cwd=tmp_path / "bundle", capture_output=True, text=True, check=False)
+        assert done.returncode != 0 and "without -ffast-math" in done.stderr
+
+
+def test_two_controllers_go_into_one_program(tmp_path: Path) -> None:
+    need_compiler()
+    code: list[Path] = []
+    for name in ("near", "far"):
+        bundle = build_bundle(stand_in(), TUNED, name=name)
+        write_bundle(bundle, tmp_path / name)
+        code += compile_controller(bundle, tmp_path / name)
+    main = tmp_path / "main.c"
+    main.write_text(
+        """#include "near.h"
+#include "far.h"
+int main(void)
+{
+    static near_state_t one;
+    static far_state_t other;
+    return near_selftest(&one) + far_selftest(&other);
+}
+"""
+    )
+    include = ("-I", str(tmp_path / "near"), "-I", str(tmp_path / "far"))
+    program = compile_program([main, *code], tmp_path / "both", flags=include)
+    assert subprocess.run([program], check=False).returncode == 0
 
 
 def test_make_check(tmp_path: Path) -> None:
@@ -197,7 +228,10 @@ def test_mistakes_are_named() -> None:
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        *((name, "taken by a file of the bundle") for name in ("fmu", "link", "controller", "target_start", "FMU")),
+        *(
+            (name, "taken by a file of the bundle")
+            for name in ("fmu", "link", "controller", "target_start", "proof", "FMU")
+        ),
         *((name, "system header") for name in ("math", "stdint", "stdio", "string", "unistd", "netdb", "Math")),
         ("nav_link", "include guard of another bundle"),
         ("Nav", "has capitals.*write nav"),
@@ -215,8 +249,9 @@ def test_state_that_only_passes_through_compiles(tmp_path: Path) -> None:
     x, u, p = (ca.SX.sym(*at) for at in (("x", law.state.size), ("u", law.inputs.size), ("p", law.gains.size)))
     function = ca.Function("law", [x, u, p], [u[:4], x, ca.SX(0), ca.SX(0, 1)])
     folder = tmp_path / "bundle"
-    write_bundle(build_bundle(replace(law, function=function), {}), folder)
-    program = compile_program([folder / "sil_main.c", folder / "standin.c"], folder / "sil")
+    bundle = build_bundle(replace(law, function=function), {})
+    write_bundle(bundle, folder)
+    program = compile_program([folder / "sil_main.c", *compile_controller(bundle, folder)], folder / "sil")
     assert subprocess.run([program, "--selftest"], check=False).returncode == 0
 
 
@@ -232,14 +267,18 @@ def test_refused_operations_reach_the_user() -> None:
 def test_the_law_that_senses_is_readable_and_small() -> None:
     scenario = load_scenario("pool-behind")
     law = build_law(sonar=True, equipment=scenario.sensors.on(0.2))
-    files = build_bundle(law, {}).files
-    header, source = files["surctl_guarded.h"], files["surctl_guarded.c"]
+    bundle = build_bundle(law, {})
+    files, header = bundle.files, bundle.files["surctl_guarded.h"]
     assert re.search(r"    surctl_guarded_at_map_cells = \d+, /\* map_cells\[2304\] \[1\] 1 marked", header)
     assert header.count(f"[{law.state.size}];") == 2
     assert len(header.splitlines()) < 200
     assert sum(len(text.encode()) for text in files.values()) < 310_000  # the guide to export says what it is
-    # no vector of the self-test is a whole state
-    assert len(source) - source.index("int surctl_guarded_selftest") < 20_000
+    assert bundle.sources == tuple(f"surctl_guarded{part}.c" for part in ("", "_law", "_sensing", "_map"))
+    code = [files[file] for file in (*bundle.sources, bundle.selftest)]
+    assert max(map(len, code)) < 90_000 and sum(map(len, code)) <= 200_000
+    assert len(files[bundle.selftest]) < 16_000  # no vector of it is a whole state
+    seen = set(re.findall(r"^(?!(?:APART )?static )(?:\w+ )+\*?(\w+)\([^;]*?\n\{", "\n".join(code), flags=re.MULTILINE))
+    assert {name for name in seen if not name.startswith("surctl_guarded_")} == set() and len(seen) >= 8
     fields = {
         "fix[3]": "[m] position x, y, z in {E} that the base station measured 0.1 s before it arrives",
         "fix_fresh": "[1] 1 if a fix has arrived since the last step, else 0",

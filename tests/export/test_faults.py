@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from surctl.export import Bundle, SilReport, build_bundle, build_controller, compare_runs
+from surctl.export import SilReport, build_bundle, build_controller, compare_runs
 from surctl.export.faults import fault_cases
+from tests.export.altered import altered
 from tests.export.standin import recorded, stand_in
 from tests.tools import need_compiler
 
 
-def altered(bundle: Bundle, old: str, new: str) -> Bundle:
-    """The bundle with one change to its C."""
-    name = f"{bundle.name}.c"
-    assert bundle.files[name].count(old) == 1
-    return replace(bundle, files={**bundle.files, name: bundle.files[name].replace(old, new)})
-
-
 def report_of(old: str, new: str, folder: Path) -> SilReport:
     law = stand_in()
-    bundle = altered(build_bundle(law, {}), old, new)
+    bundle = altered(build_bundle(law, {}), re.escape(old), new)
     return compare_runs(build_controller(law, bundle, folder), [recorded(law, steps=20)])[0]
 
 
@@ -42,13 +35,13 @@ def test_every_entry_is_tried_with_every_bad_number() -> None:
     assert [case.status for case in after] == [-4, -4, -1, -1, -1, -1]
 
 
-REFUSED = "input)) {\n        return standin_refuse("
-MEMORY = "for (int k0 = 0; k0 < 2; ++k0) for (int k1 = 0; k1 < 3; ++k1) { if (!(fabs(state->x["
+REFUSED = "input)) {\n        return refuse("
+STATE = "for (int k = 0; k < 11; ++k) { if (!(fabs(state->x["  # the last six of 11 are the memory
 
 
 def test_an_unguarded_state_is_found_at_the_entry_that_nothing_else_stops(tmp_path: Path) -> None:
     need_compiler()
-    report = report_of(MEMORY, MEMORY.replace("k0 < 2", "k0 < 0"), tmp_path)
+    report = report_of(STATE, STATE.replace("k < 11", "k < 5"), tmp_path)
     assert not report.passed
     assert "x.memory[1][2] = inf (C)" in report.fault_failures  # pushed out by the new row, so the result is finite
     assert all(label.startswith("x.") for label in report.fault_failures)
@@ -56,7 +49,7 @@ def test_an_unguarded_state_is_found_at_the_entry_that_nothing_else_stops(tmp_pa
 
 def test_a_guard_that_stops_an_entry_short_is_found(tmp_path: Path) -> None:
     need_compiler()
-    report = report_of(MEMORY, MEMORY.replace("k1 < 3", "k1 < 2"), tmp_path)
+    report = report_of(STATE, STATE.replace("k < 11", "k < 10"), tmp_path)
     assert {label.split(" = ")[0] for label in report.fault_failures} == {"x.memory[1][2]"}
 
 
@@ -76,7 +69,7 @@ def test_a_refusal_that_changes_state_or_thrusts_is_found(tmp_path: Path, old: s
 
 def test_a_flipped_sign_is_found(tmp_path: Path) -> None:
     need_compiler()
-    text = build_bundle(stand_in(), {}).files["standin.c"]
+    text = build_bundle(stand_in(), {}).files["standin_law.c"]
     (found,) = re.findall(r"state->x\[1\] \* \w+ \+ input->eta\[1\]", text)  # the integral's leak and what it takes in
     report = report_of(found, found.replace("+", "-"), tmp_path)
     assert not report.passed and report.state.mixed > 0.1 and not report.fault_failures

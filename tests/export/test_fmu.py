@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import zipfile
 from collections.abc import Iterator
@@ -94,6 +95,10 @@ def test_it_tells_the_start_values_of_inputs_and_gains(law: Exact, tmp_path: Pat
         if variable.causality in told:
             told[variable.causality].append(float(variable.start))
     assert told == {"input": law.inputs.pack().tolist(), "parameter": gains.tolist()}
+    with zipfile.ZipFile(path) as unit:
+        listed = re.findall(r'<File name="(.*?)" />', unit.read("modelDescription.xml").decode())
+        assert listed == ["fmu.c", "standin.c", "standin_law.c"]
+        assert {f"sources/{file}" for file in listed} <= set(unit.namelist())
 
 
 @pytest.mark.parametrize(("unit", "real"), [("float64", "float64"), ("float32", "float32")], indirect=["unit"])

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pytest
 
 from surctl.control import build_law
 from surctl.errors import InputError
-from surctl.export import TARGETS, Envelope, Rate, build_controller, check_builds, compare_runs, operating_envelope
+from surctl.export import (
+    TARGETS,
+    Envelope,
+    Rate,
+    build_controller,
+    check_builds,
+    compare_runs,
+    operating_envelope,
+    write_bundle,
+)
 from surctl.export.envelope import ITER, RANGE, anywhere
 from surctl.export.faults import fault_cases
 from surctl.export.precision import Guarded, evaluated, in_precision, replayed
-from surctl.ir import Real, compile_program
+from surctl.export.process import compile_controller
+from surctl.ir import Real
 from surctl.simulation import load_scenario
-from tests.export.closed_form import exported, vehicle
+from tests.export.altered import altered
+from tests.export.lean import exported, vehicle
 from tests.export.standin import stand_in
 from tests.tools import need, need_compiler
 
@@ -139,22 +148,19 @@ def test_no_warnings_of_compilers_and_cppcheck(tmp_path: Path, real: Real) -> No
     need_compiler()
     cppcheck = need("cppcheck")
     _, bundle, _ = exported(real)
-    for file in ("surctl_closed_form.c", "surctl_closed_form.h"):
-        (tmp_path / file).write_text(bundle.files[file])
-    source = tmp_path / "surctl_closed_form.c"
-    strict = ("-c", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
-    compile_program([source], tmp_path / "law.o", flags=strict)
-    command = [cppcheck, "--enable=warning,performance,portability", "--error-exitcode=1", "--quiet", str(source)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    write_bundle(bundle, tmp_path)
+    strict = ("-Wdouble-promotion", "-Wshadow", "-Wmissing-prototypes", "-Wstrict-prototypes")
+    compile_controller(bundle, tmp_path, flags=strict)
+    options = ("--enable=warning,performance,portability", "--error-exitcode=1", "--quiet")
+    command = [cppcheck, *options, *bundle.sources, bundle.selftest]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
 def test_the_law_may_say_that_an_iteration_did_not_end(tmp_path: Path) -> None:
     need_compiler()
     law, bundle, flight = exported("float32")
-    text, count = re.subn(r"\*status = (.*?);", r"*status = (\1) - 100.0f;", bundle.files["surctl_closed_form.c"])
-    assert count == 1
-    mutant = replace(bundle, files=MappingProxyType({**bundle.files, "surctl_closed_form.c": text}))
+    mutant = altered(bundle, r"\*status = (.*?);", r"*status = (\1) - 100.0f;")
     load = np.ones(len(flight), dtype=bool)
     told = build_controller(law, mutant, tmp_path / "b").run(flight, load=load)
     assert set(told.status) == {ITER} and not told.tau.any()

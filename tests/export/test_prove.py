@@ -7,26 +7,19 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pytest
 
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
-from surctl.export import Bundle, gain_box, prove_bundle, with_proof
+from surctl.export import gain_box, prove_bundle, with_proof
 from surctl.export.mutants import caught_by, mutants
 from surctl.ir import Program
 from surctl.simulation import law_numbers, load_scenario
-from tests.export.closed_form import exported, searching, vehicle
+from tests.export.altered import altered
+from tests.export.lean import exported, searching, vehicle
 from tests.tools import need, need_compiler
-
-
-def altered(bundle: Bundle, pattern: str, new: str) -> Bundle:
-    file = f"{bundle.name}.c"
-    text, count = re.subn(pattern, new, bundle.files[file], count=1)
-    assert count == 1
-    return replace(bundle, files=MappingProxyType({**bundle.files, file: text}))
 
 
 def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle() -> None:
@@ -60,7 +53,7 @@ def test_what_is_wrong_is_told_with_its_place(pattern: str, new: str, kind: str)
         broken = replace(broken, envelope=replace(bundle.envelope, inputs=box))
     report = prove_bundle(law, broken, vehicle().thrust_limit)
     assert not report.proved and any(re.search(kind, alarm.kind) for alarm in report.alarms), report.summary()
-    assert all(alarm.line > 0 and alarm.file in ("surctl_closed_form.c", "proof.c") for alarm in report.alarms)
+    assert all(alarm.line > 0 and alarm.file in (*bundle.sources, "proof.c") for alarm in report.alarms)
     assert report.to_dict()["status"] == "open" and report.alarms[0].file in report.summary()
 
 
@@ -93,7 +86,7 @@ def test_what_is_wrong_in_a_law_that_searches_is_told(pattern: str, new: str, ki
 def test_a_guard_that_lets_nothing_in_proves_nothing() -> None:
     need("frama-c")
     law, bundle, _ = exported("float32")
-    shut = altered(bundle, r"(static int surctl_closed_form_inside\([^{]*\{)", r"\1\n    return 0;")
+    shut = altered(bundle, r"(static int inside\([^{]*\{)", r"\1\n    return 0;")
     report = prove_bundle(law, shut, vehicle().thrust_limit)
     assert not report.alarms and not report.accepts and not report.proved
     assert "no step that the guard accepts" in report.summary()
@@ -122,6 +115,6 @@ def test_one_mutant_of_each_kind_is_caught(tmp_path: Path) -> None:
     law, bundle, flight = exported("float32")
     tried = mutants(bundle, each=1)
     assert {m.kind for m in tried} == {"sign", "operator", "gain", "guard", "memory"}
-    assert all(m.bundle.files["surctl_closed_form.c"] != bundle.files["surctl_closed_form.c"] for m in tried)
+    assert all(m.bundle.files[m.file] != bundle.files[m.file] for m in tried)
     for k, mutant in enumerate(tried):
         assert caught_by(law, mutant, flight, tmp_path / str(k)), f"{mutant.kind} at line {mutant.line}: {mutant.old}"

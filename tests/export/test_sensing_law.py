@@ -5,19 +5,30 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from surctl.control import DEGRADED, SATURATED, SWITCHED, build_law, in_real, load_gains
-from surctl.errors import ToolMissing
-from surctl.export import Controller, Records, build_bundle, build_controller, compare_runs
-from surctl.ir import Call, Routine, emit_block, memory, stack_of
+from surctl.export import (
+    REALS,
+    TARGETS,
+    Controller,
+    Records,
+    build_bundle,
+    build_controller,
+    compare_runs,
+    write_bundle,
+)
+from surctl.export.check import step_stack
+from surctl.export.process import compile_controller
+from surctl.ir import Call, Routine, emit_parts, memory
 from surctl.sensing import Fault
 from surctl.simulation import Run, load_scenario, simulate
 from surctl.vehicle import load_vehicle
-from tests.tools import need_compiler
+from tests.tools import need, need_compiler
 
 Vector = NDArray[np.float64]
 
@@ -88,9 +99,9 @@ def in_float(text: str) -> str:
 
 
 def test_what_it_takes_in_float_and_that_the_readme_counts_all_but_numbers_on_their_way(
-    flown: tuple[Run, Controller],
+    flown: tuple[Run, Controller], tmp_path: Path
 ) -> None:
-    """State struct, the caller's other structs, and the stack below a step as the compiler tells it.
+    """State struct, the caller's other structs, and the stack below a step as a small processor's compiler tells it.
 
     29 kB hold all of it; the projected mode, whose solver has arrays of its own, takes two more.
     """
@@ -102,14 +113,20 @@ def test_what_it_takes_in_float_and_that_the_readme_counts_all_but_numbers_on_th
     assert state == 2 * law.state.size + 1  # two counters of samples
     assert structs == law.inputs.size + law.gains.size + law.outputs.size
     assert arrays == memory(law.block) - 2 * law.state.size
-    before, after = files[f"{name}.c"].split(emit_block(law.block, symbol=f"{name}_law", folded=True))
-    text = in_float(before.replace(f'#include "{name}.h"', files[f"{name}.h"]))
-    text += emit_block(law.block, symbol=f"{name}_law", folded=True, real="float32") + in_float(after)
-    assert "double" not in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
-    try:
-        stack = stack_of(text, f"{name}_step", flags=("-Os", "-Wno-error"))
-    except ToolMissing as missing:
-        pytest.skip(str(missing))
+    double, single = (emit_parts(law.block, symbol=f"{name}_law", real=real).files for real in REALS)
+    around = {file: text for file, text in files.items() if file.startswith(name)}
+    for part, text in double.items():
+        (file,) = (file for file in around if text in around[file])
+        around[file] = around[file].replace(text, f"@{part}@")
+    made = {file: in_float(text) for file, text in around.items()}
+    for part, text in single.items():
+        made = {file: other.replace(f"@{part}@", text) for file, other in made.items()}
+    assert "double" not in re.sub(r"/\*.*?\*/", "", "".join(made.values()), flags=re.DOTALL)
+    bundle = replace(controller.bundle, files={**files, **made})
+    write_bundle(bundle, tmp_path)
+    flags = (*TARGETS["cortex-m4f-Os"].flags, "-Wno-error", "-fstack-usage")
+    stack = step_stack(bundle, compile_controller(bundle, tmp_path, flags=flags, compiler=need("arm-none-eabi-gcc")))
+    assert stack is not None
     assert 4 * arrays <= stack <= 4 * arrays + 1280  # numbers on their way and saved addresses
     assert 4 * (state + structs) + stack <= 1024 * (31 if law.mode == "projected" else 29)
 

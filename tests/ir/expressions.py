@@ -105,7 +105,7 @@ def compiled(
     source = folder / "programs.c"
     source.write_text(text)
     library = ctypes.CDLL(str(compile_program([source], folder / "programs.so", flags=("-shared", "-fPIC", *flags))))
-    return [_caller(getattr(library, f"run{at}"), program) for at, program in enumerate(programs)]
+    return [caller(getattr(library, f"run{at}"), program) for at, program in enumerate(programs)]
 
 
 def _exported(program: Block, at: int) -> str:
@@ -116,7 +116,7 @@ def _exported(program: Block, at: int) -> str:
     return f"void run{at}({arguments});\nvoid run{at}({arguments}) {{ f{at}({', '.join(names)}); }}\n"
 
 
-def _caller(native: ctypes._CFuncPtr, program: Block) -> Callable[..., list[Vector]]:
+def caller(native: ctypes._CFuncPtr, program: Block) -> Callable[..., list[Vector]]:
     def call(*inputs: Vector) -> list[Vector]:
         arrays = [np.ascontiguousarray(x, dtype=np.float64) for x in inputs]
         out = [np.empty(size) for _, size in program.outputs]

@@ -103,7 +103,7 @@ def test_the_text_is_the_same_every_time() -> None:
     texts = {emit_c99(lower(whole(EXACT)), symbol="f") for _ in range(3)}
     assert len(texts) == 1
     (text,) = texts
-    assert text.startswith("/*") and "static void f(const double *in0, double *out0)" in text
+    assert text.startswith("/*") and "static void f(const double in0[4], double out0[23])" in text
 
 
 @settings(max_examples=200, derandomize=True)

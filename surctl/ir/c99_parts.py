@@ -1,0 +1,136 @@
+"""A block as C99 in several files: what one function alone calls stands with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from surctl.ir.c99 import Real, identifier
+from surctl.ir.c99_folded import helpers
+from surctl.ir.c99_routine import Writer, free_name, key_of
+from surctl.ir.ops import LEAVES
+from surctl.ir.places import inlined
+from surctl.ir.program import Program
+from surctl.ir.routine import Block, Gather, Routine
+
+__all__ = ["Parts", "emit_parts"]
+
+_LEAST, _MOST = 16_000, 64_000  # characters of a file of its own, and beyond which a file is parted
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Functions by file.
+
+    Attributes:
+        files: text by the name of the function that the file is about; "" for the last one's.
+        prototypes: heads of the functions that other files call, with their semicolons.
+    """
+
+    files: Mapping[str, str]
+    prototypes: tuple[str, ...]
+
+
+def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
+    """The folded C99 of `emit_block`, cut where a large function and what it alone calls can stand apart.
+
+    Only functions that another file calls are seen by the linker; `symbol` begins their names. What each file needs
+    before it is <math.h>, the pragma FP_CONTRACT, and the prototypes.
+
+    Args:
+        block: program or routine.
+        symbol: name of the last function.
+        real: type of the numbers.
+
+    Raises:
+        InputError: `symbol` is no identifier that C may use.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Loop, Routine, emit_parts, lower
+        >>> depth, rate = ca.SX.sym("depth"), ca.SX.sym("rate")
+        >>> sink = lower(ca.Function("sink", [depth, rate], [depth + 0.1 * rate]))
+        >>> sinking = Loop(sink, 5, ("depth",), ("last",), fixed=("rate",))
+        >>> dive = Routine("dive", (("depth", 1), ("rate", 1)), (sinking,), ("last",))
+        >>> parts = emit_parts(dive, symbol="robot_law")
+        >>> list(parts.files), parts.prototypes
+        ([''], ('void robot_law(const double in0[1], const double in1[1], double out0[1]);',))
+    """
+    nodes = _nodes(block)
+    files = _parted(nodes, block.digest())
+    shared = {key for at, node in nodes.items() for key in node.calls if files.get(key, "") != files.get(at, "")}
+    writer = Writer(identifier(symbol), real, True, inner="law", files=files, shared={*shared, block.digest()})
+    writer.write(block)
+    texts = {
+        name: "\n".join([text for text in (helpers(part.programs, real), *part.chunks) if text])
+        for name, part in writer.parts.items()
+    }
+    return Parts(MappingProxyType(dict(sorted(texts.items()))), tuple(writer.prototypes))
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A function to be: its block's name, about how long its text is, and the functions that it calls."""
+
+    name: str
+    size: int
+    calls: tuple[str, ...]
+
+
+def _nodes(block: Block) -> dict[str, _Node]:
+    """Functions by `key_of`."""
+    found: dict[str, _Node] = {}
+    todo = [(block.digest(), block)]
+    while todo:
+        key, inner = todo.pop()
+        if key in found:
+            continue
+        called = _called(inner)
+        found[key] = _Node(inner.name, _size(inner), tuple(called))
+        todo += called.items()
+    return found
+
+
+def _called(block: Block) -> dict[str, Block]:
+    if isinstance(block, Program):
+        return {}
+    return {key_of(s): s.block for s in block.steps if not isinstance(s, Gather) and not inlined(s)}
+
+
+def _size(block: Block) -> int:
+    """About how many characters the function has."""
+    if isinstance(block, Routine):
+        return 300 + 90 * len(block.steps)
+    operations = sum(instruction.op not in LEAVES for instruction in block.instructions)
+    return 200 + 15 * (operations + sum(len(refs) for refs in block.output_refs))
+
+
+def _parted(nodes: Mapping[str, _Node], root: str) -> dict[str, str]:
+    """File by function, where it is not the root's: the largest that calls others and can stand apart goes first.
+
+    One that has the root's name is what the root is about, and stays with it.
+    """
+    files: dict[str, str] = {}
+    rest = set(nodes)
+    while sum(nodes[key].size for key in rest) > _MOST:
+        able = [key for key in rest if nodes[key].calls and nodes[key].name != nodes[root].name]
+        apart = {key: rest - _reached(nodes, root, without=key) for key in able}
+        sizes = {key: sum(nodes[k].size for k in own) for key, own in apart.items()}
+        fitting = [key for key, size in sizes.items() if _LEAST <= size <= _MOST]
+        if not fitting:
+            break
+        chosen = max(fitting, key=lambda key: (sizes[key], key))
+        files |= dict.fromkeys(apart[chosen], free_name(nodes[chosen].name, files))
+        rest -= apart[chosen]
+    return files
+
+
+def _reached(nodes: Mapping[str, _Node], root: str, *, without: str) -> set[str]:
+    reached, todo = set[str](), [root]
+    while todo:
+        key = todo.pop()
+        if key not in reached and key != without:
+            reached.add(key)
+            todo += nodes[key].calls
+    return reached
