@@ -110,7 +110,7 @@ def build_bundle(
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> bundle = build_bundle(law, law.gains.unpack(p), real="float32")
         >>> bundle.name, bundle.real, bundle.sources
-        ('surctl_closed_form', 'float32', ('surctl_lean.c', 'surctl_lean_law.c'))
+        ('surctl_closed_form', 'float32', ('surctl_closed_form.c', 'surctl_closed_form_law.c'))
     """
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:

@@ -28,7 +28,7 @@ from surctl.export.process import compile_controller
 from surctl.ir import Real
 from surctl.simulation import load_scenario
 from tests.export.altered import altered
-from tests.export.lean import exported, vehicle
+from tests.export.closed_form import exported, vehicle
 from tests.export.standin import stand_in
 from tests.tools import need, need_compiler
 

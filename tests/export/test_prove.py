@@ -18,7 +18,7 @@ from surctl.export.mutants import caught_by, mutants
 from surctl.ir import Program
 from surctl.simulation import law_numbers, load_scenario
 from tests.export.altered import altered
-from tests.export.lean import exported, searching, vehicle
+from tests.export.closed_form import exported, searching, vehicle
 from tests.tools import need, need_compiler
 
 
