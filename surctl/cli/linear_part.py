@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from surctl.vehicle import Vehicle
 
-__all__ = ["LinearPart", "linear_part"]
+__all__ = ["LinearPart", "linear_part", "over_speeds"]
 
 
 class LinearPart(NamedTuple):
-    """Lines to print, data for JSON, and whether the loop is stable; None if no straight cruise is possible."""
+    """Linear analysis at one cruise speed: lines to print, data for JSON, and the figures that are compared over speeds.
+
+    `stable` is None if no straight cruise is possible. Then follow the speed [m/s] and, at that speed, the least delay
+    margin [s] and disk margin of one loop and the largest S of all loops together.
+    """
 
     lines: list[str]
     data: dict[str, Any]
     stable: bool | None
+    cruise: float
+    delay_s: float = math.nan
+    disk: float = math.nan
+    peak: float = math.inf
 
 
 def linear_part(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, uncertainty: float, requested: bool
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, uncertainty: float
 ) -> LinearPart:
     """Return the linear analysis about a cruise speed [m/s], for the nominal vehicle and the worst uncertain one.
 
     Raises:
-        InputError: the vehicle cannot hold a requested cruise speed, or a gain is missing or not positive.
+        InputError: a gain is missing or not positive.
     """
     import numpy as np
 
@@ -46,10 +55,8 @@ def linear_part(
     try:
         check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     except InputError as error:
-        if requested:
-            raise
         why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem} N"
-        return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None)
+        return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None, cruise)
     margins = worst_margins(vehicle, gains, uncertainty=uncertainty, cruise=cruise, dt=dt)
     nominal = linear_side(vehicle, gains, cruise=cruise, dt=dt)
     worst = worst_linear_side(tried, gains, cruise=cruise, dt=dt)
@@ -74,4 +81,32 @@ def linear_part(
         "linear": {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": mode.to_dict()}
         | {"sensitivity": [c.to_dict() for c in curves]},
     }
-    return LinearPart(lines, data, stable)
+    disk = min(m.disk_margin for m in margins)
+    peak = max((float(c.S.max()) for c in curves), default=math.inf)
+    return LinearPart(lines, data, stable, cruise, least.delay_margin_s, disk, peak)
+
+
+def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
+    """The linear sides of several cruise speeds, slowest first, as one: the last in full, and how all compare."""
+    import numpy as np
+
+    from surctl.verification import worst_place, worst_text
+
+    *_, last = parts
+    if len(parts) == 1:
+        return last
+    lines = [f"margins at {len(parts)} cruise speeds, those of {last.cruise:g} m/s in full below:"]
+    for part in parts:
+        word = f"stable, least delay {part.delay_s:.2f} s, least disk margin of one loop {part.disk:.2f}"
+        lines.append(f"  {part.cruise:g} m/s: " + (f"{word}, largest S {part.peak:.2f}" if part.stable else "UNSTABLE"))
+    ill = {  # larger is worse
+        "delay_margin_s": np.array([-part.delay_s for part in parts]),
+        "disk_margin": np.array([-part.disk for part in parts]),
+        "sensitivity_peak": np.array([part.peak for part in parts]),
+    }
+    worst = {name: parts[int(worst_place(each))].cruise for name, each in ill.items()}
+    delay, disk, peak = (worst_text(each, [part.cruise for part in parts]) for each in ill.values())
+    lines.append(f"  worst: delay at {delay}, disk margin at {disk}, S at {peak}")
+    speeds = [{"cruise_m_per_s": part.cruise, "stable": part.stable, **part.data} for part in parts]
+    told = {**last.data, "speeds": speeds, "worst_cruise_m_per_s": worst}
+    return last._replace(lines=lines + last.lines, told=told, stable=all(part.stable for part in parts))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
+from surctl.cli.speeds import SPEEDS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,7 +30,7 @@ _LOCUS = 61  # number of values at which poles are computed
 _SMOOTH = 0.02  # values are added where a pole moves further than this share of its modulus
 _PRINTED = (  # columns of the text output
     "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
-    "reached_worst", "score", "feasible",
+    "disk_margin_at_m_per_s", "reached_worst", "score", "feasible",
 )  # fmt: skip
 
 
@@ -86,6 +87,12 @@ _PRINTED = (  # columns of the text output
 )
 @click.option("--locus", metavar="PARAMETER", help="Plot the closed-loop poles over this axis, for the selected gains.")
 @click.option(
+    "--cruise",
+    type=SPEEDS,
+    metavar="U1,U2,...",
+    help="Cruise speeds [m/s] of the loop margins; the worst counts (default: the scenarios' speeds).",
+)
+@click.option(
     "--seeds",
     type=click.IntRange(1, 1_000_000),
     default=1,
@@ -120,6 +127,7 @@ def sweep(
     points: int | None,
     sensitivity: str | None,
     locus: str | None,
+    cruise: tuple[float, ...] | None,
     seeds: int,
     workers: int | None,
     dask: str | None,
@@ -172,7 +180,9 @@ def sweep(
         _locus(cases, base, locus, swept, {})
     prepare_folder(out)
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
-        table = run_sweep(cases, chosen, seeds=range(seeds), executor=executor, out=out, progress=progress)
+        table = run_sweep(
+            cases, chosen, seeds=range(seeds), cruise=cruise or (), executor=executor, out=out, progress=progress
+        )
     sobol = None if sensitivity is None else indices(table, sensitivity)
     picked = table.picked
     gains_path = None if picked is None else write_file(out / "gains.toml", write_gains(table.gains))
@@ -261,7 +271,7 @@ def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
     import numpy as np
 
     indices = list(np.ndindex(table.shape))
-    columns = {name: table.column(name) for name in _PRINTED}
+    columns = {name: table.column(name) for name in _PRINTED if name in table.columns}
     rows = [table.at(index) | {name: float(v[index]) for name, v in columns.items()} for index in indices[:_SHOWN]]
     lines = ["  ".join(f"{name}={value:.4g}" for name, value in row.items()) for row in rows]
     if len(indices) > _SHOWN:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from surctl.cli.output import as_json, at_hand, finish, finite, progress, same_command, stoppable
+from surctl.cli.speeds import SPEEDS
 
 if TYPE_CHECKING:
     from surctl.vehicle import Vehicle
@@ -32,6 +33,12 @@ __all__ = ["tune"]
     "goals_file",
     metavar="FILE",
     help="Goals: name or file (default: the study's, else the built-in goals).",
+)
+@click.option(
+    "--cruise",
+    type=SPEEDS,
+    metavar="U1,U2,...",
+    help="Cruise speeds [m/s] of goals about the linear loop that name none themselves.",
 )
 @click.option(
     "--trials",
@@ -106,6 +113,7 @@ def tune(
     file: str | None,
     gain: tuple[str, ...],
     goals_file: str | None,
+    cruise: tuple[float, ...] | None,
     trials: int,
     seed: int,
     seeds: int,
@@ -135,19 +143,25 @@ def tune(
     if page:
         from surctl.cli.tuning_page import serve_page
 
-        serve_page(file, goals_file, vehicles, scenario=scenario, gains=gains_file, port=port, browser=not no_browser)
+        serve_page(
+            file, goals_file, vehicles,
+            scenario=scenario, gains=gains_file, cruise=cruise, port=port, browser=not no_browser,
+        )  # fmt: skip
         return
     if scenario or gains_file or port or no_browser:
         raise click.UsageError("--scenario, --gains, --port and --no-browser need --page")
     from surctl.control import write_gains
+    from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
     from surctl.study import load_plan
     from surctl.tuning import (
         TUNED,
         Request,
         build_cases,
+        check_goals,
         conditions,
         gain_ranges,
+        goals_at,
         load_goals,
         summary,
         tuned_gains,
@@ -160,17 +174,25 @@ def tune(
     if len(ranges) < len(gain):
         raise click.BadParameter("a gain is named twice", param_hint="--gain")
     plan = load_plan(file)
-    goals = plan.goals if goals_file is None else load_goals(goals_file)
+    goals = goals_at(plan.goals if goals_file is None else load_goals(goals_file), cruise or plan.cruise)
+    if cruise and not any(goal.linear for goal in goals):
+        remedy = "add one, on disk_margin say, or leave the option out"
+        raise InputError("no goal is about the linear loop", key="--cruise", value=list(cruise), remedy=remedy)
     pairs = [(leg.scenario, leg.vehicle) for leg in plan.deciding]
     if vehicles:
         scenarios = {s.name: s for s, _ in pairs}.values()
         pairs = [(s, v) for v in map(load_vehicle, vehicles) for s in scenarios]
     kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
     cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in pairs]
+    all_runs = conditions(cases, seeds=range(seeds))
+    try:
+        check_goals(goals, all_runs)
+    except InputError as error:
+        raise error.inside(goals_file or plan.source) from None
     prepare_folder(out)
     request = Request(
         goals,
-        conditions(cases, seeds=range(seeds)),
+        all_runs,
         plan.gains,
         gain_ranges(plan.gains, ranges or TUNED),
         seed=seed,
@@ -180,7 +202,10 @@ def tune(
         tuning = run_tuning(
             request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
         )
-    gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning)))
+    warning = ""
+    if not tuning.accepted:
+        warning = f"HARD GOALS NOT MET ({', '.join(tuning.unmet)}): these gains are the best found, not gains to fly"
+    gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning))
     result = tuning_dict(tuning)
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     from surctl.report import save_tuning  # loads matplotlib only now
@@ -202,7 +227,7 @@ def tune(
     if not tuning.accepted:
         again = shlex.join([*sys.argv[1:], "--trials", str(2 * trials), "--rounds", str(rounds + 2)])
         then = [f"surctl {again}"]
-        lines.append("a hard goal is not met: increase --trials, or relax a goal")
+        lines += ["", f"{warning}; increase --trials, or relax a goal"]
     finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
 
 

@@ -20,6 +20,7 @@ def serve_page(
     *,
     scenario: str | None,
     gains: str | None,
+    cruise: Sequence[float] | None,
     port: int | None,
     browser: bool,
 ) -> None:
@@ -32,8 +33,9 @@ def serve_page(
     from surctl.report.serve import serve
     from surctl.simulation import load_scenario
     from surctl.study import load_plan
-    from surctl.tuning import load_goals
+    from surctl.tuning import goals_at, load_goals
     from surctl.vehicle import load_vehicle
+    from surctl.verification import check_held
 
     if find_spec("marimo") is None:  # checked before the compilation
         remedy = 'pip install "surctl[notebooks]"'
@@ -46,7 +48,9 @@ def serve_page(
     own = {leg.scenario.name: leg.vehicle for leg in plan.legs}
     vehicle = load_vehicle(vehicles[0]) if vehicles else own.get(mission.name) or load_vehicle(mission.vehicle)
     start = plan.gains if gains is None else load_gains(gains)
-    bench = Bench(vehicle, mission, start, plan.goals if goals is None else load_goals(goals))
+    chosen = goals_at(plan.goals if goals is None else load_goals(goals), cruise or plan.cruise)
+    check_held(cruise or (), vehicle, cap=mission.cap, key="--cruise")
+    bench = Bench(vehicle, mission, start, chosen, tuple(cruise or plan.cruise))
     progress("compiling the closed loop; the next start uses the compiled file")
     bench.simulate(start)
     bench.judge(start)

@@ -13,6 +13,7 @@ import click
 
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
+from surctl.cli.speeds import SPEEDS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -43,7 +44,13 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
     metavar="X",
     help="Relative error of mass and drag, e.g. 0.2 (default 0).",
 )
-@click.option("--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: the scenario's, else 0.15).")
+@click.option(
+    "--cruise",
+    type=SPEEDS,
+    metavar="V1,V2,...",
+    help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest (default: the scenario's, else "
+    "0.15).",
+)
 @click.option(
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: the scenario's, else 0.22)."
 )
@@ -73,7 +80,7 @@ def verify(
     vehicle: str,
     gains: str,
     uncertainty: float,
-    cruise: float | None,
+    cruise: tuple[float, ...] | None,
     cap: float | None,
     scenario: str | None,
     stacks: tuple[str, ...],
@@ -100,24 +107,24 @@ def verify(
     verdict is not as expected, a named claim is not applicable, the linear loop is unstable, or the safety claim fails.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml --gains
-    my-gains.toml; surctl verify region-cruise-20 --show; surctl verify braking-inertia-20 --scenario tank-static
-    --uncertainty 0.2
+    my-gains.toml; surctl verify --cruise 0.05,0.15,0.22; surctl verify region-cruise-20 --show; surctl verify
+    braking-inertia-20 --scenario tank-static --uncertainty 0.2
     """
     from surctl.cli.braking import is_braking, prove_all
-    from surctl.cli.linear_part import linear_part
+    from surctl.cli.linear_part import linear_part, over_speeds
     from surctl.cli.regions import is_region, prove_regions, region_of
     from surctl.control import build_law, load_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.vehicle import load_vehicle
-    from surctl.verification import Inapplicable, decide, write_claim
+    from surctl.verification import Inapplicable, check_held, decide, write_claim
     from surctl.verification.region import write_region
 
     if time_limit != time_limit:  # click accepts NaN in any range
         raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     values = load_gains(gains).values
     robot = load_vehicle(vehicle)
-    speeds = _speeds(cruise, cap, scenario)
+    speeds = _speeds(None if cruise is None else max(cruise), cap, scenario)
     at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
     named = [name for name in claims if not is_region(name) and not is_braking(name)]
     chosen, left_out = _chosen(named, at_hand, robot) if named or not claims else ([], {})
@@ -132,12 +139,12 @@ def verify(
         lines = [*texts.values(), *(refusal_line(one) for one in refused)]
         finish({"claims": texts}, ["\n".join(lines)], as_json=as_json, passed=not refused)
         return
+    check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_folder(out)
     law = build_law()
-    linear = linear_part(
-        robot, values, cruise=speeds[0], dt=law.dt, uncertainty=uncertainty, requested=cruise is not None
-    )
+    about = {"dt": law.dt, "uncertainty": uncertainty}
+    linear = over_speeds([linear_part(robot, values, cruise=u, **about) for u in cruise or speeds[:1]])
     safety = None
     if scenario is not None:
         safety = _safety(scenario, robot, gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None)
@@ -174,7 +181,7 @@ def verify(
         result.setdefault("stacks", {})[name] = conditions.to_dict()
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
-        margins_at = None if linear.stable is None else speeds[0]
+        margins_at = None if linear.stable is None else cruise or speeds[:1]
         result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=law.dt)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     good = linear.stable is not False and regions.passed and braked.passed
@@ -268,7 +275,7 @@ def _draw(
     gains: Mapping[str, float],
     out: Path,
     *,
-    cruise: float | None,
+    cruise: Sequence[float] | None,
     dt: float,
 ) -> list[str]:
     from surctl.report import save_margins, save_regions, save_verdicts

@@ -162,8 +162,10 @@ def load_gains(name_or_path: str) -> Gains:
     return Gains(model.name, values, model.provenance, str(path), ranges)
 
 
-def write_gains(gains: Gains) -> str:
+def write_gains(gains: Gains, *, warning: str = "") -> str:
     """Return the text of a gain file; reading it gives the same values, and each range that contains its value.
+
+    A warning becomes a comment in the first line.
 
     Example:
         >>> from pathlib import Path
@@ -174,6 +176,7 @@ def write_gains(gains: Gains) -> str:
         (2.5, 'tried by hand')
     """
     lines = [
+        *([f"# {quoted(warning)[1:-1]}"] if warning else []),
         'kind = "gains"',
         f"name = {quoted(gains.name)}",
         f"provenance = {quoted(gains.provenance)}",

@@ -6,8 +6,8 @@ the report, because only the report draws and may import tuning, verification an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,9 @@ from surctl.errors import InputError
 from surctl.files import write_file
 from surctl.report.locus import plot_locus
 from surctl.report.loops import loop_responses, plot_bode
+from surctl.report.margin_plots import plot_s_and_t, sensitivities
 from surctl.report.plan_view import plot_run
-from surctl.report.theme import BAD, curve, dress, legend_above, new_axes, new_figure
+from surctl.report.theme import BAD, curve, dress, legend_above, new_figure
 from surctl.simulation import Case, Run, Scenario, simulate
 from surctl.tuning import TUNED, Evaluation, GainRange, Goal, conditions, evaluate, gain_ranges
 from surctl.vehicle import Vehicle
@@ -29,11 +30,13 @@ from surctl.verification import (
     LINEAR_METRICS,
     LINEAR_PARAMETERS,
     Inapplicable,
+    OverSpeeds,
     Verdict,
     applicable_claims,
     build_cascade,
     decide,
     linear_table,
+    over_speeds,
     sweep_locus,
 )
 from surctl.verification.linear import slowest_mode
@@ -71,12 +74,14 @@ class Bench:
         scenario: the mission.
         gains: what the page starts from.
         goals: what a set of gains is judged by.
+        cruise: speeds [m/s] at which the loops are shown beside the scenario's and the goals' own.
     """
 
     vehicle: Vehicle
     scenario: Scenario
     gains: Gains
     goals: tuple[Goal, ...]
+    cruise: tuple[float, ...] = ()
 
     @property
     def case(self) -> Case:
@@ -87,6 +92,11 @@ class Bench:
     def dt(self) -> float:
         """Control period [s]."""
         return self.case.build().dt
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        """The cruise speeds [m/s] at which the loops are shown, slowest first."""
+        return tuple(sorted({self.scenario.cruise, *self.cruise, *(u for goal in self.goals for u in goal.cruise)}))
 
     def ranges(self, gains: Gains) -> tuple[GainRange, ...]:
         """The gains that have a slider, with its ends: the gain file's range, else a quarter to four times."""
@@ -108,17 +118,36 @@ class Bench:
         )
         return {name: float(values[0]) for name, values in table.items()}
 
-    def bode(self, gains: Gains) -> Figure:
-        """The eight loops."""
+    def over_speeds(self, gains: Gains, columns: Collection[str]) -> OverSpeeds:
+        """Columns of `LINEAR_METRICS` at all speeds."""
+        return over_speeds(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, columns=columns)
+
+    def bode(self, gains: Gains, loop: str | None = None) -> Figure:
+        """One loop at all speeds, or without a name all eight at the scenario's cruise speed."""
         figure = new_figure(6.4, 5.2)
         upper, lower = figure.subplots(2, 1, sharex=True)
-        return plot_bode(
-            loop_responses(self.vehicle, gains.values, cruise=self.scenario.cruise, dt=self.dt), (upper, lower)
-        )
+        if loop is None:
+            shown = loop_responses(self.vehicle, gains.values, cruise=self.scenario.cruise, dt=self.dt)
+        else:
+            at = {u: loop_responses(self.vehicle, gains.values, cruise=u, dt=self.dt) for u in self.speeds}
+            shown = tuple(
+                replace(one, name=f"{loop} at {u:g} m/s")
+                for u, every in at.items()
+                for one in every
+                if one.name == loop
+            )
+        return plot_bode(shown, (upper, lower))
 
-    def steps(self, gains: Gains) -> Axes:
-        """Step responses drawn."""
-        return plot_steps(step_responses(self.vehicle, gains.values, cruise=self.scenario.cruise, dt=self.dt))
+    def steps(self, gains: Gains) -> Figure:
+        """Step responses drawn, at all speeds."""
+        return plot_steps({u: step_responses(self.vehicle, gains.values, cruise=u, dt=self.dt) for u in self.speeds})
+
+    def sensitivity(self, gains: Gains) -> Figure:
+        """S and T of all loops together, opened at the thrust, at all speeds where they are stable."""
+        found = sensitivities(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, places=("thrust",))
+        if not found:
+            raise _unstable(self.vehicle, gains.values, cruise=self.speeds[0], dt=self.dt)
+        return plot_s_and_t(found)
 
     def locus(self, gains: Gains, gain: str) -> Axes:
         """Closed-loop poles over the range of one gain, those of its value marked."""
@@ -175,9 +204,7 @@ def step_responses(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: floa
 
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
     if not cascade.stable:
-        mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
-        problem = f"the closed loop is unstable at {cruise:g} m/s" + (f" ({mode.cause})" if mode.cause else "")
-        raise InputError(problem, key="gains", remedy=f"it is stable {mode.remedy}")
+        raise _unstable(vehicle, gains, cruise=cruise, dt=dt)
     time, value = {}, {}
     for name in STEP_NAMES:
         A, b, c = step_system(cascade, name)
@@ -189,15 +216,24 @@ def step_responses(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: floa
     return Steps(time, value)
 
 
-def plot_steps(data: Steps, ax: Axes | None = None) -> Axes:
-    """Responses over time, with the band of 2 % within which one has settled."""
-    ax = dress(ax or new_axes(6.4, 4.2), x="time [s], logarithmic", y="share of the step")
-    for k, (name, value) in enumerate(data.value.items()):
-        curve(ax, data.time[name][1:], value[1:], label=name.replace("_", " "), k=k)
-    ax.axhspan(0.98, 1.02, color=BAD, alpha=0.13, linewidth=0)
-    ax.set_xscale("log")
-    legend_above(ax, columns=3)
-    return ax
+def _unstable(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> InputError:
+    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
+    problem = f"the closed loop is unstable at {cruise:g} m/s" + (f" ({mode.cause})" if mode.cause else "")
+    return InputError(problem, key="gains", remedy=f"it is stable {mode.remedy}")
+
+
+def plot_steps(data: Mapping[float, Steps]) -> Figure:
+    """Responses over time by cruise speed [m/s], with the band of 2 % within which one has settled; axes a step."""
+    figure = new_figure(6.4, 6.2)
+    axes = figure.subplots(len(STEP_NAMES), 1)
+    for ax, name in zip(axes, STEP_NAMES, strict=True):
+        dress(ax, x="time [s]" if ax is axes[-1] else "", y=f"{name.replace('_', ' ')} [1]")
+        for k, (speed, steps) in enumerate(data.items()):
+            curve(ax, steps.time[name], steps.value[name], label=f"{speed:g} m/s", k=k)
+        ax.axhspan(0.98, 1.02, color=BAD, alpha=0.13, linewidth=0)
+        ax.set_xlim(left=0.0)
+    legend_above(axes[0], columns=5)
+    return figure
 
 
 def save_gains(gains: Gains, file: str) -> Path:

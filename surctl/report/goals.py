@@ -42,12 +42,14 @@ class GoalBars:
         names: (m,) goals, hard ones first.
         hard: (m,) whether the goal is hard.
         hand, tuned: (m,) normalised values.
+        speed: (m,) cruise speed [m/s] at which the tuned gains do worst; NaN for a goal at the scenario's own.
     """
 
     names: tuple[str, ...]
     hard: tuple[bool, ...]
     hand: NDArray[np.float64]
     tuned: NDArray[np.float64]
+    speed: NDArray[np.float64]
 
 
 def goal_bars(tuning: Tuning) -> GoalBars:
@@ -70,7 +72,8 @@ def goal_bars(tuning: Tuning) -> GoalBars:
     order = sorted(range(len(goals)), key=lambda j: goals[j].kind != "hard")
     hand, tuned = tuning.hand.evaluation.normalised[0], tuning.tuned.evaluation.normalised[0]
     names = tuple(goals[j].name for j in order)
-    return GoalBars(names, tuple(goals[j].kind == "hard" for j in order), hand[order], tuned[order])
+    speed = tuning.tuned.evaluation.speed[0][order]
+    return GoalBars(names, tuple(goals[j].kind == "hard" for j in order), hand[order], tuned[order], speed)
 
 
 def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
@@ -113,7 +116,8 @@ def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
                 color="white" if inside else INK,
                 zorder=4,
             )
-    kinds = ["hard" if hard else "soft" for hard in data.hard]
+    worst = ["" if np.isnan(speed) else f", worst at {speed:g} m/s" for speed in data.speed]
+    kinds = [("hard" if hard else "soft") + at for hard, at in zip(data.hard, worst, strict=True)]
     ax.set_yticks(at, [f"{name} ({kind})" for name, kind in zip(data.names, kinds, strict=True)], parse_math=False)
     ax.set_xlim(0.0, right)
     ax.set_ylim(-0.6, count - 0.4)

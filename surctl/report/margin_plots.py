@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from surctl.report.loops import LoopResponse
 from surctl.report.theme import AVOIDING, BAD, GOOD, INK, MUTED, ROBOT, curve, dress, legend_above, new_figure
-from surctl.verification import LoopMargins
-from surctl.verification.linear import DiskMargin, OpenLoop, Sensitivity, disk_profile
+from surctl.vehicle import Vehicle
+from surctl.verification import LoopMargins, build_cascade
+from surctl.verification.linear import DiskMargin, OpenLoop, Sensitivity, disk_profile, open_loop, sensitivity_of
 
-__all__ = ["plot_disk_margins", "plot_marked_bode", "plot_s_and_t"]
+__all__ = ["plot_disk_margins", "plot_marked_bode", "plot_s_and_t", "sensitivities"]
 
 
 def plot_marked_bode(loop: LoopResponse, margins: LoopMargins) -> Figure:
@@ -108,9 +109,26 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
     return figure
 
 
+def sensitivities(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: Sequence[float], dt: float, places: Sequence[str]
+) -> list[Sensitivity]:
+    """S and T opened at each of `DISK_PLACES` that is named, at each cruise speed [m/s] where the loop is stable.
+
+    Where there are several speeds, `place` names the speed too; `dt`: control period [s].
+    """
+    found: list[Sensitivity] = []
+    for speed in cruise:
+        cascade = build_cascade(vehicle, gains, cruise=speed, dt=dt)
+        at = f" at {speed:g} m/s" if len(cruise) > 1 else ""
+        shown = places if cascade.stable else ()
+        found += [sensitivity_of(open_loop(cascade, place), f"{place}{at}", highest=np.pi / dt) for place in shown]
+    return found
+
+
 def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
     """Largest singular values of S and T over frequency, one pair of curves a place."""
-    figure = new_figure(9.6, 4.3)
+    columns = 2 if len(curves) <= 2 else 1  # places at several speeds have long names
+    figure = new_figure(9.6, 3.9 + 0.2 * len(curves))
     for ax, which, name in zip(figure.subplots(1, 2), ("S", "T"), ("sensitivity S", "complementary T"), strict=True):
         dress(ax, x="frequency [rad/s]", y=f"largest singular value of {name} [1]")
         for k, data in enumerate(curves):
@@ -118,7 +136,7 @@ def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
             curve(ax, data.omega, value, label=f"{data.place}: peak {value.max():.2f}", k=k)
         ax.set_xscale("log")
         ax.set_yscale("log")
-        legend_above(ax, columns=2)
+        legend_above(ax, columns=columns)
     return figure
 
 

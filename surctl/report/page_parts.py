@@ -14,9 +14,22 @@ from surctl.errors import SurctlError
 from surctl.report.bench import Bench
 from surctl.simulation import METRICS, Run
 from surctl.tuning import Evaluation
-from surctl.verification import LINEAR_METRICS, Inapplicable, Verdict
+from surctl.verification import LINEAR_METRICS, Inapplicable, OverSpeeds, Verdict
 
-__all__ = ["attempt", "figures", "goals", "head", "message", "pair", "picture", "run_text", "sliders", "verdicts"]
+__all__ = [
+    "LINEAR",
+    "attempt",
+    "figures",
+    "goals",
+    "head",
+    "message",
+    "pair",
+    "picture",
+    "run_text",
+    "sliders",
+    "speeds",
+    "verdicts",
+]
 
 _STYLE = """<style>
 .sur{overflow-x:auto;max-width:100%} .sur table{border-collapse:collapse;font-size:.9rem}
@@ -30,8 +43,10 @@ _STYLE = """<style>
 :root{color-scheme:light} .dark{color-scheme:dark}
 </style>"""
 _RUN_FIGURES = ("time_s", "min_clearance_m", "deviation_m", "effort_n")
-_LINEAR = ("gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin", "slowest_pole_per_s",
+LINEAR = ("gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin", "slowest_pole_per_s",
            "settling_time_s.surge_speed", "overshoot.surge_speed")  # fmt: skip
+
+BY_SPEED = (*LINEAR, "sensitivity_peak", "settling_time_s.cross_track")
 
 
 def head(bench: Bench) -> str:
@@ -101,18 +116,34 @@ def figures(run: Run, linear: Mapping[str, float]) -> str:
     mark = "good" if m.reached else "bad"
     rows = [("how the run ended", f'<span id="outcome" class="{mark}">{escape(m.stopped_because)}</span>')]
     shown = [(name, METRICS[name], float(getattr(m, name))) for name in _RUN_FIGURES]
-    shown += [(name, LINEAR_METRICS[name], linear[name]) for name in _LINEAR]
+    shown += [(name, LINEAR_METRICS[name], linear[name]) for name in LINEAR]
     rows += [(escape(spec.meaning), _number(name, value, spec.unit)) for name, spec, value in shown]
     return _heading("This run, and the loops") + _table(("figure", "value"), rows)
 
 
-def goals(evaluation: Evaluation) -> str:
-    """Each goal, whether it is met, and its figure at the worst plant."""
+def speeds(found: OverSpeeds) -> str:
+    """The loops' figures at each cruise speed, and the speed where each is worst; nothing for one speed alone."""
+    if len(found.cruise) < 2:
+        return ""
     rows = []
-    for goal, figure, share in zip(evaluation.goals, evaluation.figure[0], evaluation.normalised[0], strict=True):
+    for name, values in found.figures.items():
+        spec = LINEAR_METRICS[name]
+        cells = [_number(f"{name} at {u:g}", v, spec.unit) for u, v in zip(found.cruise, values.tolist(), strict=True)]
+        rows.append((escape(spec.meaning), *cells, found.worst_at(name)))
+    return _heading("The loops by cruise speed") + _table(
+        ("figure", *(f"{u:g} m/s" for u in found.cruise), "worst at"), rows
+    )
+
+
+def goals(evaluation: Evaluation) -> str:
+    """Each goal, whether it is met, and its figure at the worst plant and cruise speed."""
+    rows = []
+    shown = zip(evaluation.goals, evaluation.figure[0], evaluation.normalised[0], evaluation.speed[0], strict=True)
+    for goal, figure, share, speed in shown:
         met = share <= 1
         word = f'<span class="{"good" if met else "bad"}">{"met" if met else "missed"}</span>'
-        bound = f"{goal.sense} {goal.limit:g} {'' if goal.unit == '1' else goal.unit}"
+        bound = f"{goal.sense} {goal.limit:g}" + ("" if goal.unit == "1" else f" {goal.unit}")
+        bound += f", worst at {speed:g} m/s" if goal.cruise else ""
         rows.append((escape(goal.name), goal.kind, word, _number(f"goal {goal.name}", figure, goal.unit), bound))
     text = "<p>In this scenario: the nominal plant and, where a goal counts them, the corners of its ranges.</p>"
     return _heading("Goals") + text + _table(("goal", "kind", "status", "figure", "bound"), rows)

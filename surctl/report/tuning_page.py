@@ -18,9 +18,11 @@ def _():
     from surctl.report import page_parts as parts
     from surctl.report.bench import save_gains, slider_steps
     from surctl.report.serve import current_bench
+    from surctl.verification import speeds_text
+    from surctl.verification.loops import LOOP_NAMES
 
     bench = current_bench()
-    return GAINS, SurctlError, bench, load_gains, mo, parts, save_gains, slider_steps
+    return GAINS, LOOP_NAMES, SurctlError, bench, load_gains, mo, parts, save_gains, slider_steps, speeds_text
 
 
 @app.cell
@@ -82,11 +84,15 @@ def _(base, bench, sliders):
 
 
 @app.cell
-def _(bench, gains, mo):
+def _(LOOP_NAMES, bench, gains, mo):
     verdict_button = mo.ui.run_button(label="Check the claims for these gains")
     locus_gain = mo.ui.dropdown(list(bench.locus_gains), value=bench.locus_gains[0], label="locus over")
+    _all = f"all, at {bench.scenario.cruise:g} m/s"
+    _shown = {_all: None, **{name: name for name in LOOP_NAMES}}
+    # the loop that the speed changes most: its gain is the speed over the lookahead
+    loop_box = mo.ui.dropdown(_shown, value="cross_track" if len(bench.speeds) > 1 else _all, label="loop")
     _ = gains
-    return locus_gain, verdict_button
+    return locus_gain, loop_box, verdict_button
 
 
 @app.cell
@@ -106,16 +112,21 @@ def _(get_message, load_button, mo, name_box, parts, save_button, sliders, verdi
 def _(bench, gains, linear, mo, parts, run):
     _figures = parts.figures(run, linear)
     _judged = parts.goals(bench.judge(gains))
-    mo.Html(parts.pair(_figures, _judged) + parts.picture(bench.plan(run).figure, parts.run_text(run)))
+    _by_speed = parts.speeds(bench.over_speeds(gains, parts.BY_SPEED))
+    mo.Html(parts.pair(_figures, _judged) + _by_speed + parts.picture(bench.plan(run).figure, parts.run_text(run)))
     return
 
 
 @app.cell
-def _(bench, gains, mo, parts):
-    _steps = "Step responses of surge speed, heading and cross-track"
-    _left = parts.attempt(lambda: parts.picture(bench.steps(gains).figure, _steps))
-    _right = parts.attempt(lambda: parts.picture(bench.bode(gains), "Bode plot of the eight loops"))
-    mo.Html(parts.pair(_left, _right))
+def _(bench, gains, loop_box, mo, parts, speeds_text):
+    _speeds = speeds_text(bench.speeds)
+    _steps = f"Step responses of surge speed, heading and cross-track at {_speeds}"
+    _left = parts.attempt(lambda: parts.picture(bench.steps(gains), _steps))
+    _which = "the eight loops" if loop_box.value is None else f"loop {loop_box.value} at {_speeds}"
+    _right = parts.attempt(lambda: parts.picture(bench.bode(gains, loop_box.value), f"Bode plot of {_which}"))
+    _what = f"Sensitivity S and complementary sensitivity T of all loops together at {_speeds}"
+    _below = parts.attempt(lambda: parts.picture(bench.sensitivity(gains), _what))
+    mo.vstack([loop_box, mo.Html(parts.pair(_left, _right) + _below)])
     return
 
 

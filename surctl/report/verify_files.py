@@ -14,21 +14,22 @@ from surctl.report.cell_plots import plot_cells, plot_open_boxes
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
 from surctl.report.files import save_figure
 from surctl.report.loops import loop_responses, plot_nyquist
-from surctl.report.margin_plots import plot_disk_margins, plot_marked_bode, plot_s_and_t
+from surctl.report.margin_plots import plot_disk_margins, plot_marked_bode, plot_s_and_t, sensitivities
 from surctl.report.region_plots import plot_region
 from surctl.vehicle import Vehicle
 from surctl.verification import Verdict, build_cascade, loop_margins
-from surctl.verification.linear import DISK_PLACES, disk_margin, open_loop, sensitivity_of
+from surctl.verification.linear import DISK_PLACES, disk_margin, open_loop
 
 __all__ = ["save_margins", "save_regions", "save_verdicts"]
 
 
 def save_margins(
-    vehicle: Vehicle, gains: Mapping[str, float], folder: Path | str, *, cruise: float, dt: float
+    vehicle: Vehicle, gains: Mapping[str, float], folder: Path | str, *, cruise: float | Sequence[float], dt: float
 ) -> list[Path]:
     r"""Bode plots of the tightest loops with margins marked, Nyquist plots with the disk, disk margins, S and T; paths.
 
-    Nothing is drawn of a loop that is not stable.
+    Of several cruise speeds [m/s] all are about the largest, but S and T, drawn at each. Nothing is drawn of a loop
+    that is not stable.
 
     Raises:
         InputError: as `loop_margins`, or the folder cannot be written.
@@ -47,6 +48,8 @@ def save_margins(
         margins-sur400-disk.png
         margins-sur400-sensitivity.png
     """
+    speeds = [float(speed) for speed in np.atleast_1d(cruise)]
+    cruise = max(speeds)
     margins = loop_margins(vehicle, gains, cruise=cruise, dt=dt)
     loops = loop_responses(vehicle, gains, cruise=cruise, dt=dt)
     if not all(m.stable for m in margins):
@@ -62,8 +65,7 @@ def save_margins(
     opened = [open_loop(cascade, place) for place in DISK_PLACES]
     pairs = [(loop, disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
     figures["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
-    curves = [sensitivity_of(loop, p, highest=np.pi / dt) for loop, p in zip(opened, DISK_PLACES, strict=True)]
-    figures["sensitivity"] = plot_s_and_t(curves[:2])
+    figures["sensitivity"] = plot_s_and_t(sensitivities(vehicle, gains, cruise=speeds, dt=dt, places=DISK_PLACES[:2]))
     return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in figures.items()]
 
 

@@ -22,11 +22,13 @@ from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import (
     Inapplicable,
     LoopMargins,
+    OverSpeeds,
     Verdict,
     applicable_claims,
     closed_loop_poles,
     decide,
     loop_margins,
+    over_speeds,
 )
 from surctl.verification.linear import LinearSide, corners, linear_side, worst_linear_side
 
@@ -50,6 +52,7 @@ class Study:
         deciding: for each run, whether it counts towards the result of the study.
         replayed: the sonar runs that the exported C replayed: runs of the exported law where the hull fits the site.
         linear: linear analysis of the nominal vehicle, and the worst one over the corners of its ranges.
+        over: figures of its loops at the cruise speeds that the plan names; None if it names none.
         sil: software-in-the-loop (SIL) reports, one for each replayed run.
     """
 
@@ -57,6 +60,7 @@ class Study:
     sweep: SweepTable
     margins: tuple[LoopMargins, ...]
     linear: tuple[LinearSide, LinearSide]
+    over: OverSpeeds | None
     verdicts: tuple[Verdict, ...]
     inapplicable: tuple[Inapplicable, ...]
     runs: tuple[Run, ...]
@@ -95,7 +99,8 @@ class Study:
                 "columns": {name: self.sweep.column(name).tolist() for name in self.sweep.columns},
             },
             "margins": [m.to_dict() for m in self.margins],
-            "linear": {"nominal": self.linear[0].to_dict(), "worst": self.linear[1].to_dict()},
+            "linear": {"nominal": self.linear[0].to_dict(), "worst": self.linear[1].to_dict()}
+            | ({} if self.over is None else {"speeds": self.over.to_dict()}),
             "verdicts": [*(v.to_dict() for v in self.verdicts), *(v.to_dict() for v in self.inapplicable)],
             "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
             "not_simulated": [
@@ -168,6 +173,7 @@ def conduct(
         with clock("margins"):
             cruise = max(leg.scenario.cruise for leg in plan.deciding)
             margins = loop_margins(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
+            over = over_speeds(plan.vehicle, swept.gains.values, cruise=plan.cruise, dt=law.dt) if plan.cruise else None
             poles = closed_loop_poles(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
             linear = (
                 linear_side(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt),
@@ -208,7 +214,9 @@ def conduct(
             section = runs_section(data)
         with clock("software in the loop"):
             sil = shipment.replayed(replayed)
-    notes = summary(plan, swept, margins, (*verdicts, *inapplicable), tuple(zip(runs, deciding, strict=True)), sil)
+    notes = summary(
+        plan, swept, (margins, over), (*verdicts, *inapplicable), tuple(zip(runs, deciding, strict=True)), sil
+    )
     notes += left_out([run for run in sonar_runs if run not in replayed])
     with clock("report"):
         data = replace(
@@ -224,6 +232,7 @@ def conduct(
         swept,
         margins,
         linear,
+        over,
         verdicts,
         inapplicable,
         runs,
@@ -267,6 +276,7 @@ def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTabl
         plan.sweep_cases,
         grid(plan.axes),
         seeds=plan.sweep_seeds,
+        cruise=plan.cruise,
         executor=LocalExecutor(workers),
         out=out,
         progress=progress,

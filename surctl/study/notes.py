@@ -10,7 +10,7 @@ from surctl.export import SilReport
 from surctl.simulation import Run
 from surctl.study.plan import Plan
 from surctl.tuning import SweepTable
-from surctl.verification import Inapplicable, LoopMargins, Verdict
+from surctl.verification import Inapplicable, LoopMargins, OverSpeeds, Verdict, speeds_text
 
 __all__ = ["Note", "left_out", "summary"]
 
@@ -30,7 +30,7 @@ class Note:
 def summary(
     plan: Plan,
     swept: SweepTable,
-    margins: Sequence[LoopMargins],
+    loops: tuple[Sequence[LoopMargins], OverSpeeds | None],
     verdicts: Sequence[Verdict | Inapplicable],
     runs: Sequence[tuple[Run, bool]],
     sil: Sequence[SilReport],
@@ -40,7 +40,7 @@ def summary(
     Args:
         plan: the plan of the study.
         swept: the sweep of the study.
-        margins: stability margins of the velocity loops.
+        loops: margins at the largest simulated cruise speed, and figures at the cruise speeds that the plan names.
         verdicts: verdicts on the claims of the study.
         runs: runs of the study, each with a flag that says whether it counts towards the result.
         sil: software-in-the-loop (SIL) reports, one for each run that the exported law replayed.
@@ -56,12 +56,21 @@ def summary(
         edges = [a.name for a, k in at if len(a.values) > 1 and k in (0, len(a.values) - 1)]
         edge = f" (on the edge of the grid in {' and '.join(edges)}: extend the grid there)" if edges else ""
         notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}", "sweep"))
+    margins, over = loops
     speed = max(leg.scenario.cruise for leg in plan.deciding)
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
     margin_text = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), "
     margin_text += "least disk margin "
     notes.append(Note(stable, margin_text + f"{min(m.disk_margin for m in margins):.2f}", "margins"))
+    if over is not None:
+        names = {"delay_margin_s": "delay margin {:.2f} s", "disk_margin": "disk margin {:.2f}"}
+        margin_text = ", ".join(
+            f"least {word.format(value)} (at {at:g} m/s)"
+            for word, (value, at) in ((word, over.worst(name)) for name, word in names.items())
+        )
+        held = bool((over.figures["slowest_pole_per_s"] < 0).all())
+        notes.append(Note(held, f"margins at {speeds_text(over.cruise)}: {margin_text}", "margins"))
     decided = [v for v in verdicts if isinstance(v, Verdict)]
     unexpected = [v.claim.name for v in decided if not v.as_expected]
     counts = Counter(v.verdict for v in decided)

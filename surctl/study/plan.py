@@ -15,12 +15,13 @@ from surctl.guidance import Guidance
 from surctl.simulation import Case, Scenario, findings, load_scenario
 from surctl.tuning import Axis, Goal, GoalTable, goals_from_tables, load_goals
 from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import applicable_claims
+from surctl.verification import applicable_claims, check_held, cruise_speeds
 
 __all__ = ["LIBRARY", "Leg", "Plan", "load_plan"]
 
 LIBRARY = Path(__file__).parent / "library"
 
+_CRUISE = "cruise_m_per_s"
 Seed = Annotated[int, Field(ge=0)]
 
 
@@ -50,6 +51,7 @@ class _StudyFile(Strict):
     seed: Seed = 0
     runs: tuple[_Run, ...] = Field(min_length=1)
     sweep: _Sweep
+    cruise_m_per_s: tuple[float, ...] | None = None
     claims: tuple[str, ...] | None = None
     goals: tuple[GoalTable, ...] = ()
 
@@ -71,7 +73,10 @@ class Leg:
 
 @dataclass(frozen=True)
 class Plan:
-    """A checked and loaded study; its goals are the built-in ones unless it has its own or names a goals file."""
+    """A checked and loaded study; its goals are the built-in ones unless it has its own or names a goals file.
+
+    `cruise` [m/s] holds the speeds at which the linear loops are judged; empty: the largest of the scenarios' speeds.
+    """
 
     name: str
     note: str
@@ -86,6 +91,7 @@ class Plan:
     sweep_seeds: tuple[int, ...]
     claims: tuple[str, ...] | None
     goals: tuple[Goal, ...]
+    cruise: tuple[float, ...] = ()
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
@@ -166,6 +172,10 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
         legs.append(_leg(load_scenario(near(run.scenario)), leg_vehicle, lenient=lenient))
     gains = load_gains(near(study.gains))
     try:
+        cruise = () if study.cruise_m_per_s is None else cruise_speeds(study.cruise_m_per_s, key=_CRUISE)
+        for leg in legs:
+            if leg.obstacle_to_flying is None and leg.misfit is None:
+                check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
         axes = tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
     except InputError as error:
@@ -184,6 +194,7 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
         study.sweep.seeds,
         study.claims,
         _own_goals(study, path, None if goals is None else near(goals)),
+        cruise,
     )
     if not plan.deciding:
         reasons = "; ".join(f"{leg.scenario.name}: {leg.exclusion or leg.misfit}" for leg in legs)

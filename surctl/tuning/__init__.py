@@ -3,9 +3,9 @@
 from surctl.tuning.axes import SEED, Axis, Span, parse_axis
 from surctl.tuning.cegis import Tuning, tune
 from surctl.tuning.design import DESIGNS, Design, grid, make_design, saltelli, spread
-from surctl.tuning.evaluation import Condition, Evaluation, conditions, corners, evaluate, figures, scope
+from surctl.tuning.evaluation import Condition, Evaluation, check_goals, conditions, corners, evaluate, figures, scope
 from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
-from surctl.tuning.goals import LIBRARY, Goal, GoalTable, goals_from_tables, load_goals
+from surctl.tuning.goals import LIBRARY, Goal, GoalTable, goals_at, goals_from_tables, load_goals
 from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
 from surctl.tuning.measure import build_cases, check_column
 from surctl.tuning.montecarlo import Counterexample, MonteCarlo
@@ -53,12 +53,14 @@ __all__ = [
     "Tuning",
     "build_cases",
     "check_column",
+    "check_goals",
     "conditions",
     "corners",
     "evaluate",
     "figures",
     "gain_ranges",
     "goal_rows",
+    "goals_at",
     "goals_from_tables",
     "grid",
     "load_goals",

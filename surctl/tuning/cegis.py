@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.tuning.claim_points import ClaimPoint, refuted_claims
 from surctl.tuning.conflict import conflict
+from surctl.tuning.evaluation import check_goals
 from surctl.tuning.journal import Journal
 from surctl.tuning.montecarlo import APART, MOST_SEED, fresh, monte_carlo
 from surctl.tuning.pool import Pool, Progress, Request, joined
@@ -57,10 +58,19 @@ class Tuning:
         return self.rounds[self.chosen]
 
     @property
+    def unmet(self) -> tuple[str, ...]:
+        """Names of the hard goals and claims that the tuned gains miss, or that fresh runs refute."""
+        shares = zip(self.request.goals, self.tuned.evaluation.normalised[0], strict=True)
+        points = zip(self.request.claims, self.tuned.claims[0], strict=True)
+        hard = {g.name for g in self.request.goals if g.kind == "hard"} | {p.name for p in self.result.claims}
+        found = [g.name for g, share in shares if g.name in hard and not share <= 1]
+        found += [p.name for p, over in points if not over <= 0]
+        return tuple(dict.fromkeys([*found, *(name for name in self.result.refuted if name in hard)]))
+
+    @property
     def accepted(self) -> bool:
         """Whether the tuned gains meet every hard goal, and neither fresh runs nor a claim refute one."""
-        hard = {g.name for g in self.request.goals if g.kind == "hard"} | {p.name for p in self.result.claims}
-        return bool(self.tuned.feasible[0]) and not hard & set(self.result.refuted)
+        return not self.unmet
 
     @property
     def better(self) -> tuple[bool, ...]:
@@ -91,7 +101,8 @@ def tune(
         progress: told one line at a time what is going on.
 
     Raises:
-        InputError: nonsensical numbers, one case twice, a value out of bounds, or a folder that cannot be used.
+        InputError: nonsensical numbers, one case twice, a value out of bounds, a folder that cannot be used, or as
+            `check_goals`.
 
     Example:
         >>> from surctl.control import load_gains
@@ -161,6 +172,7 @@ def _check(request: Request, trials: int, rounds: int, runs: int) -> None:
     for name in names:
         if names.count(name) > 1:  # a counterexample knows its case by name
             raise InputError("is flown twice", key="case", value=name, remedy="give each vehicle a name of its own")
+    check_goals(request.goals, request.conditions)
     if request.seed > MOST_SEED:
         raise InputError(
             "leaves no seeds for fresh runs", key="--seed", value=request.seed, remedy=f"at most {MOST_SEED}"

@@ -118,9 +118,11 @@ def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tu
     """(n, f) soft goals as they count in the score, (n, g) hard goals and claims, at most 0 where met; a run each."""
     soft, hard = [np.zeros((len(pool.claims), 1))], [np.minimum(pool.claims, CAP)]
     for goal, first in zip(request.goals, start, strict=True):
-        figure = table[goal.metric][:, scope(goal, request.conditions)]
+        own = scope(goal, request.conditions)
         if goal.over == "mean":
-            figure = figure.mean(axis=1, keepdims=True)
+            figure = goal.worst(table)[0][:, own].mean(axis=1, keepdims=True)
+        else:  # each speed for itself: their worst has no slope where it changes from one to the other
+            figure = np.hstack([table[name][:, own] for name in goal.columns])
         if goal.kind == "soft":
             soft.append(np.minimum(goal.normalised(figure), CAP) / np.clip(first, 1e-3, 1.0))
         else:

@@ -13,11 +13,12 @@ from surctl.errors import InputError, nearest
 from surctl.simulation import Case, case_parameters, simulate_batch
 from surctl.tuning.goals import Goal
 from surctl.vehicle import Vehicle
-from surctl.verification import linear_table
+from surctl.verification import check_held, linear_table
 
 __all__ = [
     "Condition",
     "Evaluation",
+    "check_goals",
     "conditions",
     "corners",
     "evaluate",
@@ -70,7 +71,9 @@ class Evaluation:
     Attributes:
         goals: the goals, m of them.
         normalised: (n, m): at most 1 where met.
-        figure: (n, m): worst or mean figure in the metric's unit; NaN when a run did not arrive.
+        figure: (n, m): worst or mean figure in the metric's unit; NaN when a run did not arrive. Of a goal at several
+            cruise speeds each run counts with its worst speed.
+        speed: (n, m): that speed of the worst run [m/s]; NaN for a goal at the scenario's own.
         excess: (n, m): mean over the goal's runs of what is above 1, which counts up to 1 in each: 0 where met.
         effort: (n,): mean of |horizontal thrust| over all runs [N].
     """
@@ -78,6 +81,7 @@ class Evaluation:
     goals: tuple[Goal, ...]
     normalised: NDArray[np.float64]
     figure: NDArray[np.float64]
+    speed: NDArray[np.float64]
     excess: NDArray[np.float64]
     effort: NDArray[np.float64]
 
@@ -177,6 +181,29 @@ def scope(goal: Goal, conditions: Sequence[Condition]) -> list[int]:
     ]
 
 
+def check_goals(goals: Sequence[Goal], flown: Sequence[Condition]) -> None:
+    """What can be wrong with goals beside what is flown.
+
+    Raises:
+        InputError: a goal names a case that is not flown, or a cruise speed above the cap of one that it is about, or
+            that the case's vehicle cannot hold.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, build_cases, check_goals, conditions
+        >>> flown = conditions(build_cases([load_scenario("pool-behind")], gains=load_gains("default")), seeds=[0])
+        >>> check_goals([Goal("low", "disk_margin", "1", 0.6, "at least", cruise=(0.1, 0.4))], flown)
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: goals.low.cruise_m_per_s = 0.4: is above the cap, 0.22 m/s; lower it, or raise the cap
+    """
+    for goal in goals:
+        about = (flown[k].case for k in scope(goal, flown))
+        for vehicle, cap in {(c.vehicle.name, c.scenario.cap): (c.vehicle, c.scenario.cap) for c in about}.values():
+            check_held(goal.cruise, vehicle, cap=cap, key=goal.cruise_key)
+
+
 def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1) -> Evaluation:
     """Judge n gain sets by m goals.
 
@@ -187,7 +214,7 @@ def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets,
         threads: of the compiled loop; the result does not depend on them.
 
     Raises:
-        InputError: a value out of a gain's bounds, or a goal about a case that is not flown.
+        InputError: a value out of a gain's bounds, or as `check_goals`.
 
     Example:
         >>> from surctl.control import load_gains
@@ -199,6 +226,7 @@ def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets,
         >>> evaluation.normalised.round(2).tolist(), evaluation.feasible.tolist()
         ([[1.05, 0.84], [1.01, 0.82], [0.99, 0.81]], [True, True, True])
     """
+    check_goals(goals, conditions)
     return judged(goals, conditions, figures(goals, conditions, sets, threads=threads))
 
 
@@ -207,25 +235,27 @@ def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figure
     count = len(table["effort_n"])
     shape = (count, len(goals))
     normalised, figure, excess = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape)
+    speed = np.full(shape, np.nan)
     for j, goal in enumerate(goals):
-        own = table[goal.metric][:, scope(goal, conditions)]
+        own, speeds = (values[:, scope(goal, conditions)] for values in goal.worst(table))
         each = goal.normalised(own)
+        worst = each.argmax(axis=1)
+        speed[:, j] = speeds[np.arange(count), worst]
         if goal.over == "mean":
             figure[:, j] = own.mean(axis=1)
             each = goal.normalised(figure[:, [j]])
             normalised[:, j] = each[:, 0]
         else:
-            worst = each.argmax(axis=1)
             figure[:, j], normalised[:, j] = own[np.arange(count), worst], each.max(axis=1)
         excess[:, j] = np.clip(each - 1, 0, 1).mean(axis=1)
     effort = table["effort_n"].mean(axis=1)
-    return Evaluation(tuple(goals), normalised, figure, excess, effort)
+    return Evaluation(tuple(goals), normalised, figure, speed, excess, effort)
 
 
 def figures(
     goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1
 ) -> dict[str, NDArray[np.float64]]:
-    """Metric → (n, conditions) for the goals' metrics and the effort.
+    """Metric → (n, conditions) for the goals' metrics and the effort; see `Goal.columns` for a goal with speeds.
 
     NaN where a run did not arrive, and for a linear metric where no goal asks for it.
 
@@ -240,19 +270,25 @@ def figures(
     """
     count = len(next(iter(sets.values())))
     looped = {"effort_n", *(g.metric for g in goals if not g.linear)}
-    linear = {g.metric for g in goals if g.linear}
-    required = {k for g in goals if g.linear for k in scope(g, conditions)}  # a linear figure costs more than a run
-    table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *linear)}
+    linear = [g for g in goals if g.linear]
+    asked: dict[float | None, set[int]] = {}  # a linear figure costs more than a run
+    for goal in linear:
+        for speed in goal.columns.values():
+            asked.setdefault(speed, set()).update(scope(goal, conditions))
+    columns = {(g.metric, speed): name for g in linear for name, speed in g.columns.items()}
+    table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *columns.values())}
     for case, own in _by_case(conditions):
         seeds = np.tile([conditions[k].seed for k in own], count)
         batch = simulate_batch(case, _spread(case, [conditions[k] for k in own], sets), seeds=seeds, threads=threads)
         arrived = batch.column("reached").reshape(count, -1) > 0.5
         for name in looped:
             table[name][:, own] = np.where(arrived, batch.column(name).reshape(count, -1), np.nan)
-        about = [k for k in own if k in required]
-        if about:
-            for name, values in _linear(case, [conditions[k] for k in about], sets, linear, threads).items():
-                table[name][:, about] = values
+        for speed, those in asked.items():
+            about = [k for k in own if k in those]
+            names = {metric for metric, at in columns if at == speed}
+            if about:
+                for name, values in _linear(case, speed, [conditions[k] for k in about], sets, names, threads).items():
+                    table[columns[name, speed]][:, about] = values
     return table
 
 
@@ -286,11 +322,11 @@ def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str
 
 
 def _linear(
-    case: Case, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
+    case: Case, speed: float | None, flown: Sequence[Condition], sets: Sets, names: set[str], threads: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Linear figures, (n, conditions) each: computed once a plant, since no seed changes them."""
-    keys = [tuple(sorted(c.plant.items())) for c in conditions]
-    plants = dict(zip(keys, conditions, strict=True))
+    """Linear figures at a cruise speed, (n, conditions) each: computed once a plant, since no seed changes them."""
+    keys = [tuple(sorted(c.plant.items())) for c in flown]
+    plants = dict(zip(keys, flown, strict=True))
     place = {key: k for k, key in enumerate(plants)}
     which = [place[key] for key in keys]
     count = len(next(iter(sets.values())))
@@ -298,7 +334,7 @@ def _linear(
         case.vehicle,
         _spread(case, list(plants.values()), sets),
         base=case.gains.values,
-        cruise=case.scenario.cruise,
+        cruise=case.scenario.cruise if speed is None else speed,
         dt=case.build().dt,
         model=case.model or case.vehicle,
         columns=sorted(names),

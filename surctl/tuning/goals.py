@@ -6,7 +6,7 @@ The normalised value of a goal is the habit of the Control System Tuner (systune
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,9 +17,20 @@ from pydantic import Field
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, load_model, pick
 from surctl.simulation import METRICS
-from surctl.verification import LINEAR_METRICS
+from surctl.verification import LINEAR_METRICS, cruise_speeds, worst_place
 
-__all__ = ["LIBRARY", "Goal", "GoalTable", "Kind", "Over", "Plants", "Sense", "goals_from_tables", "load_goals"]
+__all__ = [
+    "LIBRARY",
+    "Goal",
+    "GoalTable",
+    "Kind",
+    "Over",
+    "Plants",
+    "Sense",
+    "goals_at",
+    "goals_from_tables",
+    "load_goals",
+]
 
 LIBRARY = Path(__file__).parent / "library"
 
@@ -45,9 +56,11 @@ class Goal:
         over: taken at its worst run, or at the mean of the runs.
         cases: names of scenarios or of cases that it is about; empty for all.
         plants: "nominal" leaves out the runs whose plant is not the case's vehicle (systune's property Models).
+        cruise: speeds [m/s], slowest first, at each of which the linear loop is to meet it; empty: the scenario's own.
 
     Raises:
-        InputError: unknown metric, wrong unit, the sense against the metric's own, or a limit that bounds nothing.
+        InputError: unknown metric, wrong unit, the sense against the metric's own, a limit that bounds nothing, speeds
+            that are none, or of a goal that is not about the linear loop.
     """
 
     name: str
@@ -59,6 +72,7 @@ class Goal:
     over: Over = "worst"
     cases: tuple[str, ...] = ()
     plants: Plants = "all"
+    cruise: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         known = {**METRICS, **LINEAR_METRICS}
@@ -78,11 +92,38 @@ class Goal:
         if not np.isfinite(self.limit) or (self.limit >= 0 if signed else self.limit <= 0):
             side = "less than 0" if signed else "greater than 0"
             raise InputError(f"must be finite and {side}", key=bound, value=self.limit, remedy="correct the limit")
+        if self.cruise:
+            object.__setattr__(self, "cruise", cruise_speeds(self.cruise, key=self.cruise_key))
+            if not self.linear:
+                remedy = "leave it out: what is flown has its scenario's speed"
+                raise InputError("is for goals about the linear loop", key=self.cruise_key, remedy=remedy)
 
     @property
     def linear(self) -> bool:
         """Whether the figure is one of the linear loop, which no seed changes."""
         return self.metric in LINEAR_METRICS
+
+    @property
+    def cruise_key(self) -> str:
+        """What a goals file calls the speeds."""
+        return f"goals.{self.name}.cruise_m_per_s"
+
+    @property
+    def columns(self) -> Mapping[str, float | None]:
+        """The columns of figures that it is about, and the cruise speed [m/s] of each; None: the scenario's own."""
+        return {f"{self.metric} at {u!r} m/s": u for u in self.cruise} or {self.metric: None}
+
+    def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The figures, same shape, turned so that larger is worse; NaN is worst."""
+        figure = np.asarray(values, dtype=float)
+        return np.where(np.isnan(figure), np.inf, figure if self.sense == "at most" else -figure)
+
+    def worst(self, table: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The worst figure over the speeds, and its speed [m/s] (NaN: the scenario's own); as a column's shape."""
+        each = np.stack([table[name] for name in self.columns])
+        ill = self.badness(each)
+        speed = np.array([np.nan if u is None else u for u in self.columns.values()])
+        return np.take_along_axis(each, ill.argmax(axis=0)[None], axis=0)[0], speed[worst_place(ill)]
 
     def normalised(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The normalised value of each figure, same shape: at most 1 where the goal is met, rising as it gets worse.
@@ -108,7 +149,7 @@ class Goal:
         """Plain data for JSON."""
         bound = {"metric": self.metric, "unit": self.unit, "limit": self.limit, "sense": self.sense}
         over = {"over": self.over, "cases": list(self.cases), "plants": self.plants}
-        return {"name": self.name, **bound, "kind": self.kind, **over}
+        return {"name": self.name, **bound, "kind": self.kind, **over, "cruise_m_per_s": list(self.cruise)}
 
 
 class GoalTable(Strict):
@@ -122,6 +163,7 @@ class GoalTable(Strict):
     over: Over = "worst"
     cases: tuple[str, ...] = ()
     plants: Plants = "all"
+    cruise_m_per_s: tuple[float, ...] | None = None
 
 
 class _GoalsFile(Strict):
@@ -184,4 +226,19 @@ def _goal(table: GoalTable) -> Goal:
         except InputError as error:
             raise error.inside(None, f"goals.{table.name}.{sense.replace(' ', '_')}.unit") from None
     about = (table.kind, table.over, table.cases, table.plants)
-    return Goal(table.name, table.metric, bound.unit, bound.value, sense, *about)
+    goal = Goal(table.name, table.metric, bound.unit, bound.value, sense, *about)
+    if table.cruise_m_per_s is None:
+        return goal
+    return replace(goal, cruise=cruise_speeds(table.cruise_m_per_s, key=goal.cruise_key))
+
+
+def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]:
+    """The goals, those about the linear loop at these cruise speeds [m/s] where they name none of their own.
+
+    Example:
+        >>> from surctl.tuning import Goal, goals_at
+        >>> [goal] = goals_at([Goal("robust", "disk_margin", "1", 0.6, "at least")], (0.05, 0.2))
+        >>> goal.cruise
+        (0.05, 0.2)
+    """
+    return tuple(replace(g, cruise=tuple(cruise)) if g.linear and not g.cruise else g for g in goals)

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from typing import Any, get_args
 
 import numpy as np
@@ -20,7 +21,7 @@ from surctl.simulation import METRICS, Case, Scenario, Sensing, case_parameters,
 from surctl.tuning.axes import SEED
 from surctl.tuning.design import Design
 from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
+from surctl.verification import LINEAR_METRICS, LINEAR_PARAMETERS, check_held, cruise_speeds, linear_table, worst_place
 from surctl.verification.cascade import has_cascade
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 _WORST = "_worst"
+_CRUISE = "scenario.cruise"
 _OFTEN_ABSENT = ("path_error_m",)  # NaN here says that there is none, not that the run went wrong
 
 
@@ -73,7 +75,10 @@ RUN_COLUMNS: Mapping[str, Quantity] = {
 LINEAR_COLUMNS: Mapping[str, Quantity] = {
     name: Quantity(spec.unit, f"{spec.meaning}; worst vehicle") for name, spec in LINEAR_METRICS.items()
 }
-"""Columns of the linearised loops, at each vehicle's largest cruise speed."""
+"""Columns of the linearised loops, at each vehicle's largest cruise speed, or the worst of several speeds."""
+
+WORST_SPEED = {"disk_margin_at_m_per_s": Quantity("m/s", "cruise speed at which the disk margin of the loops is least")}
+"""A column beside them where the sweep names speeds."""
 
 
 @dataclass(frozen=True)
@@ -85,17 +90,24 @@ class Evaluation:
         names: of the points' columns.
         seeds: of every case that depends on a seed; the others are flown once, with the first one.
         linear_chunks: chunks of a lower index are evaluated linearly.
+        cruise: speeds [m/s] at which linear metrics are taken, the worst counts; empty: see `LINEAR_COLUMNS`.
     """
 
     cases: tuple[Case, ...]
     names: tuple[str, ...]
     seeds: tuple[int, ...]
     linear_chunks: int = 0
+    cruise: tuple[float, ...] = ()
 
     def __call__(self, index: int, points: Floats) -> Floats:
-        """(rows, axes) → (rows, columns), in the order of `LINEAR_COLUMNS` or `RUN_COLUMNS` and the cases' ones."""
+        """(rows, axes) → (rows, columns), in the order of `linear_columns` or `RUN_COLUMNS` and the cases' ones."""
         values = {name: points[:, k] for k, name in enumerate(self.names)}
         return self._linear(values, len(points)) if index < self.linear_chunks else self._simulated(values, len(points))
+
+    @property
+    def linear_columns(self) -> Mapping[str, Quantity]:
+        """Columns of the linearised loops."""
+        return {**LINEAR_COLUMNS, **(WORST_SPEED if self.cruise else {})}
 
     @property
     def has_margins(self) -> bool:
@@ -131,7 +143,7 @@ class Evaluation:
                 {name: np.tile(done.column(name).reshape(count, len(seeds)), (1, often)) for name in _AVERAGED}
             )
             radius = _own(values, ("plant.radius", "vehicle.radius"), case.vehicle["radius"])
-            cruise = _own(values, ("scenario.cruise",), case.scenario.cruise)
+            cruise = _own(values, (_CRUISE,), case.scenario.cruise)
             strayed.append(by_case[-1]["deviation_m"] / radius)
             ratios.append(by_case[-1]["time_s"] / (case.scenario.path.length / cruise))
         together = {name: np.concatenate([one[name] for one in by_case], axis=1) for name in _AVERAGED}
@@ -140,22 +152,27 @@ class Evaluation:
 
     def _linear(self, values: Mapping[str, Floats], count: int) -> Floats:
         if not self.has_margins:  # never those of another law
-            return np.full((count, len(LINEAR_METRICS)), np.nan)
+            return np.full((count, len(self.linear_columns)), np.nan)
         best = [-np.inf if spec.better == "low" else np.inf for spec in LINEAR_METRICS.values()]
         table = np.tile(best, (count, 1))
-        for case in _fastest(self.cases):
+        margins = []
+        for case, cruise in product(_fastest(self.cases), self.cruise or (None,)):
             metrics = linear_table(
                 case.vehicle,
                 values,
                 base=case.gains.values,
-                cruise=case.scenario.cruise,
+                cruise=case.scenario.cruise if cruise is None else cruise,
                 dt=build_law(case.law).dt,
                 model=case.model,
             )
+            margins.append(metrics["disk_margin"])
             for k, (name, spec) in enumerate(LINEAR_METRICS.items()):
                 worst = np.maximum if spec.better == "low" else np.minimum  # NaN, no linear model, stays
                 table[:, k] = worst(table[:, k], metrics[name])
-        return table
+        if not self.cruise:
+            return table
+        place = worst_place(-np.array(margins)) % len(self.cruise)
+        return np.column_stack([table, np.array(self.cruise)[place]])
 
 
 def build_cases(
@@ -218,12 +235,13 @@ def linear_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name in LINEAR_PARAMETERS)
 
 
-def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int]) -> None:
+def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], cruise: Sequence[float] = ()) -> None:
     """What can be wrong with a sweep before anything is flown.
 
     Raises:
         InputError: nothing to fly, one case twice, cases of different gains, seeds that are missing, negative, twice or
-            also an axis, an axis that no case knows, or a value out of a knob's bounds.
+            also an axis, an axis that no case knows, a value out of a knob's bounds, or cruise speeds of the linear
+            loops that are also an axis, above a cap, or that a vehicle cannot hold.
     """
     if not cases:
         raise InputError("has nothing to fly", key="sweep", remedy="name at least one scenario")
@@ -239,6 +257,10 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int]) -
         )
     if SEED in design.names and len(seeds) > 1:
         raise InputError("is an axis already", key="seeds", value=len(seeds), remedy="leave --seeds or the axis away")
+    if cruise and _CRUISE in design.names:
+        raise InputError("is an axis already", key="--cruise", value=list(cruise), remedy="leave one of them out")
+    for case in cases if cruise else ():
+        check_held(cruise_speeds(cruise, key="--cruise"), case.vehicle, cap=case.scenario.cap, key="--cruise")
     known = [case_parameters(case) for case in cases]
     for k, name in enumerate(design.names):
         if name == SEED:
@@ -257,6 +279,7 @@ def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chun
     """SHA-256 of everything that the numbers, and how they are cut, depend on."""
     lines = [f"surctl {__version__}", f"columns {tuple(METRICS)} {tuple(LINEAR_METRICS) if linear else ()}"]
     lines += [] if evaluation.has_margins or not linear else ["margins are not judged"]
+    lines += [f"cruise {evaluation.cruise}"] if evaluation.cruise and linear else []
     lines += [f"design {design.description}", f"seeds {evaluation.seeds}", f"chunk {chunk}"]
     for case in evaluation.cases:
         lines.append(f"case {case.scenario!r} {_numbers(case.vehicle)} {_numbers(case.model or case.vehicle)}")

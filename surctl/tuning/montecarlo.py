@@ -128,7 +128,7 @@ def monte_carlo(
         own = scope(goal, conditions)
         if not own:  # about cases that no seed changes, and their own vehicle: nothing is fresh there
             continue
-        figure = table[goal.metric][0, own]
+        figure = goal.worst(table)[0][0, own]
         apiece = goal.normalised(figure)
         whole = float(goal.normalised(figure.mean()) if goal.over == "mean" else apiece.max())
         missed[goal.name], normalised[goal.name] = float((apiece > 1).mean()), whole
@@ -145,8 +145,7 @@ def _chosen(
 ) -> list[int]:
     """Runs that refute a goal: of every case the worst that miss it, or for a mean some whose mean is about theirs."""
     # on the wrong side of zero every normalised value is inf: there the figure tells which is worse, NaN first
-    bad = np.where(np.isnan(figure), np.inf, figure if goal.sense == "at most" else -figure)
-    order = [int(k) for k in np.lexsort((-bad, -normalised))]
+    order = [int(k) for k in np.lexsort((-goal.badness(figure), -normalised))]
     by_case = {case: [k for k in order if cases[k] == case] for case in dict.fromkeys(cases[k] for k in order)}
     chosen = []
     for own in by_case.values():

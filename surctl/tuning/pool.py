@@ -154,7 +154,7 @@ class Pool:
     def subset(self, which: Sequence[int]) -> Pool:
         """Some of the sets."""
         e, k = self.evaluation, list(which)
-        part = Evaluation(e.goals, e.normalised[k], e.figure[k], e.excess[k], e.effort[k])
+        part = Evaluation(e.goals, e.normalised[k], e.figure[k], e.speed[k], e.excess[k], e.effort[k])
         return Pool({name: values[k] for name, values in self.sets.items()}, part, self.claims[k])
 
     def gains(self, k: int) -> dict[str, float]:
@@ -170,6 +170,7 @@ def joined(pools: Sequence[Pool]) -> Pool:
         e[0].goals,
         np.concatenate([x.normalised for x in e]),
         np.concatenate([x.figure for x in e]),
+        np.concatenate([x.speed for x in e]),
         np.concatenate([x.excess for x in e]),
         np.concatenate([x.effort for x in e]),
     )

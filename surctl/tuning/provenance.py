@@ -7,6 +7,8 @@ from typing import Any
 from surctl import __version__
 from surctl.control import Gains
 from surctl.tuning.cegis import Tuning
+from surctl.tuning.goals import Goal
+from surctl.verification import speeds_text
 
 __all__ = ["goal_rows", "summary", "tuned_gains", "tuning_dict"]
 
@@ -30,7 +32,7 @@ def tuned_gains(tuning: Tuning) -> Gains:
     """
     request = tuning.request
     bounds = "; ".join(
-        f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind})" for g in request.goals
+        f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind}){_at(g)}" for g in request.goals
     )
     requested = request.conditions[: tuning.requested]
     seeds = sorted({c.seed for c in requested})
@@ -45,20 +47,27 @@ def tuned_gains(tuning: Tuning) -> Gains:
     return request.base.with_values(values, provenance=text, how="tuned")
 
 
+def _at(goal: Goal) -> str:
+    return f" at {speeds_text(goal.cruise)}" if goal.cruise else ""
+
+
 def _outcome(tuning: Tuning) -> str:
     last = tuning.result
     fresh = last.verified
+    missed = f"HARD GOALS NOT MET: {', '.join(tuning.unmet)}; " if tuning.unmet else ""
     checked = "not verified by fresh runs"
     if fresh is not None:
         refuted = ", ".join(last.refuted) or "nothing"
         checked = f"{fresh.runs} fresh runs with seeds {fresh.seeds[0]} to {fresh.seeds[1]} refute {refuted}"
     if tuning.conflict:
         checked += f"; not met together: {' + '.join(tuning.conflict)}"
-    return checked
+    return missed + checked
 
 
 def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
     """One row a goal: its bound, figure and normalised value with the start gains and with the tuned ones.
+
+    `worst_cruise_m_per_s` is the speed at which the tuned gains do worst, NaN for a goal at the scenario's own.
 
     Example:
         >>> from surctl.control import load_gains
@@ -81,6 +90,7 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
             "normalised_hand": float(hand.normalised[0, j]),
             "normalised_tuned": float(tuned.normalised[0, j]),
             "met": bool(tuned.normalised[0, j] <= 1),
+            "worst_cruise_m_per_s": float(tuned.speed[0, j]),
             "better": tuning.better[j],
         }
         for j, goal in enumerate(tuning.request.goals)
@@ -109,6 +119,7 @@ def summary(tuning: Tuning) -> list[str]:
         sign = "≤" if one["sense"] == "at most" else "≥"
         change = f"{one['normalised_hand']:.3f} → {one['normalised_tuned']:.3f}"
         mark = "" if one["met"] else "  MISSED"
+        mark += f"  worst at {one['worst_cruise_m_per_s']:g} m/s" if one["cruise_m_per_s"] else ""
         lines.append(
             f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{sign + ' ' + format(one['limit'], 'g'):>12}"
             f"{one['hand']:>12.4g}{one['tuned']:>12.4g}{change:>18}{mark}"
@@ -142,6 +153,7 @@ def tuning_dict(tuning: Tuning) -> dict[str, Any]:
         "request": request.digest,
         "seed": request.seed,
         "accepted": tuning.accepted,
+        "unmet": list(tuning.unmet),
         "goals": goal_rows(tuning),
         "space": {s.name: [s.low, s.high] for s in request.space},
         "best": {"gains": dict(best.gains), "score": best.score, "feasible": best.feasible},

@@ -115,6 +115,6 @@ def _withstanding(
     for one, run in zip(refuting, runs, strict=True):
         goal = goals[place[one.goal]]
         if goal.over == "worst":
-            fails = goal.normalised(table[goal.metric][:, column[run.run]]) > 1
+            fails = goal.normalised(goal.worst(table)[0][:, column[run.run]]) > 1
             withstands &= ~(fails & met[left, place[one.goal]])
     return [k for k, good in zip(left, withstands, strict=True) if good]

@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -47,6 +47,7 @@ def sweep(
     *,
     seeds: Sequence[int] = (0,),
     linear: bool = True,
+    cruise: Sequence[float] = (),
     executor: Executor | None = None,
     out: Path | None = None,
     progress: Progress = lambda _: None,
@@ -58,6 +59,8 @@ def sweep(
         design: the points; see `grid`, `spread`, `saltelli`, `make_design`.
         seeds: every case is flown with each at every point; one that no seed changes is flown once.
         linear: whether the linear metrics are measured too, once for each combination of what they depend on.
+        cruise: speeds [m/s] at which they are taken, the worst of each counts, and `disk_margin_at_m_per_s` says where
+            the disk margin is least; default each vehicle's largest cruise speed.
         executor: who does the work; this process by default. The numbers do not depend on it.
         out: folder of `sweep.nc`; finished chunks lie beside it until it is complete, and the same request resumes from
             them. A finished table of another request is renamed, and that is told. None keeps nothing.
@@ -78,8 +81,8 @@ def sweep(
         [[21.4, 21.4, 21.6], [20.0, 20.2, 20.4]]
     """
     cases, seeds = tuple(cases), tuple(int(s) for s in seeds)
-    check_request(cases, design, seeds)
-    job = _Job(Evaluation(cases, design.names, seeds), design, linear)
+    check_request(cases, design, seeds, cruise)
+    job = _Job(Evaluation(cases, design.names, seeds, cruise=tuple(cruise)), design, linear)
     if out is not None:
         return _stored_sweep(job, out, executor or LocalExecutor(), progress)
     with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as folder:
@@ -142,14 +145,12 @@ class _Job:
         size = _size(len(points), max(1, _MOST_RUNS // self.evaluation.runs_per_point))
         self.chunks += _cut(points, size, first=self.linear_count)
         self.request = request_digest(self.evaluation, self.design, linear=self.linear, chunk=size)
-        self.evaluation = Evaluation(
-            self.evaluation.cases, self.evaluation.names, self.evaluation.seeds, self.linear_count
-        )
+        self.evaluation = replace(self.evaluation, linear_chunks=self.linear_count)
 
     def width(self, index: int) -> int:
         """Number of columns of a chunk."""
         if index < self.linear_count:
-            return len(LINEAR_COLUMNS)
+            return len(self.evaluation.linear_columns)
         return len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
 
     def columns(self, store: ChunkStore) -> Iterator[Column]:
@@ -166,7 +167,7 @@ class _Job:
 
         for k, (name, quantity) in enumerate(RUN_COLUMNS.items()):
             yield name, quantity, [partial(of_runs, k)], False
-        for k, (name, quantity) in enumerate(LINEAR_COLUMNS.items() if self.linear else ()):
+        for k, (name, quantity) in enumerate(self.evaluation.linear_columns.items() if self.linear else ()):
             yield name, quantity, [partial(of_loops, k)], False
         for name in ("strayed", "time_ratio", "reached_worst", "min_clearance_m_worst"):
             inputs[name] = of_runs(list(RUN_COLUMNS).index(name))

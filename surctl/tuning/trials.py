@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["distributions", "frozen", "objectives", "remembered", "user_attributes"]
 
+_TABLES = ("normalised", "figure", "speed", "excess")  # of an evaluation, in its order
+
 
 def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
     """Score and thrust of each set, finite ones."""
@@ -29,8 +31,8 @@ def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
 def user_attributes(pool: Pool, k: int) -> dict[str, Any]:
     """What `remembered` needs of the k-th set."""
     e = pool.evaluation
-    data = {"normalised": e.normalised[k].tolist(), "figure": e.figure[k].tolist(), "excess": e.excess[k].tolist()}
-    return {**data, "effort": float(e.effort[k]), "claims": pool.claims[k].tolist()}
+    told = {name: getattr(e, name)[k].tolist() for name in _TABLES}
+    return {**told, "effort": float(e.effort[k]), "claims": pool.claims[k].tolist()}
 
 
 def remembered(request: Request, trials: Sequence[FrozenTrial]) -> Pool:
@@ -40,7 +42,8 @@ def remembered(request: Request, trials: Sequence[FrozenTrial]) -> Pool:
         return np.array([t.user_attrs[name] for t in trials], dtype=float)
 
     sets = {s.name: np.array([t.params[s.name] for t in trials]) for s in request.space}
-    whole = Evaluation(request.goals, table("normalised"), table("figure"), table("excess"), table("effort"))
+    normalised, figure, speed, excess = (table(name) for name in _TABLES)
+    whole = Evaluation(request.goals, normalised, figure, speed, excess, table("effort"))
     claims = table("claims").reshape(len(trials), len(request.claims))
     return Pool(sets, whole, claims)
 

@@ -13,6 +13,15 @@ from surctl.verification.locus import Locus, sweep_locus
 from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of, worst_margins
 from surctl.verification.proving import Proof, prove
 from surctl.verification.setting import Setting, setting_from
+from surctl.verification.speeds import (
+    OverSpeeds,
+    check_held,
+    cruise_speeds,
+    over_speeds,
+    speeds_text,
+    worst_place,
+    worst_text,
+)
 from surctl.verification.verdict import Inapplicable, Verdict
 
 __all__ = [
@@ -26,6 +35,7 @@ __all__ = [
     "Locus",
     "LoopMargins",
     "Motion",
+    "OverSpeeds",
     "Proof",
     "Replay",
     "Setting",
@@ -34,8 +44,10 @@ __all__ = [
     "VerdictWord",
     "applicable_claims",
     "build_cascade",
+    "check_held",
     "claims",
     "closed_loop_poles",
+    "cruise_speeds",
     "decide",
     "evaluate",
     "falsify",
@@ -43,11 +55,15 @@ __all__ = [
     "load_claim",
     "loop_margins",
     "margins_of",
+    "over_speeds",
     "prove",
     "replay",
     "setting_from",
     "settling_intrusion",
+    "speeds_text",
     "sweep_locus",
     "worst_margins",
+    "worst_place",
+    "worst_text",
     "write_claim",
 ]

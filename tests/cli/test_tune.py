@@ -56,7 +56,20 @@ def test_a_hard_goal_that_cannot_be_met_ends_with_1_and_is_named(tmp_path):
     done = surctl("tune", "small.toml", *SMALL, cwd=tmp_path)
     assert done.status == 1, done.err
     assert done.json["conflict"] == ["keep clear"]
-    assert not done.json["accepted"]
+    assert not done.json["kept"] and done.json["unmet"] == ["keep clear"]
+    head = (tmp_path / "surctl-out" / "gains.toml").read_text().splitlines()[0]
+    assert head == "# HARD GOALS NOT MET (keep clear): these gains are the best found, not gains to fly"
+
+
+def test_speeds_above_the_cap_are_told_with_the_file_before_anything_is_flown(tmp_path):
+    goal = '[[goals]]\nname = "robust"\nmetric = "disk_margin"\nat_least = "0.6"\ncruise_m_per_s = [0.1, 0.9]\n'
+    (tmp_path / "small.toml").write_text(STUDY % "0.01" + goal)
+    done = surctl("tune", "small.toml", *SMALL, cwd=tmp_path)
+    assert done.status == 2 and not (tmp_path / "surctl-out").exists()
+    assert "small.toml: goals.robust.cruise_m_per_s = 0.9: is above the cap" in done.complaint
+    (tmp_path / "small.toml").write_text(STUDY % "0.01")
+    done = surctl("tune", "small.toml", *SMALL, "--cruise", "0.1", cwd=tmp_path)
+    assert done.status == 2 and "--cruise" in done.complaint and "no goal is about the linear loop" in done.complaint
 
 
 MISTAKES = {

@@ -34,7 +34,8 @@ def test_bars_show_every_goal_against_one(tuning):
 
 
 def test_bars_that_are_not_met_at_all_are_cut_and_say_so():
-    data = GoalBars(("a", "$b_{"), (True, False), np.array([np.inf, 0.5]), np.array([np.nan, 40.0]))
+    hand, tuned, speed = np.array([np.inf, 0.5]), np.array([np.nan, 40.0]), np.array([0.22, np.nan])
+    data = GoalBars(("a", "$b_{"), (True, False), hand, tuned, speed)
     ax = drawn(plot_goal_bars(data))
     assert [t.get_text() for t in ax.texts] == ["not met", "0.5", "not met", "40"]
     assert max(p.get_width() for p in ax.patches) <= 2.0

@@ -5,25 +5,28 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.report.bench import Bench, save_gains, slider_steps, step_responses
-from surctl.report.page_parts import attempt, picture
+from surctl.report.page_parts import BY_SPEED, attempt, picture, speeds
 from surctl.simulation import load_scenario
-from surctl.tuning import GainRange, load_goals
+from surctl.tuning import GainRange, Goal, load_goals
 from surctl.vehicle import load_vehicle
 from surctl.verification import claims, decide, linear_table
+from surctl.verification.loops import LOOP_NAMES
 from tests.browser import WIDTHS, open_page
 from tests.cli.process import surctl
-from tests.tools import need, need_compiler
+from tests.tools import PATIENCE, need, need_compiler
 
 ROOT = Path(__file__).parents[2]
-BENCH = Bench(load_vehicle("sur400"), load_scenario("pool-behind"), load_gains("default"), load_goals())
-SHOWN = "() => document.querySelector('#time_s') && document.querySelectorAll('img.picture').length === 4"
+BENCH = Bench(load_vehicle("sur400"), load_scenario("pool-behind"), load_gains("default"), load_goals(), (0.05, 0.22))
+SHOWN = "() => document.querySelector('#time_s') && document.querySelectorAll('img.picture').length === 5"
 MISSED = """() => [...document.querySelectorAll('img.picture, .sur, .sliders, .line, button')].filter(
     e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 80))"""
 
@@ -33,7 +36,7 @@ def address(tmp_path):
     """Of the page, served from a folder of its own; it must end by Ctrl-C with 130 and one line."""
     need_compiler()
     need("chromium")
-    words = ["surctl", "tune", "--page", "--scenario", "pool-behind", "--no-browser"]
+    words = ["surctl", "tune", "--page", "--scenario", "pool-behind", "--cruise", "0.05,0.22", "--no-browser"]
     served = subprocess.Popen(
         [sys.executable, "-m", *words],
         cwd=tmp_path,
@@ -71,6 +74,9 @@ def assert_shows(page, gains) -> None:
         assert shown(page, name) == getattr(flown, name)
     for name in ("delay_margin_s", "disk_margin", "slowest_pole_per_s", "settling_time_s.surge_speed"):
         assert shown(page, name) == pytest.approx(linear[name], rel=1e-9)
+    at = BENCH.over_speeds(gains, BY_SPEED)
+    for speed, margin in zip(at.cruise, at.figures["disk_margin"], strict=True):
+        assert shown(page, f"disk_margin at {speed:g}") == pytest.approx(margin, rel=1e-9)
     for goal, figure in zip(judged.goals, judged.figure[0], strict=True):
         assert shown(page, f"goal {goal.name}") == pytest.approx(figure, rel=1e-9)
 
@@ -78,6 +84,7 @@ def assert_shows(page, gains) -> None:
 def test_move_check_save_and_load(address, tmp_path):
     with open_page(address) as opened:
         page = opened.page
+        page.set_default_timeout(1000 * PATIENCE)
         page.wait_for_function(SHOWN)
         assert_shows(page, BENCH.gains)
         pictures = page.locator("img.picture").evaluate_all("all => all.map(e => e.src)")
@@ -155,6 +162,38 @@ def test_a_slider_has_its_value_and_its_ends():
     assert slider_steps(GainRange("k_v", 0.3, 3.0), 5.0)[-1] == 5.0
 
 
+def test_one_loop_the_steps_and_s_and_t_are_overlaid_over_all_speeds():
+    assert BENCH.speeds == (0.05, 0.15, 0.22)
+    goal = Goal("robust", "disk_margin", "1", 0.6, "at least", cruise=(0.1, 0.15))
+    assert replace(BENCH, goals=(goal,), cruise=()).speeds == (0.1, 0.15)
+    names = ["0.05 m/s", "0.15 m/s", "0.22 m/s"]
+    for ax in BENCH.bode(BENCH.gains, "cross_track").axes:
+        assert [line.get_label() for line in ax.lines if len(line.get_xdata()) > 2] == [
+            f"cross_track at {n}" for n in names
+        ]
+    gains = [line.get_ydata()[0] for line in BENCH.bode(BENCH.gains, "cross_track").axes[0].lines[::2][:3]]
+    assert np.diff(gains) == pytest.approx(20 * np.log10([3, 0.22 / 0.15]), abs=0.1), "its gain is U over lookahead"
+    assert len({line.get_label() for line in BENCH.bode(BENCH.gains).axes[0].lines} & set(LOOP_NAMES)) == 8
+    for ax in BENCH.sensitivity(BENCH.gains).axes:
+        assert [line.get_label().partition(":")[0] for line in ax.lines] == [f"thrust at {n}" for n in names]
+    for ax in BENCH.steps(BENCH.gains).axes:
+        assert [line.get_label() for line in ax.lines] == names
+
+
+def test_steps_are_drawn_over_linear_time_from_zero():
+    for ax in BENCH.steps(BENCH.gains).axes:
+        assert ax.get_xscale() == "linear" and ax.get_xlim()[0] == 0.0
+        assert all(line.get_xdata()[0] == 0.0 for line in ax.lines)
+    assert BENCH.steps(BENCH.gains).axes[-1].get_xlabel() == "time [s]"
+
+
+def test_loops_by_speed_are_a_table_with_the_worst_named():
+    told = speeds(BENCH.over_speeds(BENCH.gains, ("settling_time_s.cross_track",)))
+    assert [f'scope="col">{n}' in told for n in ("0.05 m/s", "0.22 m/s", "worst at")] == [True] * 3
+    assert told.endswith("<td>0.05 m/s</td></tr></tbody></table></div>"), "a slow vehicle returns slowly"
+    assert speeds(replace(BENCH, cruise=()).over_speeds(BENCH.gains, BY_SPEED)) == ""
+
+
 def test_steps_settle_when_the_table_says():
     drawn = step_responses(BENCH.vehicle, BENCH.gains.values, cruise=0.2, dt=BENCH.dt)
     for name, value in drawn.value.items():
@@ -173,14 +212,16 @@ def test_an_unstable_loop_has_no_step_response():
 
 def test_the_page_says_in_one_line_what_gains_do_not_have():
     fast = BENCH.gains.with_values({"k_v": 40.0, "k_r": 40.0})
-    said = attempt(lambda: picture(BENCH.steps(fast).figure, "steps"))
-    assert "unstable" in said and "<img" not in said and "\n" not in said
+    for draw in (BENCH.steps, BENCH.sensitivity):
+        said = attempt(lambda draw=draw: picture(draw(fast), "steps"))
+        assert "unstable" in said and "<img" not in said and "\n" not in said
 
 
 MISTAKES = {
     "no such scenario": (("--page", "--scenario", "pool-behin"), "pool-behind"),
     "no such gains": (("--page", "--gains", "none.toml"), "no such file"),
     "two vehicles": (("--page", "--vehicle", "sur400", "--vehicle", "sur540-flooded"), "one vehicle"),
+    "a speed above the cap": (("--page", "--cruise", "0.1,0.9"), "--cruise = 0.9: is above the cap"),
     "a port without a page": (("--port", "8000"), "--page"),
 }
 

@@ -123,13 +123,19 @@ def test_only_flights_by_the_exported_law_are_replayed(tmp_path):
     (tmp_path / "wide.toml").write_text(wide.replace('"pool-behind"', '"wide"'))
     sweep = '[sweep]\nseeds = [0]\n[[sweep.axes]]\ngain = "k_v"\nvalues = [1.5]\n'
     flights = "".join(f'[[runs]]\nscenario = "{name}"\nvehicle = "sur400"\n' for name in ("pool-behind", "wide.toml"))
-    head = 'kind = "study"\nname = "two"\nvehicle = "sur400"\nclaims = ["v1-printed"]\n'
+    head = 'kind = "study"\nname = "two"\nvehicle = "sur400"\nclaims = ["v1-printed"]\ncruise_m_per_s = [0.05, 0.2]\n'
     (tmp_path / "two.toml").write_text(head + flights + sweep)
     done = conduct(load_plan(str(tmp_path / "two.toml")), tmp_path / "out", workers=1)
     assert [run.scenario.name for run in done.replayed] == ["pool-behind"]
     assert len(done.runs) == 4 and len(done.sil) == 1 and done.sil[0].conclusive
     (note,) = [note for note in done.notes if "other sensors" in note.text]
     assert note.passed is None and note.text.startswith("wide by sur400, sonar")
+    # the study's own cruise speeds: its sweep, its summary and its JSON have the worst of them
+    (speeds,) = [note for note in done.notes if note.text.startswith("margins at 0.05 and 0.2 m/s: least delay")]
+    assert speeds.passed is True and done.sweep.column("disk_margin_at_m_per_s").shape == (1,)
+    told = done.to_dict()["linear"]["speeds"]
+    assert [row["cruise_m_per_s"] for row in told["at"]] == [0.05, 0.2]
+    assert done.sweep.column("sensitivity_peak")[0] == pytest.approx(told["worst"]["sensitivity_peak"]["value"])
 
 
 def test_sonars_that_the_law_cannot_hear_are_told_before_the_sweep(tmp_path):
@@ -217,6 +223,23 @@ kind = "hard"
     (tmp_path / "u.toml").write_text(head + "\ngoals = 3\n" + mark + rest)
     with pytest.raises(InputError, match=r"goals = 3: must be a list; write \[ \.\.\. \] around"):
         load_plan(str(tmp_path / "u.toml"))
+
+
+@pytest.mark.parametrize(
+    ("speeds", "told"),
+    [
+        ("[]", r"s.toml: cruise_m_per_s = \[\]: names no speed"),
+        ("[0.1, -0.1]", "s.toml: cruise_m_per_s = -0.1: must be finite and greater than 0"),
+        ("[0.1, 0.9]", "s.toml: cruise_m_per_s = 0.9: is above the cap, 0.22 m/s"),
+    ],
+)
+def test_cruise_speeds_of_a_study_are_checked_when_it_is_read(tmp_path, speeds, told):
+    text = Path(load_plan().source).read_text().replace("\n[[flights]]", f"\ncruise_m_per_s = {speeds}\n[[flights]]", 1)
+    (tmp_path / "s.toml").write_text(text)
+    with pytest.raises(InputError, match=told):
+        load_plan(str(tmp_path / "s.toml"))
+    (tmp_path / "s.toml").write_text(text.replace(speeds, "[0.15, 0.1]"))
+    assert load_plan(str(tmp_path / "s.toml")).cruise == (0.1, 0.15)
 
 
 def test_names_in_a_study_file_may_lie_beside_it(tmp_path):

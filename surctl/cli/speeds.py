@@ -1,0 +1,38 @@
+"""The option `--cruise` where it takes several speeds."""
+
+from __future__ import annotations
+
+import click
+
+__all__ = ["SPEEDS", "Speeds"]
+
+
+class Speeds(click.ParamType[tuple[float, ...]]):
+    """Cruise speeds [m/s] as the axis of a sweep has its values: one, several, or a range with a count."""
+
+    name = "V1,V2,...|LOW..HIGH:COUNT"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """The speeds, slowest first; InputError for anything else."""
+        from surctl.errors import InputError
+        from surctl.tuning import Span, parse_axis
+        from surctl.verification import cruise_speeds
+
+        key, text = "--cruise", str(value)
+        single = text.split(",")
+        if ".." not in text:
+            try:
+                return cruise_speeds([float(word) for word in single if word.strip() or len(single) > 1], key=key)
+            except ValueError:
+                pass
+        else:
+            try:
+                axis = parse_axis(f"cruise={text}")
+            except InputError as error:
+                raise InputError(error.problem, key=key, value=text, remedy=f"write {self.name}") from None
+            if not isinstance(axis, Span):
+                return cruise_speeds(axis.values, key=key)
+        raise InputError("is no list of speeds", key=key, value=text, remedy=f"write {self.name}, in m/s")
+
+
+SPEEDS = Speeds()

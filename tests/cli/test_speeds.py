@@ -1,0 +1,42 @@
+"""`surctl verify --cruise` with several speeds."""
+
+from surctl.cli.linear_part import linear_part, over_speeds
+from surctl.control import load_gains
+from surctl.vehicle import load_vehicle
+from surctl.verification import worst_margins
+from tests.cli.process import surctl
+
+GAINS = load_gains("default").values
+
+
+def parts(vehicle, *speeds):
+    return [linear_part(load_vehicle(vehicle), GAINS, cruise=u, dt=0.05, uncertainty=0.0) for u in speeds]
+
+
+def test_every_speed_is_judged_and_the_worst_named():
+    found = parts("sur400", 0.05, 0.15, 0.22)
+    over = over_speeds(found)
+    assert over.stable and over.data["worst_cruise_m_per_s"]["sensitivity_peak"] == 0.22
+    assert [one["cruise_m_per_s"] for one in over.data["speeds"]] == [0.05, 0.15, 0.22]
+    for one in over.data["speeds"]:
+        margins = worst_margins(load_vehicle("sur400"), GAINS, uncertainty=0.0, cruise=one["cruise_m_per_s"], dt=0.05)
+        assert one["margins"] == [m.to_dict() for m in margins]
+    assert over.data["margins"] == found[-1].data["margins"] and over.lines[-len(found[-1].lines) :] == found[-1].lines
+    assert [line.split(":")[0].strip() for line in over.lines[1:5]] == ["0.05 m/s", "0.15 m/s", "0.22 m/s", "worst"]
+    # yaw's margins have nothing to do with the speed; what is off by rounding has no worst speed
+    assert over.lines[4] == "  worst: delay at every speed, disk margin at every speed, S at 0.22 m/s"
+    assert over_speeds(found[:1]) is found[0], "one speed is what it was"
+
+
+def test_a_loop_that_is_unstable_at_one_speed_fails_the_command(tmp_path):
+    slow, fast = parts("bluerov2-wu", 0.1, 0.47)
+    assert slow.stable and not fast.stable
+    both = over_speeds([slow, fast])
+    assert not over_speeds([fast, slow]).stable, "whichever is told in full"
+    assert not both.stable and both.data["worst_cruise_m_per_s"]["disk_margin"] == 0.47
+    done = surctl(
+        "verify", "m-norm-printed", "--vehicle", "bluerov2-wu", "--cruise", "0.1,0.47", "--json", cwd=tmp_path
+    )
+    assert done.status == 1
+    told = {one["cruise_m_per_s"]: one["stable"] for one in done.json["speeds"]}
+    assert told == {0.1: True, 0.47: False} and done.json["cruise_m_per_s"] == 0.47
