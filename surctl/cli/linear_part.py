@@ -13,7 +13,7 @@ __all__ = ["LinearPart", "linear_part", "over_speeds"]
 
 
 class LinearPart(NamedTuple):
-    """Linear analysis at one cruise speed: lines to print, data for JSON, and the figures that are compared over speeds.
+    """Linear analysis at one cruise speed: lines to print, data for JSON, and figures that are compared over speeds.
 
     `stable` is None if no straight cruise is possible. Then follow the speed [m/s] and, at that speed, the least delay
     margin [s] and disk margin of one loop and the largest S of all loops together.
@@ -109,4 +109,4 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     lines.append(f"  worst: delay at {delay}, disk margin at {disk}, S at {peak}")
     speeds = [{"cruise_m_per_s": part.cruise, "stable": part.stable, **part.data} for part in parts]
     told = {**last.data, "speeds": speeds, "worst_cruise_m_per_s": worst}
-    return last._replace(lines=lines + last.lines, told=told, stable=all(part.stable for part in parts))
+    return last._replace(lines=lines + last.lines, data=told, stable=all(part.stable for part in parts))

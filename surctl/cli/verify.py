@@ -48,8 +48,8 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
     "--cruise",
     type=SPEEDS,
     metavar="V1,V2,...",
-    help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest (default: the scenario's, else "
-    "0.15).",
+    help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest (default: the scenario's, "
+    "else 0.15).",
 )
 @click.option(
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: the scenario's, else 0.22)."

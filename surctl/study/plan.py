@@ -174,7 +174,7 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
     try:
         cruise = () if study.cruise_m_per_s is None else cruise_speeds(study.cruise_m_per_s, key=_CRUISE)
         for leg in legs:
-            if leg.obstacle_to_flying is None and leg.misfit is None:
+            if leg.exclusion is None and leg.misfit is None:
                 check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
         axes = tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
