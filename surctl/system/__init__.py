@@ -1,0 +1,28 @@
+"""Any plant, any sampled controller and their closed loop: simulated, swept and linearised from one description."""
+
+from surctl.system.controller import Action, Controller, ControllerStep, SampledController
+from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise
+from surctl.system.loop import Cost, Signals, System
+from surctl.system.plant import Parts, Plant
+from surctl.system.record import Record, run_system
+from surctl.system.runs import Runs, simulate_system
+
+__all__ = [
+    "Action",
+    "Controller",
+    "ControllerStep",
+    "Cost",
+    "Linearisation",
+    "Operating",
+    "Parts",
+    "Plant",
+    "Record",
+    "Runs",
+    "SampledController",
+    "Signals",
+    "System",
+    "find_equilibrium",
+    "linearise",
+    "run_system",
+    "simulate_system",
+]

@@ -1,0 +1,311 @@
+"""Equilibria of a system and its linearisation there, with exact Jacobians, of the sampled loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from surctl.errors import InputError, nearest
+from surctl.ir import Layout, to_casadi
+from surctl.system.controller import Controller, SampledController
+from surctl.system.loop import System
+from surctl.system.values import RunNumbers, run_numbers
+
+__all__ = ["Linearisation", "Operating", "find_equilibrium", "linearise"]
+
+Array = NDArray[np.float64]
+
+_NEWTON = 50
+_REST = 1e-9
+
+
+@dataclass(frozen=True)
+class Operating:
+    """A point at which the loop rests: plant state x, controller state z and command f, flat; and its numbers."""
+
+    x: Array
+    z: Array
+    f: Array
+    numbers: RunNumbers
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """The linear loop about an operating point; plant in continuous time, controller in discrete time.
+
+    Attributes:
+        system: the loop.
+        at: the operating point.
+        plant: (A, B, E, C, D_d): x' = A x + B f + E d, y = C x + D_d d.
+        law: (A, B_y, B_r, C, D_y, D_r) of the controller: z⁺ = A z + B_y y + B_r r, command = C z + D_y y + D_r r.
+    """
+
+    system: System
+    at: Operating
+    plant: tuple[Array, ...]
+    law: tuple[Array, ...]
+
+    def plant_system(self) -> Any:
+        """`control.StateSpace` of the plant: inputs are its actuators and disturbances, outputs what it measures."""
+        import control  # takes seconds to import
+
+        A, B, E, C, D = self.plant
+        plant = self.system.plant
+        inputs = [*_labels(plant.inputs), *_labels(plant.disturbances)]
+        through = np.hstack([np.zeros((len(C), B.shape[1])), D])
+        return control.ss(
+            A, np.hstack([B, E]), C, through, states=_labels(plant.state), inputs=inputs,
+            outputs=_labels(plant.outputs, "measured "), name=plant.name,
+        )  # fmt: skip
+
+    def controller_system(self) -> Any:
+        """Discrete-time `control.StateSpace` of the controller: inputs are measurements and references."""
+        import control  # takes seconds to import
+
+        A, By, Br, C, Dy, Dr = self.law
+        system = self.system
+        return control.ss(
+            A, np.hstack([By, Br]), C, np.hstack([Dy, Dr]), system.dt, states=_labels(system.controller.state),
+            inputs=[*_labels(system.plant.outputs, "measured "), *_labels(system.references)],
+            outputs=_labels(system.commands), name=system.controller.name,
+        )  # fmt: skip
+
+    def closed(self) -> Any:
+        """Discrete-time `control.StateSpace` of the closed loop, exact at the control instants.
+
+        Inputs are references and disturbances, held over a period; outputs are the measured outputs and the commands.
+        """
+        import control  # takes seconds to import
+
+        system = self.system
+        Ad, Bd, Ed = _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], system.dt)
+        C, D = self.plant[3:]
+        Az, By, Br, Cz, Dy, Dr = self.law
+        A = np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
+        B = np.block([[Bd @ Dr, Ed + Bd @ Dy @ D], [Br, By @ D]])
+        outputs = np.block([[C, np.zeros((len(C), len(Az)))], [Dy @ C, Cz]])
+        through = np.block([[np.zeros((len(C), Dr.shape[1])), D], [Dr, Dy @ D]])
+        return control.ss(
+            A, B, outputs, through, system.dt, states=self.states(),
+            inputs=[*_labels(system.references), *_labels(system.plant.disturbances)],
+            outputs=[*_labels(system.plant.outputs, "measured "), *_labels(system.commands)], name="closed loop",
+        )  # fmt: skip
+
+    def loop(self, *openings: str) -> Any:
+        """Discrete-time `control.StateSpace` L(z) of the loop opened at signals, all others closed.
+
+        Args:
+            openings: commands or measured outputs by label: the port's name, with [i] where it has several entries.
+                Each is one channel, from what enters behind the break to what comes back, under negative feedback.
+
+        Raises:
+            InputError: no opening, or an unknown one.
+        """
+        import control  # takes seconds to import
+
+        A, B, C, D = self.opened(*openings)
+        return control.ss(
+            A, B, C, D, self.system.dt, states=self.states(), inputs=list(openings),
+            outputs=[f"{name} back" for name in openings], name="loop",
+        )  # fmt: skip
+
+    def opened(self, *openings: str) -> tuple[Array, Array, Array, Array]:
+        """(A, B, C, D) of `loop`."""
+        system = self.system
+        commands, outputs = _labels(system.commands), _labels(system.plant.outputs)
+        if not openings:
+            raise InputError("is missing", key="opening", remedy="name a command or a measured output")
+        for name in openings:
+            if name not in (*commands, *outputs):
+                raise InputError(
+                    "is no signal of the loop", key="opening", value=name, remedy=nearest(name, (*commands, *outputs))
+                )
+        at_command = np.array([[float(name == label) for label in commands] for name in openings])
+        at_output = np.array(
+            [[float(name == label and name not in commands) for label in outputs] for name in openings]
+        )
+        Ad, Bd, _ = _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], system.dt)
+        C = self.plant[3]
+        Az, By, _, Cz, Dy, _ = self.law
+        # what passes a break: a channel's own signal is cut, and its injection takes the place
+        keep_f, keep_y = (
+            np.eye(len(commands)) - at_command.T @ at_command,
+            np.eye(len(outputs)) - at_output.T @ at_output,
+        )
+        seen, enters = keep_y @ C, at_output.T
+        f_x, f_z, f_e = Dy @ seen, Cz, Dy @ enters
+        A = np.block([[Ad + Bd @ keep_f @ f_x, Bd @ keep_f @ f_z], [By @ seen, Az]])
+        B = np.vstack([Bd @ (keep_f @ f_e + at_command.T), By @ enters])
+        back = np.hstack([at_command @ f_x + at_output @ C, at_command @ f_z])
+        return A, B, -back, -(at_command @ f_e)
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles z of the sampled closed loop, the largest first; stable where all lie inside the unit circle."""
+        poles = np.linalg.eigvals(self.closed().A).astype(complex)
+        return poles[np.argsort(-np.abs(poles), kind="stable")]
+
+    def states(self) -> list[str]:
+        """Labels of the plant's states, then of the controller's."""
+        return [*_labels(self.system.plant.state), *_labels(self.system.controller.state, "controller ")]
+
+    def _selection(self) -> Array:
+        """(plant inputs, commands): which command each actuator takes."""
+        system = self.system
+        commands, inputs = _labels(system.commands), _labels(system.plant.inputs)
+        return np.array([[float(name == label) for label in commands] for name in inputs])
+
+
+def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = None) -> Operating:
+    """The point at which plant and controller rest for constant references and disturbances, by Newton's method.
+
+    Args:
+        system: the loop; its `reference` and `disturbance` are taken at t = 0.
+        values: numbers by name, see `run_numbers`; `start.…` is where the search begins.
+
+    Raises:
+        InputError: no rest is found from there; the state that moves most is named.
+    """
+    numbers = run_numbers(system, values or {})
+    if numbers.count != 1:
+        raise InputError(f"are for {numbers.count} runs", key="values", remedy="give one number each")
+    functions = _Rest(system, numbers)
+    point = np.concatenate([numbers.start[0], system.controller.initial_state()])
+    for _ in range(_NEWTON):
+        error, slope = functions.error(point)
+        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
+            break
+        if np.max(np.abs(error)) <= _REST * max(1.0, float(np.max(np.abs(point)))):
+            return functions.operating(point)
+        step = np.linalg.lstsq(slope, -error, rcond=None)[0]
+        for factor in 0.5 ** np.arange(12):
+            trial = point + factor * step
+            if np.linalg.norm(functions.error(trial)[0]) < np.linalg.norm(error):
+                break
+        point = trial
+    error = np.nan_to_num(functions.error(point)[0], nan=np.inf)
+    labels = [*_labels(system.plant.state), *_labels(system.controller.state, "controller ")]
+    worst = labels[int(np.argmax(np.abs(error)))]
+    raise InputError(
+        f"no equilibrium is found: `{worst}` still moves", key=system.plant.name,
+        remedy="begin nearer to it with start.…, or check references and disturbances",
+    )  # fmt: skip
+
+
+def linearise(
+    system: System, values: Mapping[str, ArrayLike] | None = None, *, at: Operating | None = None
+) -> Linearisation:
+    """The loop about an operating point, by exact derivatives of plant and controller.
+
+    Args:
+        system: the loop.
+        values: numbers by name, see `run_numbers`.
+        at: the operating point; default: `find_equilibrium(system, values)`.
+
+    Raises:
+        InputError: as `find_equilibrium`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> angle, rate = Port("angle", (1,), "rad", "from upright"), Port("rate", (1,), "rad/s", "angular rate")
+        >>> torque = Port("torque", (1,), "1/s^2", "over the inertia")
+        >>> pendulum = Plant(
+        ...     "pendulum", Layout((angle, rate)), Layout((torque,)),
+        ...     lambda x, f, d, p: {"angle": x["rate"], "rate": 9.81 * ca.sin(x["angle"]) + f["torque"]},
+        ... )
+        >>> law = Controller(
+        ...     "pd", 0.01, Layout((angle, rate)), Layout((torque,)), lambda x, u, p: -20 * u["angle"] - 6 * u["rate"]
+        ... )
+        >>> linear = linearise(System(pendulum, law))
+        >>> linear.plant[0].round(2).tolist(), abs(linear.poles()).round(3).tolist()
+        ([[0.0, 1.0], [9.81, 0.0]], [0.97, 0.97])
+    """
+    point = find_equilibrium(system, values) if at is None else at
+    plant, numbers = system.plant, point.numbers
+    x, f = ca.SX.sym("x", plant.state.size), ca.SX.sym("f", plant.inputs.size)
+    d, p = ca.SX.sym("d", plant.disturbances.size), ca.DM(numbers.plant[0])
+    rate, y = plant.derivative(x, f, d, ca.SX(p)), plant.measurement(x, d, ca.SX(p))
+    jacobians = [ca.jacobian(rate, v) for v in (x, f, d)] + [ca.jacobian(y, v) for v in (x, d)]
+    late = ca.Function("late", [d], [system.disturbance_at(ca.SX(0), d)])(numbers.disturbance[0])
+    commands = dict(zip(_labels(system.commands), point.f, strict=True))
+    applied = np.array([commands[label] for label in _labels(plant.inputs)])
+    matrices = tuple(np.array(m) for m in ca.Function("plant", [x, f, d], jacobians).call([point.x, applied, late]))
+    return Linearisation(system, point, matrices, _Rest(system, numbers).law(point))
+
+
+class _Rest:
+    """The conditions of rest for given numbers, x' = 0 and z⁺ = z, and the controller's derivatives."""
+
+    def __init__(self, system: System, numbers: RunNumbers) -> None:
+        self.system, self.numbers = system, numbers
+        plant, controller = system.plant, system.controller
+        law = _law_function(controller)
+        parameters, gains = ca.SX(ca.DM(numbers.plant[0])), ca.DM(numbers.gains[0])
+        disturbance = ca.SX(ca.DM(numbers.disturbance[0]))
+        d = system.disturbance_at(ca.SX(0), disturbance)
+        self.reference = np.array(ca.DM(system.reference_at(ca.SX(0), ca.SX(ca.DM(numbers.reference[0])))))
+        x, f = ca.SX.sym("x", plant.state.size), ca.SX.sym("f", system.commands.size)
+        y, r = ca.SX.sym("y", plant.outputs.size), ca.SX.sym("r", system.references.size)
+        measure = ca.Function("measure", [x], [plant.measurement(x, d, parameters)])
+        inputs = ca.Function("inputs", [y, r], [system.inputs_of(y, r)])
+        rate = ca.Function("rate", [x, f], [plant.derivative(x, system.applied(f), d, parameters)])
+        X, Z = ca.MX.sym("x", plant.state.size), ca.MX.sym("z", controller.state.size)
+        command, after = law(Z, inputs(measure(X), self.reference), gains)[:2]
+        error, point = ca.vertcat(rate(X, command), after - Z), ca.vertcat(X, Z)
+        self._error = ca.Function("rest", [X, Z], [error, ca.jacobian(error, point), command])
+        Y, R = ca.MX.sym("y", plant.outputs.size), ca.MX.sym("r", system.references.size)
+        command, after = law(Z, inputs(Y, R), gains)[:2]
+        slopes = [ca.jacobian(out, by) for out in (after, command) for by in (Z, Y, R)]
+        self._slopes = ca.Function("slopes", [Z, Y, R], slopes)
+        self._measure = measure
+
+    def error(self, point: Array) -> tuple[Array, Array]:
+        """How fast the loop moves at (x, z), and the derivative of that."""
+        error, slope, _ = self._error.call(self._split(point))
+        return np.array(error).reshape(-1), np.array(slope)
+
+    def operating(self, point: Array) -> Operating:
+        """The point with its command."""
+        x, z = self._split(point)
+        return Operating(x, z, np.array(self._error.call([x, z])[2]).reshape(-1), self.numbers)
+
+    def law(self, point: Operating) -> tuple[Array, ...]:
+        """The controller's derivatives: next state, then command, each by its state, measurements and references."""
+        results = self._slopes.call([point.z, self._measure(point.x), self.reference])
+        return tuple(np.array(result) for result in results)
+
+    def _split(self, point: Array) -> list[Array]:
+        size = self.system.plant.state.size
+        return [point[:size], point[size:]]
+
+
+def _law_function(controller: SampledController) -> ca.Function:
+    """(x, u, p) → (command, next state, …) for CasADi; with its own functions where the expressions are at hand."""
+    if not isinstance(controller, Controller):
+        return to_casadi(controller.block)
+    symbols = [
+        ca.SX.sym(n, v.size)
+        for n, v in zip("xup", (controller.state, controller.inputs, controller.gains), strict=True)
+    ]
+    return ca.Function(controller.name, symbols, list(controller.action(*symbols)))
+
+
+def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
+    """The plant over one period with its inputs held: x⁺ = A_d x + B_d f + E_d d, exact."""
+    n, m = len(A), B.shape[1] + E.shape[1]
+    whole = np.zeros((n + m, n + m))
+    whole[:n] = np.hstack([A, B, E])
+    transition = expm(whole * dt)
+    return transition[:n, :n], transition[:n, n : n + B.shape[1]], transition[:n, n + B.shape[1] :]
+
+
+def _labels(layout: Layout, prefix: str = "") -> list[str]:
+    """A name for each entry: the port's, with [i] where it has several."""
+    return [f"{prefix}{p.name}{f'[{k}]' if p.size > 1 else ''}" for p in layout for k in range(p.size)]

@@ -1,0 +1,244 @@
+"""The closed loop of a plant and a sampled controller, as one description for every use."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, get_args
+
+import casadi as ca
+
+from surctl.errors import InputError, nearest
+from surctl.ir import Layout, Port, identifier
+from surctl.system.controller import SampledController
+from surctl.system.parts import Parts, called, joined
+from surctl.system.plant import Plant
+
+__all__ = ["Cost", "How", "Signals", "System"]
+
+_FIGURE = Layout((Port("value", (1,), "1", "a figure"),))
+
+How = Literal["integral", "mean", "rms", "max", "min", "final", "last_time"]
+
+
+class Signals(NamedTuple):
+    """The loop at one control instant, each a mapping from port name to CasADi SX.
+
+    Attributes:
+        x: plant state.
+        f: actuator command that is applied from this instant on.
+        y: measured outputs.
+        r: references.
+        d: disturbances.
+        p: plant parameters.
+        g: gains of the controller.
+        k: telemetry of the controller.
+        t: time since the start [s].
+    """
+
+    x: Parts
+    f: Parts
+    y: Parts
+    r: Parts
+    d: Parts
+    p: Parts
+    g: Parts
+    k: Parts
+    t: ca.SX
+
+
+@dataclass(frozen=True)
+class Cost:
+    """One figure of a run: an expression of the signals at the control instants, and how they become one number.
+
+    Attributes:
+        of: `Signals` → a scalar expression.
+        how: `integral` (sum times the period), `mean`, `rms`, `max`, `min`, `final` (at the last instant), or
+            `last_time` [s]: the last instant at which the expression is positive, 0 if never; so a settling time is
+            the last time at which the error exceeds its band.
+        unit: SI unit of the figure.
+        meaning: what it is, for tables and plots.
+    """
+
+    of: Callable[[Signals], Any]
+    how: How
+    unit: str
+    meaning: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A plant under a sampled controller, with its references, disturbances, figures and reasons to stop.
+
+    Signals are connected by name: a controller input that the plant measures is fed by the plant, any other is a
+    reference; each plant input is a command of the controller. Shapes and units must agree.
+
+    Attributes:
+        plant: continuous dynamics.
+        controller: evaluated once a period; its command is held until the next one.
+        substeps: Runge-Kutta steps (fourth order) in a control period.
+        costs: figures of a run by name.
+        stops: reasons to end a run by name: `Signals` → an expression that is not 0 where it ends.
+        reference: (t, r) → each reference at time t [s], where r are the constants that a run sets; default: r.
+        disturbance: (t, d) → each disturbance at time t [s], likewise; default: d.
+
+    Raises:
+        InputError: a port that is connected to nothing, or to one of another shape or unit.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Cost, Plant, System, simulate_system
+        >>> level, target = Port("level", (1,), "m", "of the water"), Port("target", (1,), "m", "desired level", 1.0)
+        >>> flow = Port("flow", (1,), "m/s", "inflow over the area")
+        >>> tank = Plant(
+        ...     "tank", state=Layout((level,)), inputs=Layout((flow,)),
+        ...     ode=lambda x, f, d, p: {"level": f["flow"] - 0.1 * x["level"]},
+        ... )
+        >>> law = Controller(
+        ...     "proportional", dt=0.1, inputs=Layout((level, target)), command=Layout((flow,)),
+        ...     gains=Layout((Port("k", (1,), "1/s", "gain", 0.9),)),
+        ...     law=lambda x, u, p: p["k"] * (u["target"] - u["level"]),
+        ... )
+        >>> error = Cost(lambda s: s.r["target"] - s.x["level"], "final", "m", "error at the end")
+        >>> runs = simulate_system(System(tank, law, costs={"error": error}), 20.0, {"k": [0.9, 1.9]})
+        >>> runs["error"].round(3)
+        array([0.1 , 0.05])
+    """
+
+    plant: Plant
+    controller: SampledController
+    substeps: int = 4
+    costs: Mapping[str, Cost] = field(default_factory=dict)
+    stops: Mapping[str, Callable[[Signals], Any]] = field(default_factory=dict)
+    reference: Callable[[ca.SX, Parts], Any] | None = field(default=None, repr=False)
+    disturbance: Callable[[ca.SX, Parts], Any] | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.substeps, int) or self.substeps < 1:
+            raise InputError("is no number of steps", key="substeps", value=self.substeps, remedy="give 1, 2, …")
+        for kind, table in (("costs", self.costs), ("stops", self.stops)):
+            for name in table:
+                identifier(name)
+            object.__setattr__(self, kind, MappingProxyType(dict(table)))
+        for name, cost in self.costs.items():
+            if cost.how not in get_args(How):
+                raise InputError(
+                    "is not known",
+                    key=f"costs.{name}.how",
+                    value=cost.how,
+                    remedy=nearest(str(cost.how), get_args(How)),
+                )
+        for port in self.plant.inputs:
+            _connected(port, self.commands, key=f"{self.plant.name}.inputs", to=f"command of {self.controller.name}")
+        for port in self.controller.inputs:
+            if port.name in self.plant.outputs:
+                _connected(port, self.plant.outputs, key=f"{self.controller.name}.inputs", to="measured output")
+        _ = self.signals  # a figure that cannot be computed is found here
+
+    @cached_property
+    def commands(self) -> Layout:
+        """The commands of the controller, in its order; the plant takes those of its inputs."""
+        size, ports, at = self.controller.block.outputs[0][1], [], 0
+        for port in self.controller.outputs:
+            if at >= size:
+                break
+            ports.append(port)
+            at += port.size
+        return Layout(tuple(ports))
+
+    @cached_property
+    def telemetry(self) -> Layout:
+        """The telemetry of the controller."""
+        return Layout(tuple(port for port in self.controller.outputs if port.name not in self.commands))
+
+    @cached_property
+    def references(self) -> Layout:
+        """The controller inputs that the plant does not measure."""
+        return Layout(tuple(port for port in self.controller.inputs if port.name not in self.plant.outputs))
+
+    @property
+    def dt(self) -> float:
+        """Control period [s]."""
+        return self.controller.dt
+
+    def reference_at(self, t: ca.SX, r: ca.SX) -> ca.SX:
+        """The references at time t, flat, for the constants r of a run."""
+        if self.reference is None:
+            return r
+        returned = called(self.reference, t, self.references.split(r), key="reference")
+        return joined(self.references, returned, key="reference")
+
+    def disturbance_at(self, t: ca.SX, d: ca.SX) -> ca.SX:
+        """The disturbances at time t, flat, for the constants d of a run."""
+        if self.disturbance is None:
+            return d
+        returned = called(self.disturbance, t, self.plant.disturbances.split(d), key="disturbance")
+        return joined(self.plant.disturbances, returned, key="disturbance")
+
+    def inputs_of(self, y: ca.SX, r: ca.SX) -> ca.SX:
+        """The controller's inputs, flat, from measured outputs and references."""
+        measured, references = self.plant.outputs.split(y), self.references.split(r)
+        return self.controller.inputs.join(
+            {**references, **{n: v for n, v in measured.items() if n in self.controller.inputs}}
+        )
+
+    def applied(self, command: ca.SX) -> ca.SX:
+        """The plant's inputs, flat, from the controller's command."""
+        parts = self.commands.split(command)
+        return self.plant.inputs.join({port.name: parts[port.name] for port in self.plant.inputs})
+
+    @cached_property
+    def signals(self) -> ca.Function:
+        """(x, command, d, r, p, g, k, t) → (costs (m,), stops (n,)) at one control instant, for CasADi."""
+        layouts = {
+            "x": self.plant.state, "f": self.commands, "d": self.plant.disturbances, "r": self.references,
+            "p": self.plant.parameters, "g": self.controller.gains, "k": self.telemetry,
+        }  # fmt: skip
+        symbols = {name: ca.SX.sym(name, layout.size) for name, layout in layouts.items()}
+        t = ca.SX.sym("t")
+        return ca.Function(
+            "signals", [*symbols.values(), t], list(self.evaluated(**symbols, t=t)), [*symbols, "t"], ["costs", "stops"]
+        )
+
+    def evaluated(
+        self, *, x: ca.SX, f: ca.SX, d: ca.SX, r: ca.SX, p: ca.SX, g: ca.SX, k: ca.SX, t: ca.SX
+    ) -> tuple[ca.SX, ca.SX]:
+        """The expressions of all costs and of all stops for flat symbolic signals; d and r as constants of the run."""
+        late_d, late_r = self.disturbance_at(t, d), self.reference_at(t, r)
+        y = self.plant.measurement(x, late_d, p)
+        signals = Signals(
+            self.plant.state.split(x), self.commands.split(f), self.plant.outputs.split(y),
+            self.references.split(late_r), self.plant.disturbances.split(late_d), self.plant.parameters.split(p),
+            self.controller.gains.split(g), self.telemetry.split(k), t,
+        )  # fmt: skip
+        costs = [_scalar(called(c.of, signals, key=f"costs.{n}"), f"costs.{n}") for n, c in self.costs.items()]
+        stops = [_scalar(called(s, signals, key=f"stops.{n}"), f"stops.{n}") for n, s in self.stops.items()]
+        return ca.vertcat(ca.SX(0, 1), *costs), ca.vertcat(ca.SX(0, 1), *stops)
+
+    def digest(self) -> str:
+        """SHA-256 of what the loop computes: plant, controller, period and integration."""
+        text = f"{self.plant.digest()} {self.controller.block.digest()} {float(self.dt).hex()} {self.substeps}"
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _connected(port: Port, layout: Layout, *, key: str, to: str) -> None:
+    if port.name not in layout:
+        known = [other.name for other in layout]
+        raise InputError(f"is no {to}", key=f"{key}.{port.name}", remedy=nearest(port.name, known))
+    other = layout.port(port.name)
+    if port.size != other.size:
+        raise InputError(
+            f"has {port.size} entries, the {to} {other.size}", key=f"{key}.{port.name}", remedy="match them"
+        )
+    if port.unit.replace(" ", "") != other.unit.replace(" ", ""):
+        raise InputError(
+            f"is in {port.unit}, the {to} in {other.unit}", key=f"{key}.{port.name}", remedy="use one unit for both"
+        )
+
+
+def _scalar(value: Any, key: str) -> ca.SX:
+    return joined(_FIGURE, value, key=key)

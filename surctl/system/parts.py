@@ -1,0 +1,95 @@
+"""Named parts of vectors: what a user's function takes and returns, checked once when its expressions are built."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import casadi as ca
+
+from surctl.errors import InputError, nearest
+from surctl.ir import Layout, Port, identifier
+
+__all__ = ["EMPTY", "Parts", "called", "checked_layout", "joined"]
+
+Parts: TypeAlias = Mapping[str, ca.SX]
+EMPTY = Layout(())
+
+
+def checked_layout(layout: object, *, key: str) -> Layout:
+    """The layout, after each port has a C identifier, a positive size and a unit.
+
+    Raises:
+        InputError: it is no layout, or a port has no unit ("1" where it has no dimension).
+    """
+    if isinstance(layout, Port):
+        raise InputError("is one port", key=key, remedy="write Layout((port,))")
+    if not isinstance(layout, Layout):
+        raise InputError(f"is a {type(layout).__name__}", key=key, remedy="give a surctl.ir.Layout of ports")
+    for port in layout:
+        identifier(port.name)
+        if not port.unit.strip():
+            raise InputError("has no unit", key=f"{key}.{port.name}", remedy='name it in SI, "1" if it has none')
+        if port.size < 1:
+            raise InputError("has no entries", key=f"{key}.{port.name}", remedy="leave the port out")
+    return layout
+
+
+def called(function: Callable[..., Any], *arguments: object, key: str) -> Any:
+    """What a user's function returns for symbols.
+
+    Raises:
+        InputError: it raises an error for symbols, which is repeated with the function's name.
+    """
+    try:
+        return function(*arguments)
+    except InputError:
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"fails on CasADi symbols ({type(error).__name__}: {text})",
+            key=key,
+            remedy="write it with casadi functions; if_else instead of if",
+        ) from error
+
+
+def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:
+    """The flat vector (n, 1) of named expressions, or of one flat vector.
+
+    Raises:
+        InputError: a name is missing or unknown, or an expression has another size than its port.
+    """
+    if isinstance(returned, Mapping):
+        unknown = [name for name in returned if name not in layout]
+        if unknown:
+            raise InputError(
+                "is returned and no port", key=f"{key}.{unknown[0]}",
+                remedy=nearest(str(unknown[0]), [port.name for port in layout]),
+            )  # fmt: skip
+        missing = [port.name for port in layout if port.name not in returned]
+        if missing:
+            raise InputError("is not returned", key=f"{key}.{missing[0]}", remedy="return every port of the layout")
+        parts = {name: _expression(value, key=f"{key}.{name}") for name, value in returned.items()}
+        try:
+            return layout.join(parts)
+        except InputError as error:
+            raise InputError(error.problem, key=f"{key}.{error.key}", remedy="return the shape of the port") from None
+    flat = _expression(returned, key=key)
+    if flat.numel() != layout.size:
+        names = ", ".join(port.name for port in layout)
+        raise InputError(
+            f"returns {flat.numel()} numbers, expected {layout.size}", key=key, remedy=f"return a dict of {names}"
+        )
+    return ca.reshape(flat, -1, 1)
+
+
+def _expression(value: Any, *, key: str) -> ca.SX:
+    try:
+        return ca.densify(ca.SX(value))
+    except (NotImplementedError, RuntimeError, TypeError):
+        if isinstance(value, list | tuple):
+            return ca.vertcat(*(_expression(item, key=key) for item in value))
+        raise InputError(
+            f"is a {type(value).__name__}", key=key, remedy="return CasADi SX expressions or numbers"
+        ) from None

@@ -1,0 +1,118 @@
+"""A plant: ordinary differential equations in named, dimensioned parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.ir import Block, Layout, Recording, identifier, without_libm
+from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
+
+__all__ = ["Parts", "Plant"]
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """Continuous dynamics x' = f(x, f, d, p) with measured outputs y = h(x, d, p).
+
+    Attributes:
+        name: C identifier.
+        state: ports of x.
+        inputs: ports of f, the actuator commands; constant over a control period.
+        ode: (x, f, d, p), each a mapping from port name to CasADi SX, → the time derivative of each state port.
+        parameters: ports of p; their defaults are the nominal values.
+        disturbances: ports of d; zero unless a run sets them.
+        outputs: ports of y that a controller can measure; default: the state.
+        measure: (x, d, p) → each port of `outputs`; needed where `outputs` is given.
+
+    Raises:
+        InputError: a port without a unit, a function that does not return its ports, an operation that cannot be
+            compiled, or a symbol that is no argument.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Plant
+        >>> pendulum = Plant(
+        ...     "pendulum",
+        ...     state=Layout((Port("angle", (1,), "rad", "from upright"), Port("rate", (1,), "rad/s", "angular rate"))),
+        ...     inputs=Layout((Port("torque", (1,), "N m", "at the pivot"),)),
+        ...     parameters=Layout((Port("gravity", (1,), "1/s^2", "g / l", 9.81),)),
+        ...     ode=lambda x, f, d, p: {
+        ...         "angle": x["rate"], "rate": p["gravity"] * ca.sin(x["angle"]) + f["torque"]
+        ...     },
+        ... )
+        >>> pendulum.function([0.1, 0.2], [0.0], [], [9.81])
+        DM([0.2, 0.979366])
+    """
+
+    name: str
+    state: Layout
+    inputs: Layout
+    ode: Callable[[Parts, Parts, Parts, Parts], Any] = field(repr=False)
+    parameters: Layout = EMPTY
+    disturbances: Layout = EMPTY
+    outputs: Layout = EMPTY
+    measure: Callable[[Parts, Parts, Parts], Any] | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        identifier(self.name)
+        for name in ("state", "inputs", "parameters", "disturbances", "outputs"):
+            checked_layout(getattr(self, name), key=f"{self.name}.{name}")
+        if not self.state.size:
+            raise InputError("has no state", key=self.name, remedy="name the states in a Layout")
+        if (self.measure is None) != (self.outputs.size == 0):
+            lacks, other = ("measure", "outputs") if self.measure is None else ("outputs", "measure")
+            raise InputError(f"is missing beside {other}", key=f"{self.name}.{lacks}", remedy="give both, or none")
+        if self.measure is None:
+            object.__setattr__(self, "outputs", self.state)
+        _ = self.block, self.measured  # what cannot be compiled is a mistake of this plant, so it is found here
+
+    def derivative(self, x: ca.SX, f: ca.SX, d: ca.SX, p: ca.SX) -> ca.SX:
+        """x' (n, 1) for flat symbolic vectors."""
+        parts = self.state.split(x), self.inputs.split(f), self.disturbances.split(d), self.parameters.split(p)
+        key = f"{self.name}.ode"
+        return joined(self.state, called(self.ode, *parts, key=key), key=key)
+
+    def measurement(self, x: ca.SX, d: ca.SX, p: ca.SX) -> ca.SX:
+        """y (m, 1) for flat symbolic vectors."""
+        if self.measure is None:
+            return x
+        parts, key = (self.state.split(x), self.disturbances.split(d), self.parameters.split(p)), f"{self.name}.measure"
+        return joined(self.outputs, called(self.measure, *parts, key=key), key=key)
+
+    @cached_property
+    def block(self) -> Block:
+        """(x, f, d, p) → x' as instructions, without functions of the mathematical library."""
+        with Recording() as recording:
+            symbols = self._symbols()
+            return without_libm(recording.block(self.name, symbols, {"xdot": self.derivative(*symbols.values())}))
+
+    @cached_property
+    def measured(self) -> Block:
+        """(x, d, p) → y as instructions, without functions of the mathematical library."""
+        with Recording() as recording:
+            symbols = {name: symbol for name, symbol in self._symbols().items() if name != "f"}
+            outputs = {"y": self.measurement(*symbols.values())}
+            return without_libm(recording.block(f"{self.name}_measured", symbols, outputs))
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """(x, f, d, p) → x' for CasADi: numbers, expressions and exact derivatives."""
+        symbols = self._symbols()
+        return ca.Function(
+            self.name, list(symbols.values()), [self.derivative(*symbols.values())], list(symbols), ["xdot"]
+        )
+
+    def digest(self) -> str:
+        """SHA-256 of what the plant computes: dynamics and measurement."""
+        return f"{self.block.digest()}{self.measured.digest()}"
+
+    def _symbols(self) -> dict[str, ca.SX]:
+        layouts = {"x": self.state, "f": self.inputs, "d": self.disturbances, "p": self.parameters}
+        return {name: ca.SX.sym(name, layout.size) for name, layout in layouts.items()}

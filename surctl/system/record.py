@@ -1,0 +1,157 @@
+"""One run of a system, recorded signal by signal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.ir import on_vectors
+from surctl.system.controller import NONFINITE
+from surctl.system.loop import How, System
+from surctl.system.runs import ENDED, LOST, moved_state, periods
+from surctl.system.values import run_numbers
+
+__all__ = ["Record", "run_system"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """The signals of one run at its n control instants; `record["name"]` is a signal (n, size) or a figure.
+
+    Attributes:
+        system: the loop.
+        time: (n,) [s].
+        signals: port name → (n, size), for states, commands, measured outputs, references and telemetry; a state of
+            the controller has the prefix `controller.` where the plant has one of that name.
+        status: (n,) of each step.
+        figures: cost → value.
+        stopped: a stop of the system, "time" or "not finite".
+        controller: (n, states), (n, inputs) and (gains,): what the controller was given, for back-to-back checks.
+    """
+
+    system: System
+    time: Array
+    signals: Mapping[str, Array]
+    status: NDArray[np.int64]
+    figures: Mapping[str, float]
+    stopped: str
+    controller: tuple[Array, Array, Array]
+
+    def __getitem__(self, name: str) -> Array | float:
+        known: dict[str, Array | float] = {**self.figures, **self.signals}
+        if name not in known:
+            raise InputError("no such signal or figure", key=name, remedy=nearest(name, known))
+        return known[name]
+
+
+def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None) -> Record:
+    """Simulate one run step by step in Python; it needs no compiler, and agrees with `simulate_system` to rounding.
+
+    Args:
+        system: the loop.
+        seconds: duration of the run [s] unless a stop ends it.
+        values: numbers by name, see `run_numbers`; one run.
+
+    Raises:
+        InputError: as `run_numbers`, or values for several runs.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, run_system
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> record = run_system(System(cart, brake), 2.0)
+        >>> record["speed"][[0, 10], 0].round(3)
+        array([1.   , 0.349])
+    """
+    numbers = run_numbers(system, values or {})
+    if numbers.count != 1:
+        raise InputError(f"are for {numbers.count} runs", key="values", remedy="run one, or call simulate_system")
+    start, plant, constants, disturbance, gains = (
+        row[0] for row in (numbers.start, numbers.plant, numbers.reference, numbers.disturbance, numbers.gains)
+    )
+    sense, move, judge = _functions(system)
+    x, z = start, system.controller.initial_state()
+    rows: list[tuple[Array, ...]] = []
+    status: list[int] = []
+    stopped = ENDED
+    for k in range(periods(system, seconds)):
+        t = np.array([k * system.dt])
+        y, u, reference = sense(x, t, plant, constants, disturbance)
+        step = system.controller.step(z, u, gains)
+        costs, stops = judge(x, step.tau, disturbance, constants, plant, gains, step.telemetry, t)
+        rows.append((x, step.tau, y, reference, np.asarray(step.telemetry), z, u, costs))
+        status.append(step.status)
+        (after,) = move(x, step.tau, t, plant, disturbance)
+        if step.status == NONFINITE or not (np.isfinite(after).all() and np.isfinite(costs).all()):
+            stopped = LOST
+            break
+        if np.any(stops != 0):
+            stopped = list(system.stops)[int(np.flatnonzero(stops)[0])]
+            break
+        x, z = after, np.asarray(step.x_next)
+    tables = [np.array([row[j] for row in rows]) for j in range(8)]
+    return Record(
+        system,
+        np.arange(float(len(rows))) * system.dt,
+        _named(system, tables),
+        np.array(status),
+        {
+            name: np.nan if stopped == LOST else _figure(cost.how, tables[7][:, j], system.dt)
+            for j, (name, cost) in enumerate(system.costs.items())
+        },
+        stopped,
+        (tables[5], tables[6], gains),
+    )
+
+
+def _named(system: System, tables: list[Array]) -> dict[str, Array]:
+    layouts = (
+        system.plant.state, system.commands, system.plant.outputs, system.references, system.telemetry,
+        system.controller.state,
+    )  # fmt: skip
+    signals: dict[str, Array] = {}
+    for layout, table in zip(layouts, tables, strict=False):
+        for port in layout:
+            name = port.name
+            if name in signals and layout is system.controller.state:
+                name = f"controller.{name}"
+            signals.setdefault(name, table[:, layout.slice(port.name)])
+    return signals
+
+
+def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
+    """Measurement with inputs and references, the plant's motion over a period, and costs with stops."""
+    plant, t = system.plant, ca.SX.sym("t")
+    x, p = ca.SX.sym("x", plant.state.size), ca.SX.sym("p", plant.parameters.size)
+    r, d = ca.SX.sym("r", system.references.size), ca.SX.sym("d", plant.disturbances.size)
+    command = ca.SX.sym("command", system.commands.size)
+    y, reference = plant.measurement(x, system.disturbance_at(t, d), p), system.reference_at(t, r)
+    sense = ca.Function("sense", [x, t, p, r, d], [y, system.inputs_of(y, reference), reference])
+    moved = moved_state(system, x, command, {"plant": p, "disturbance": d}, t)
+    move = ca.Function("move", [x, command, t, p, d], [moved])
+    return on_vectors(sense), on_vectors(move), on_vectors(system.signals)
+
+
+def _figure(how: How, series: Array, dt: float) -> float:
+    """The figure of a run from its values at the control instants."""
+    past = np.flatnonzero(series > 0)
+    return float(
+        {
+            "integral": dt * series.sum(),
+            "mean": series.mean(),
+            "rms": np.sqrt(np.mean(series**2)),
+            "max": series.max(),
+            "min": series.min(),
+            "final": series[-1],
+            "last_time": dt * past[-1] if past.size else 0.0,
+        }[how]
+    )

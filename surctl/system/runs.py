@@ -1,0 +1,229 @@
+"""Many runs of a system at once, compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from weakref import WeakKeyDictionary
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.ir import (
+    Batch,
+    Block,
+    Call,
+    Layout,
+    Port,
+    Recording,
+    Routine,
+    compile_batch,
+    fold,
+    fused,
+    lower_named,
+    without_libm,
+)
+from surctl.system.loop import Cost, System
+from surctl.system.values import run_numbers
+
+__all__ = ["ENDED", "LOST", "Runs", "loop_step", "moved_state", "periods", "simulate_system"]
+
+Array = NDArray[np.float64]
+
+ENDED, LOST = "time", "not finite"
+"""Why a run ended, where no stop of the system ended it: its time was over, or a number was no longer finite."""
+
+_FINITE = 1e300  # what is larger counts as infinite
+_FIRST = MappingProxyType({"max": -np.inf, "min": np.inf})
+_programs: WeakKeyDictionary[System, Batch] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class Runs:
+    """What came of n runs; `runs["name"]` is a figure.
+
+    Attributes:
+        figures: cost → (n,); NaN for a run that lost its numbers.
+        stopped: (n,) names: a stop of the system, "time" or "not finite".
+        time: (n,) duration [s].
+        state: (n, states) plant state at the end.
+    """
+
+    figures: Mapping[str, Array]
+    stopped: NDArray[np.str_]
+    time: Array
+    state: Array
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.figures:
+            raise InputError("no such figure", key=name, remedy=nearest(name, self.figures))
+        return self.figures[name]
+
+
+def simulate_system(
+    system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None, *, threads: int = 1
+) -> Runs:
+    """Simulate a system for every row of values, compiled; the results do not depend on the number of threads.
+
+    Args:
+        system: the loop.
+        seconds: duration of a run that nothing stops [s]; a whole number of control periods is simulated.
+        values: numbers by name, see `run_numbers`: gains, `plant.…`, `reference.…`, `disturbance.…`, `start.…`.
+        threads: that share the runs.
+
+    Raises:
+        InputError: as `run_numbers`, or a duration shorter than a control period.
+        ToolMissing: there is no C compiler; `run_system` needs none.
+
+    Example:
+        See `System`.
+    """
+    steps = periods(system, seconds)
+    numbers = run_numbers(system, values or {})
+    state, _ = _layouts(system)
+    start = np.tile(state.pack({"controller": system.controller.initial_state()}), (numbers.count, 1))
+    start[:, state.slice("plant")] = numbers.start
+    for name, cost in system.costs.items():
+        if cost.how in _FIRST:
+            start[:, state.slice("sums").start + list(system.costs).index(name)] = _FIRST[cost.how]
+    given = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains])
+    ends = _compiled(system).run(start, given, steps=steps, threads=threads)
+    flag = ends[:, 0]
+    count = ends[:, state.slice("count").start]
+    reasons = np.array([ENDED, *system.stops, LOST])
+    code = np.where(flag < 0, len(reasons) - 1, np.round(flag)).astype(int)
+    sums = ends[:, state.slice("sums")]
+    figures = {
+        name: np.where(flag < 0, np.nan, _figure(cost, sums[:, j], count))
+        for j, (name, cost) in enumerate(system.costs.items())
+    }
+    moved = count - (flag != 0)
+    return Runs(figures, reasons[code], moved * system.dt, ends[:, state.slice("plant")])
+
+
+def periods(system: System, seconds: float) -> int:
+    """The control periods of so many seconds.
+
+    Raises:
+        InputError: no time, or less than half a period.
+    """
+    steps = round(seconds / system.dt) if np.isfinite(seconds) else 0
+    if steps < 1:
+        raise InputError(
+            "is no duration of a run", key="seconds", value=seconds, remedy=f"give at least a period, {system.dt:g} s"
+        )
+    return steps
+
+
+def loop_step(system: System) -> Block:
+    """(state, parameters) → state after one control period, as the batch runs it."""
+    plant, controller = system.plant, system.controller
+    state, parameters = _layouts(system)
+    s, now = state.symbols("s")
+    w, given = parameters.symbols("w")
+    t = now["count"] * system.dt
+    reference = system.reference_at(t, given["reference"])
+    y = plant.measurement(now["plant"], system.disturbance_at(t, given["disturbance"]), given["plant"])
+    inputs = {"x": now["controller"], "u": system.inputs_of(y, reference), "p": given["gains"]}
+    before = lower_named("measure", {"s": s, "w": w}, inputs)
+    sizes = (system.commands.size, controller.state.size, 1, system.telemetry.size)
+    outputs = {name: ca.SX.sym(name, n) for name, n in zip(("tau", "x_next", "status", "k"), sizes, strict=True)}
+    with Recording() as recording:
+        moved = moved_state(system, now["plant"], outputs["tau"], given, t)
+        costs, stops = system.evaluated(
+            x=now["plant"], f=outputs["tau"], d=given["disturbance"], r=given["reference"], p=given["plant"],
+            g=given["gains"], k=outputs["k"], t=t,
+        )  # fmt: skip
+        ended = ca.SX(0)
+        for k in range(stops.numel(), 0, -1):
+            ended = ca.if_else(stops[k - 1] != 0, k, ended)
+        stays = ended != 0
+        size = ca.fabs(ca.vertcat(moved, outputs["tau"], outputs["x_next"], costs))
+        ended = ca.if_else(ca.sum1(size) <= _FINITE, ended, -1)  # NaN compares as false
+        after = state.join(
+            {
+                "done": ended,
+                "count": now["count"] + 1,
+                "plant": ca.if_else(stays, now["plant"], moved),
+                "controller": outputs["x_next"],
+                "sums": _summed(system, now["sums"], costs, t),
+            }
+        )
+        move = recording.block("move", {"s": s, "w": w, **outputs}, {"s_next": after})
+    steps = (
+        Call(before, ("s", "w"), ("x", "u", "p")),
+        Call(controller.block, ("x", "u", "p"), tuple(outputs)),
+        Call(move, ("s", "w", *outputs), ("s_next",)),
+    )
+    return Routine("period", (("s", state.size), ("w", parameters.size)), steps, ("s_next",))
+
+
+def _layouts(system: System) -> tuple[Layout, Layout]:
+    """Of the batch's state, whose first entry is the flag that ends a run, and of its parameters."""
+    sizes = {"plant": system.plant.state.size, "controller": system.controller.state.size, "sums": len(system.costs)}
+    given = {
+        "plant": system.plant.parameters.size, "reference": system.references.size,
+        "disturbance": system.plant.disturbances.size, "gains": system.controller.gains.size,
+    }  # fmt: skip
+    flags = (Port("done", (1,), "1", "why the run ended"), Port("count", (1,), "1", "control instants so far"))
+    return Layout((*flags, *(_stack(n, k) for n, k in sizes.items()))), Layout(
+        tuple(_stack(n, k) for n, k in given.items())
+    )
+
+
+def _stack(name: str, size: int) -> Port:
+    return Port(name, (size,), "1", "a vector of ports in their own units")
+
+
+def moved_state(system: System, x: ca.SX, command: ca.SX, given: Mapping[str, ca.SX], t: ca.SX) -> ca.SX:
+    """The plant's state one period later, by Runge-Kutta's fourth order, the command held."""
+    f, h = system.applied(command), system.dt / system.substeps
+
+    def derivative(state: ca.SX, late: ca.SX) -> ca.SX:
+        disturbance = system.disturbance_at(t + late, given["disturbance"])
+        return system.plant.derivative(state, f, disturbance, given["plant"])
+
+    def substep(state: ca.SX, late: ca.SX) -> ca.SX:
+        k1 = derivative(state, late)
+        k2 = derivative(state + h / 2 * k1, late + h / 2)
+        k3 = derivative(state + h / 2 * k2, late + h / 2)
+        k4 = derivative(state + h * k3, late + h)
+        return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+    moved: ca.SX = fold("substep", substep, x, ca.SX([k * h for k in range(system.substeps)]))
+    return moved
+
+
+def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX) -> ca.SX:
+    """What each figure has come to, with the value of this instant."""
+    after = []
+    for k, cost in enumerate(system.costs.values()):
+        old, value = sums[k], costs[k]
+        after.append(
+            {
+                "integral": old + system.dt * value,
+                "mean": old + value,
+                "rms": old + value * value,
+                "max": ca.fmax(old, value),
+                "min": ca.fmin(old, value),
+                "final": value,
+                "last_time": ca.if_else(value > 0, t, old),
+            }[cost.how]
+        )
+    return ca.vertcat(ca.SX(0, 1), *after)
+
+
+def _figure(cost: Cost, total: Array, count: Array) -> Array:
+    """The figure of a whole run from what was summed over its instants."""
+    if cost.how == "mean":
+        return total / np.maximum(count, 1)
+    return np.sqrt(total / np.maximum(count, 1)) if cost.how == "rms" else total
+
+
+def _compiled(system: System) -> Batch:
+    if system not in _programs:
+        _programs[system] = compile_batch(fused(without_libm(loop_step(system))))
+    return _programs[system]

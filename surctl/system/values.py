@@ -1,0 +1,90 @@
+"""Numbers of runs by name: gains, plant parameters, references, disturbances, and the state at the start."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.ir import Layout
+from surctl.system.loop import System
+
+__all__ = ["RunNumbers", "run_numbers"]
+
+Array = NDArray[np.float64]
+_NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
+
+
+@dataclass(frozen=True)
+class RunNumbers:
+    """The numbers of n runs, a row each: start (n, states), and flat parameters, references, disturbances, gains."""
+
+    start: Array
+    plant: Array
+    reference: Array
+    disturbance: Array
+    gains: Array
+
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        return len(self.start)
+
+
+def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
+    """Defaults of all ports, and the given values by name.
+
+    Args:
+        system: the loop.
+        values: by name: a gain `k`, `plant.NAME`, `reference.NAME`, `disturbance.NAME` or `start.NAME`; with `[i]` one
+            entry of a port. A scalar holds for every run and entry, (n,) is one number a run, (n, size) a row a run.
+
+    Raises:
+        InputError: an unknown name, a number that is not finite, or arrays of different numbers of runs.
+    """
+    layouts: dict[str, Layout] = {
+        "gains": system.controller.gains, "plant": system.plant.parameters, "reference": system.references,
+        "disturbance": system.plant.disturbances, "start": system.plant.state,
+    }  # fmt: skip
+    placed: list[tuple[str, slice, Array]] = []
+    count = 1
+    for name, value in values.items():
+        group, place = _place(name, layouts)
+        array = np.asarray(value, dtype=float)
+        if not np.isfinite(array).all():
+            raise InputError("is not finite", key=name, remedy="give finite numbers")
+        size = place.stop - place.start
+        if array.ndim > 2 or (array.ndim == 2 and array.shape[1] != size):
+            raise InputError(f"has shape {array.shape}", key=name, remedy=f"give a number, (n,) or (n, {size})")
+        if array.ndim:
+            if not len(array):
+                raise InputError("is empty", key=name, remedy="give a number for each run")
+            if len(array) not in (1, count) and count != 1:
+                raise InputError(f"is for {len(array)} runs, others for {count}", key=name, remedy="give one length")
+            count = max(count, len(array))
+        placed.append((group, place, array if array.ndim == 2 else array.reshape(-1, 1)))
+    tables = {group: np.tile(layout.pack(), (count, 1)) for group, layout in layouts.items()}
+    for group, place, array in placed:
+        tables[group][:, place] = array
+    return RunNumbers(*(tables[name] for name in ("start", "plant", "reference", "disturbance", "gains")))
+
+
+def _place(name: str, layouts: Mapping[str, Layout]) -> tuple[str, slice]:
+    parts = _NAME.fullmatch(name)
+    group = "gains" if parts is None or parts["group"] is None else parts["group"]
+    if parts is None or group not in layouts or parts["port"] not in layouts[group]:
+        known = [
+            port.name if key == "gains" else f"{key}.{port.name}" for key, layout in layouts.items() for port in layout
+        ]
+        raise InputError("no such number of the system", key=name, remedy=nearest(name, known))
+    where = layouts[group].slice(parts["port"])
+    if parts["entry"] is None:
+        return group, where
+    entry, size = int(parts["entry"]), where.stop - where.start
+    if entry >= size:
+        raise InputError(f"has {size} entries", key=name, remedy=f"count from 0 to {size - 1}")
+    return group, slice(where.start + entry, where.start + entry + 1)
