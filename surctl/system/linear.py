@@ -61,7 +61,7 @@ class Linearisation:
         through = np.hstack([np.zeros((len(C), B.shape[1])), D])
         return control.ss(
             A, np.hstack([B, E]), C, through, states=_labels(plant.state), inputs=inputs,
-            outputs=_labels(plant.outputs, "measured "), name=plant.name,
+            outputs=_labels(plant.measurements, "measured "), name=plant.name,
         )  # fmt: skip
 
     def controller_system(self) -> Any:
@@ -72,7 +72,7 @@ class Linearisation:
         system = self.system
         return control.ss(
             A, np.hstack([By, Br]), C, np.hstack([Dy, Dr]), system.dt, states=_labels(system.controller.state),
-            inputs=[*_labels(system.plant.outputs, "measured "), *_labels(system.references)],
+            inputs=[*_labels(system.plant.measurements, "measured "), *_labels(system.references)],
             outputs=_labels(system.commands), name=system.controller.name,
         )  # fmt: skip
 
@@ -94,7 +94,7 @@ class Linearisation:
         return control.ss(
             A, B, outputs, through, system.dt, states=self.states(),
             inputs=[*_labels(system.references), *_labels(system.plant.disturbances)],
-            outputs=[*_labels(system.plant.outputs, "measured "), *_labels(system.commands)], name="closed loop",
+            outputs=[*_labels(system.plant.measurements, "measured "), *_labels(system.commands)], name="closed loop",
         )  # fmt: skip
 
     def loop(self, *openings: str) -> Any:
@@ -118,7 +118,7 @@ class Linearisation:
     def opened(self, *openings: str) -> tuple[Array, Array, Array, Array]:
         """(A, B, C, D) of `loop`."""
         system = self.system
-        commands, outputs = _labels(system.commands), _labels(system.plant.outputs)
+        commands, outputs = _labels(system.commands), _labels(system.plant.measurements)
         if not openings:
             raise InputError("is missing", key="opening", remedy="name a command or a measured output")
         for name in openings:
@@ -252,7 +252,7 @@ class _Rest:
         d = system.disturbance_at(ca.SX(0), disturbance)
         self.reference = np.array(ca.DM(system.reference_at(ca.SX(0), ca.SX(ca.DM(numbers.reference[0])))))
         x, f = ca.SX.sym("x", plant.state.size), ca.SX.sym("f", system.commands.size)
-        y, r = ca.SX.sym("y", plant.outputs.size), ca.SX.sym("r", system.references.size)
+        y, r = ca.SX.sym("y", plant.measurements.size), ca.SX.sym("r", system.references.size)
         measure = ca.Function("measure", [x], [plant.measurement(x, d, parameters)])
         inputs = ca.Function("inputs", [y, r], [system.inputs_of(y, r)])
         rate = ca.Function("rate", [x, f], [plant.derivative(x, system.applied(f), d, parameters)])
@@ -260,7 +260,7 @@ class _Rest:
         command, after = law(Z, inputs(measure(X), self.reference), gains)[:2]
         error, point = ca.vertcat(rate(X, command), after - Z), ca.vertcat(X, Z)
         self._error = ca.Function("rest", [X, Z], [error, ca.jacobian(error, point), command])
-        Y, R = ca.MX.sym("y", plant.outputs.size), ca.MX.sym("r", system.references.size)
+        Y, R = ca.MX.sym("y", plant.measurements.size), ca.MX.sym("r", system.references.size)
         command, after = law(Z, inputs(Y, R), gains)[:2]
         slopes = [ca.jacobian(out, by) for out in (after, command) for by in (Z, Y, R)]
         self._slopes = ca.Function("slopes", [Z, Y, R], slopes)

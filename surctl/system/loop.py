@@ -135,8 +135,8 @@ class System:
         for port in self.plant.inputs:
             _connected(port, self.commands, key=f"{self.plant.name}.inputs", to=f"command of {self.controller.name}")
         for port in self.controller.inputs:
-            if port.name in self.plant.outputs:
-                _connected(port, self.plant.outputs, key=f"{self.controller.name}.inputs", to="measured output")
+            if port.name in self.plant.measurements:
+                _connected(port, self.plant.measurements, key=f"{self.controller.name}.inputs", to="measured output")
         _ = self.signals  # a figure that cannot be computed is found here
 
     @cached_property
@@ -158,7 +158,7 @@ class System:
     @cached_property
     def references(self) -> Layout:
         """The controller inputs that the plant does not measure."""
-        return Layout(tuple(port for port in self.controller.inputs if port.name not in self.plant.outputs))
+        return Layout(tuple(port for port in self.controller.inputs if port.name not in self.plant.measurements))
 
     @property
     def dt(self) -> float:
@@ -181,7 +181,7 @@ class System:
 
     def inputs_of(self, y: ca.SX, r: ca.SX) -> ca.SX:
         """The controller's inputs, flat, from measured outputs and references."""
-        measured, references = self.plant.outputs.split(y), self.references.split(r)
+        measured, references = self.plant.measurements.split(y), self.references.split(r)
         return self.controller.inputs.join(
             {**references, **{n: v for n, v in measured.items() if n in self.controller.inputs}}
         )
@@ -211,7 +211,7 @@ class System:
         late_d, late_r = self.disturbance_at(t, d), self.reference_at(t, r)
         y = self.plant.measurement(x, late_d, p)
         signals = Signals(
-            self.plant.state.split(x), self.commands.split(f), self.plant.outputs.split(y),
+            self.plant.state.split(x), self.commands.split(f), self.plant.measurements.split(y),
             self.references.split(late_r), self.plant.disturbances.split(late_d), self.plant.parameters.split(p),
             self.controller.gains.split(g), self.telemetry.split(k), t,
         )  # fmt: skip

@@ -69,9 +69,12 @@ class Plant:
         if (self.measure is None) != (self.outputs.size == 0):
             lacks, other = ("measure", "outputs") if self.measure is None else ("outputs", "measure")
             raise InputError(f"is missing beside {other}", key=f"{self.name}.{lacks}", remedy="give both, or none")
-        if self.measure is None:
-            object.__setattr__(self, "outputs", self.state)
         _ = self.block, self.measured  # what cannot be compiled is a mistake of this plant, so it is found here
+
+    @property
+    def measurements(self) -> Layout:
+        """Layout of y: `outputs`, or the state where none are given."""
+        return self.state if self.measure is None else self.outputs
 
     def derivative(self, x: ca.SX, f: ca.SX, d: ca.SX, p: ca.SX) -> ca.SX:
         """x' (n, 1) for flat symbolic vectors."""
@@ -84,7 +87,7 @@ class Plant:
         if self.measure is None:
             return x
         parts, key = (self.state.split(x), self.disturbances.split(d), self.parameters.split(p)), f"{self.name}.measure"
-        return joined(self.outputs, called(self.measure, *parts, key=key), key=key)
+        return joined(self.measurements, called(self.measure, *parts, key=key), key=key)
 
     @cached_property
     def block(self) -> Block:

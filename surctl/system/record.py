@@ -115,7 +115,7 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
 
 def _named(system: System, tables: list[Array]) -> dict[str, Array]:
     layouts = (
-        system.plant.state, system.commands, system.plant.outputs, system.references, system.telemetry,
+        system.plant.state, system.commands, system.plant.measurements, system.references, system.telemetry,
         system.controller.state,
     )  # fmt: skip
     signals: dict[str, Array] = {}

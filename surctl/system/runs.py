@@ -89,8 +89,8 @@ def simulate_system(
     for name, cost in system.costs.items():
         if cost.how in _FIRST:
             start[:, state.slice("sums").start + list(system.costs).index(name)] = _FIRST[cost.how]
-    given = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains])
-    ends = _compiled(system).run(start, given, steps=steps, threads=threads)
+    constants = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains])
+    ends = _compiled(system).run(start, constants, steps=steps, threads=threads)
     flag = ends[:, 0]
     count = ends[:, state.slice("count").start]
     reasons = np.array([ENDED, *system.stops, LOST])
@@ -123,32 +123,32 @@ def loop_step(system: System) -> Block:
     plant, controller = system.plant, system.controller
     state, parameters = _layouts(system)
     s, now = state.symbols("s")
-    w, given = parameters.symbols("w")
+    w, constants = parameters.symbols("w")
     t = now["count"] * system.dt
-    reference = system.reference_at(t, given["reference"])
-    y = plant.measurement(now["plant"], system.disturbance_at(t, given["disturbance"]), given["plant"])
-    inputs = {"x": now["controller"], "u": system.inputs_of(y, reference), "p": given["gains"]}
+    reference = system.reference_at(t, constants["reference"])
+    y = plant.measurement(now["plant"], system.disturbance_at(t, constants["disturbance"]), constants["plant"])
+    inputs = {"x": now["controller"], "u": system.inputs_of(y, reference), "p": constants["gains"]}
     before = lower_named("measure", {"s": s, "w": w}, inputs)
     sizes = (system.commands.size, controller.state.size, 1, system.telemetry.size)
     outputs = {name: ca.SX.sym(name, n) for name, n in zip(("tau", "x_next", "status", "k"), sizes, strict=True)}
     with Recording() as recording:
-        moved = moved_state(system, now["plant"], outputs["tau"], given, t)
+        moved = moved_state(system, now["plant"], outputs["tau"], constants, t)
         costs, stops = system.evaluated(
-            x=now["plant"], f=outputs["tau"], d=given["disturbance"], r=given["reference"], p=given["plant"],
-            g=given["gains"], k=outputs["k"], t=t,
+            x=now["plant"], f=outputs["tau"], d=constants["disturbance"], r=constants["reference"],
+            p=constants["plant"], g=constants["gains"], k=outputs["k"], t=t,
         )  # fmt: skip
         ended = ca.SX(0)
         for k in range(stops.numel(), 0, -1):
             ended = ca.if_else(stops[k - 1] != 0, k, ended)
-        stays = ended != 0
         size = ca.fabs(ca.vertcat(moved, outputs["tau"], outputs["x_next"], costs))
         ended = ca.if_else(ca.sum1(size) <= _FINITE, ended, -1)  # NaN compares as false
+        stays = ended != 0
         after = state.join(
             {
                 "done": ended,
                 "count": now["count"] + 1,
                 "plant": ca.if_else(stays, now["plant"], moved),
-                "controller": outputs["x_next"],
+                "controller": ca.if_else(stays, now["controller"], outputs["x_next"]),
                 "sums": _summed(system, now["sums"], costs, t),
             }
         )
@@ -164,13 +164,13 @@ def loop_step(system: System) -> Block:
 def _layouts(system: System) -> tuple[Layout, Layout]:
     """Of the batch's state, whose first entry is the flag that ends a run, and of its parameters."""
     sizes = {"plant": system.plant.state.size, "controller": system.controller.state.size, "sums": len(system.costs)}
-    given = {
+    constants = {
         "plant": system.plant.parameters.size, "reference": system.references.size,
         "disturbance": system.plant.disturbances.size, "gains": system.controller.gains.size,
     }  # fmt: skip
     flags = (Port("done", (1,), "1", "why the run ended"), Port("count", (1,), "1", "control instants so far"))
     return Layout((*flags, *(_stack(n, k) for n, k in sizes.items()))), Layout(
-        tuple(_stack(n, k) for n, k in given.items())
+        tuple(_stack(n, k) for n, k in constants.items())
     )
 
 
@@ -178,13 +178,13 @@ def _stack(name: str, size: int) -> Port:
     return Port(name, (size,), "1", "a vector of ports in their own units")
 
 
-def moved_state(system: System, x: ca.SX, command: ca.SX, given: Mapping[str, ca.SX], t: ca.SX) -> ca.SX:
+def moved_state(system: System, x: ca.SX, command: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX) -> ca.SX:
     """The plant's state one period later, by Runge-Kutta's fourth order, the command held."""
     f, h = system.applied(command), system.dt / system.substeps
 
     def derivative(state: ca.SX, late: ca.SX) -> ca.SX:
-        disturbance = system.disturbance_at(t + late, given["disturbance"])
-        return system.plant.derivative(state, f, disturbance, given["plant"])
+        disturbance = system.disturbance_at(t + late, constants["disturbance"])
+        return system.plant.derivative(state, f, disturbance, constants["plant"])
 
     def substep(state: ca.SX, late: ca.SX) -> ca.SX:
         k1 = derivative(state, late)

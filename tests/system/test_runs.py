@@ -1,0 +1,110 @@
+"""The compiled batch, the recorded run and an independent integration give the same runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from surctl.errors import InputError
+from surctl.ir import Layout, Port
+from surctl.system import Controller, Plant, System, run_system, simulate_system
+from tests.system.examples import COSTS, LIMIT, level, pendulum
+from tests.tools import need_compiler
+
+VALUES = ({"start.angle": 0.4}, {"start.angle": 0.2, "disturbance.gust": 0.3}, {"start.angle": 1.6}, {"k_rate": 1.0})
+
+
+def test_the_batch_gives_the_figures_of_the_recorded_runs() -> None:
+    need_compiler()
+    system = pendulum()
+    names = sorted({name for values in VALUES for name in values})
+    defaults = {"start.angle": 0.4, "disturbance.gust": 0.0, "k_rate": 6.2}
+    columns = {name: [values.get(name, defaults[name]) for values in VALUES] for name in names}
+    runs = simulate_system(system, 4.0, columns, threads=2)
+    assert runs.stopped.tolist()[:3] == ["time", "time", "fallen"]
+    for k, values in enumerate(VALUES):
+        record = run_system(system, 4.0, values)
+        assert record.stopped == runs.stopped[k]
+        for name in COSTS:
+            assert runs[name][k] == pytest.approx(record.figures[name], rel=1e-9, abs=1e-12), (k, name)
+
+
+def test_an_independent_integration_goes_the_same_way() -> None:
+    record = run_system(replace(pendulum(), substeps=10), 3.0, {"disturbance.gust": 0.2})
+    x = np.array([0.4, 0.0])
+    for angle, rate in zip(record["angle"][:, 0], record["rate"][:, 0], strict=True):
+        assert np.abs(x - [angle, rate]).max() < 1e-9
+        torque = float(np.clip(-19.7 * x[0] - 6.2 * x[1], -LIMIT, LIMIT))
+
+        def pendulum_rate(_: float, y: np.ndarray, torque: float = torque) -> list[float]:
+            return [y[1], 9.81 * np.sin(y[0]) - 0.1 * y[1] + torque + 0.2]
+
+        x = solve_ivp(pendulum_rate, (0.0, 0.01), x, rtol=1e-12, atol=1e-13).y[:, -1]
+
+
+def test_references_and_disturbances_may_depend_on_time() -> None:
+    need_compiler()
+    system = replace(
+        level(),
+        reference=lambda t, r: {"target": ca.if_else(t < 5, 0, r["target"])},
+        disturbance=lambda t, d: {"rain": d["rain"] * ca.sin(t)},
+    )
+    values = {"reference.target": 2.0, "disturbance.rain": 0.1}
+    record, runs = run_system(system, 40.0, values), simulate_system(system, 40.0, values)
+    assert np.all(record["target"][:50] == 0) and np.all(record["target"][51:] == 2)
+    assert runs["error"][0] == pytest.approx(record.figures["error"], abs=1e-12) and abs(runs["error"][0]) < 0.2
+    still = run_system(level(), 60.0, {"disturbance.rain": 0.1})
+    assert abs(still["height"][-1, 0] - 1.0) < 1e-6  # the integral carries the rain
+
+
+def test_what_is_no_longer_finite_ends_the_run_where_it_happens() -> None:
+    need_compiler()
+    position, force = Port("x", (1,), "m", "", 1.0), Port("force", (1,), "m/s", "")
+    root = Plant("root", Layout((position,)), Layout((force,)), lambda x, f, d, p: -ca.sqrt(x["x"] - 0.5) - 0.1)
+    idle = Controller("idle", 0.1, Layout((position,)), Layout((force,)), lambda x, u, p: 0 * u["x"])
+    system = System(root, idle, costs={"x": replace(COSTS["least"], of=lambda s: s.x["x"])})
+    record, runs = run_system(system, 10.0), simulate_system(system, 10.0)
+    assert record.stopped == runs.stopped[0] == "not finite"
+    assert 0.3 < runs.time[0] < 2.0 and runs.time[0] == pytest.approx(record.time[-1])
+    assert np.isnan(runs["x"][0]) and np.isnan(record.figures["x"]) and np.isfinite(runs.state).all()
+
+
+def test_twelve_states_with_twelve_inputs() -> None:
+    need_compiler()
+    state, push = Port("q", (4, 3), "m", "", 1.0), Port("u", (4, 3), "m/s", "")
+    plant = Plant("grid", Layout((state,)), Layout((push,)), lambda x, f, d, p: {"q": f["u"] - x["q"] ** 3})
+    law = Controller("back", 0.05, Layout((state,)), Layout((push,)), lambda x, u, p: -u["q"])
+    system = System(plant, law)
+    start = np.random.default_rng(0).normal(size=(3, 12))
+    runs = simulate_system(system, 1.0, {"start.q": start})
+    for k in range(3):
+        record = run_system(system, 1.05, {"start.q": start[[k]]})
+        assert np.abs(record["q"][-1] - runs.state[k]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        ({"k_angel": 1.0}, r"k_angel: no such number of the system; did you mean 'k_angle'"),
+        ({"plant.mass": 1.0}, r"plant\.mass: no such number"),
+        ({"k_angle[1]": 1.0}, r"k_angle\[1\]: has 1 entries; count from 0 to 0"),
+        ({"k_angle": np.nan}, r"k_angle: is not finite"),
+        ({"k_angle": [1.0, 2.0], "k_rate": [1.0, 2.0, 3.0]}, r"k_rate: is for 3 runs, others for 2"),
+        ({"k_angle": []}, r"k_angle: is empty"),
+        ({"start.angle": np.ones((2, 3))}, r"start\.angle: has shape \(2, 3\)"),
+    ],
+)
+def test_mistakes_in_values_are_named(values: dict[str, object], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        simulate_system(pendulum(), 1.0, values)  # type: ignore[arg-type]
+
+
+def test_no_time_and_unknown_figures_are_named() -> None:
+    with pytest.raises(InputError, match=r"seconds = 0: is no duration"):
+        run_system(pendulum(), 0)
+    with pytest.raises(InputError, match=r"no such signal or figure; did you mean 'torque'"):
+        run_system(pendulum(), 0.1)["torqe"]
