@@ -169,7 +169,20 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
         values: numbers by name, see `run_numbers`; `start.…` is where the search begins.
 
     Raises:
-        InputError: no rest is found from there; the state that moves most is named.
+        InputError: no equilibrium is found from there; the state that moves most is named.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, find_equilibrium
+        >>> speed, force = Port("speed", (1,), "m/s", "of the boat"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> wind = Layout((Port("wind", (1,), "m/s^2", "over the mass"),))
+        >>> boat = Plant(
+        ...     "boat", Layout((speed,)), Layout((force,)), disturbances=wind,
+        ...     ode=lambda x, f, d, p: {"speed": f["force"] + d["wind"] - 0.5 * x["speed"]},
+        ... )
+        >>> law = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: 2 * (1 - u["speed"]))
+        >>> find_equilibrium(System(boat, law), {"disturbance.wind": 0.5}).x
+        array([1.])
     """
     numbers = run_numbers(system, values or {})
     if numbers.count != 1:
