@@ -80,20 +80,24 @@ class Linearisation:
         """Discrete-time `control.StateSpace` of the closed loop, exact at the control instants.
 
         Inputs are references and disturbances, held over a period; outputs are the measured outputs and the commands.
+
+        Raises:
+            InputError: the loop has no inputs.
         """
         import control  # takes seconds to import
 
         system = self.system
-        Ad, Bd, Ed = _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], system.dt)
+        inputs = [*_labels(system.references), *_labels(system.plant.disturbances)]
+        if not inputs:
+            raise InputError("has neither references nor disturbances", key="closed", remedy="call poles()")
+        _, Bd, Ed = self._sampled_plant()
         C, D = self.plant[3:]
-        Az, By, Br, Cz, Dy, Dr = self.law
-        A = np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
+        By, Br, Cz, Dy, Dr = self.law[1:]
         B = np.block([[Bd @ Dr, Ed + Bd @ Dy @ D], [Br, By @ D]])
-        outputs = np.block([[C, np.zeros((len(C), len(Az)))], [Dy @ C, Cz]])
+        outputs = np.block([[C, np.zeros((len(C), len(By)))], [Dy @ C, Cz]])
         through = np.block([[np.zeros((len(C), Dr.shape[1])), D], [Dr, Dy @ D]])
         return control.ss(
-            A, B, outputs, through, system.dt, states=self.states(),
-            inputs=[*_labels(system.references), *_labels(system.plant.disturbances)],
+            self._transition(), B, outputs, through, system.dt, states=self.states(), inputs=inputs,
             outputs=[*_labels(system.plant.measurements, "measured "), *_labels(system.commands)], name="closed loop",
         )  # fmt: skip
 
@@ -130,7 +134,7 @@ class Linearisation:
         at_output = np.array(
             [[float(name == label and name not in commands) for label in outputs] for name in openings]
         )
-        Ad, Bd, _ = _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], system.dt)
+        Ad, Bd, _ = self._sampled_plant()
         C = self.plant[3]
         Az, By, _, Cz, Dy, _ = self.law
         # what passes a break: a channel's own signal is cut, and its injection takes the place
@@ -145,14 +149,29 @@ class Linearisation:
         back = np.hstack([at_command @ f_x + at_output @ C, at_command @ f_z])
         return A, B, -back, -(at_command @ f_e)
 
+    def channels(self) -> list[str]:
+        """Where the loop can be opened: every command, then every measured output."""
+        commands = _labels(self.system.commands)
+        return [*commands, *(name for name in _labels(self.system.plant.measurements) if name not in commands)]
+
     def poles(self) -> NDArray[np.complex128]:
         """Poles z of the sampled closed loop, the largest first; stable where all lie inside the unit circle."""
-        poles = np.linalg.eigvals(self.closed().A).astype(complex)
+        poles = np.linalg.eigvals(self._transition()).astype(complex)
         return poles[np.argsort(-np.abs(poles), kind="stable")]
 
     def states(self) -> list[str]:
         """Labels of the plant's states, then of the controller's."""
         return [*_labels(self.system.plant.state), *_labels(self.system.controller.state, "controller ")]
+
+    def _sampled_plant(self) -> tuple[Array, Array, Array]:
+        return _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.system.dt)
+
+    def _transition(self) -> Array:
+        """The closed loop from one control instant to the next."""
+        Ad, Bd, _ = self._sampled_plant()
+        Az, By, _, Cz, Dy, _ = self.law
+        C = self.plant[3]
+        return np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
 
     def _selection(self) -> Array:
         """(plant inputs, commands): which command each actuator takes."""
@@ -166,7 +185,8 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
 
     Args:
         system: the loop; its `reference` and `disturbance` are taken at t = 0.
-        values: numbers by name, see `run_numbers`; `start.…` is where the search begins.
+        values: numbers by name, see `run_numbers`. The search begins at `start.…`; where none is given at zero, then at
+            the default state.
 
     Raises:
         InputError: no equilibrium is found from there; the state that moves most is named.
@@ -188,26 +208,37 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
     if numbers.count != 1:
         raise InputError(f"are for {numbers.count} runs", key="values", remedy="give one number each")
     functions = _Rest(system, numbers)
-    point = np.concatenate([numbers.start[0], system.controller.initial_state()])
-    for _ in range(_NEWTON):
-        error, slope = functions.error(point)
-        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
-            break
-        if np.max(np.abs(error)) <= _REST * max(1.0, float(np.max(np.abs(point)))):
+    started = any(name.startswith("start.") for name in values or {})
+    ends = []
+    for x in [numbers.start[0]] if started else [np.zeros(system.plant.state.size), numbers.start[0]]:
+        point, rests = _newton(functions, np.concatenate([x, system.controller.initial_state()]))
+        if rests:
             return functions.operating(point)
-        step = np.linalg.lstsq(slope, -error, rcond=None)[0]
-        for factor in 0.5 ** np.arange(12):
-            trial = point + factor * step
-            if np.linalg.norm(functions.error(trial)[0]) < np.linalg.norm(error):
-                break
-        point = trial
-    error = np.nan_to_num(functions.error(point)[0], nan=np.inf)
+        ends.append(point)
+    error = np.nan_to_num(functions.error(ends[0])[0], nan=np.inf)
     labels = [*_labels(system.plant.state), *_labels(system.controller.state, "controller ")]
     worst = labels[int(np.argmax(np.abs(error)))]
     raise InputError(
         f"no equilibrium is found: `{worst}` still moves", key=system.plant.name,
         remedy="begin nearer to it with start.…, or check references and disturbances",
     )  # fmt: skip
+
+
+def _newton(functions: _Rest, point: Array) -> tuple[Array, bool]:
+    """Damped Newton steps, and whether they ended at rest."""
+    for _ in range(_NEWTON):
+        error, slope = functions.error(point)
+        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
+            break
+        if np.max(np.abs(error)) <= _REST * max(1.0, float(np.max(np.abs(point)))):
+            return point, True
+        step = np.linalg.lstsq(slope, -error, rcond=None)[0]
+        for factor in 0.5 ** np.arange(12):
+            trial = point + factor * step
+            if np.linalg.norm(functions.error(trial)[0]) < np.linalg.norm(error):
+                break
+        point = trial
+    return point, False
 
 
 def linearise(

@@ -12,6 +12,7 @@ from surctl.verification.linear_table import LINEAR_METRICS, LINEAR_PARAMETERS, 
 from surctl.verification.locus import Locus, sweep_locus
 from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of, worst_margins
 from surctl.verification.proving import Proof, prove
+from surctl.verification.sampled_margins import system_disk_margin, system_margins
 from surctl.verification.setting import Setting, setting_from
 from surctl.verification.speeds import (
     OverSpeeds,
@@ -62,6 +63,8 @@ __all__ = [
     "settling_intrusion",
     "speeds_text",
     "sweep_locus",
+    "system_disk_margin",
+    "system_margins",
     "worst_margins",
     "worst_place",
     "worst_text",

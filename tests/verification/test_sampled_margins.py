@@ -1,0 +1,92 @@
+"""Margins of any system: where a factor, a delay or a disk takes the sampled loop to the edge of stability."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.ir import Layout, Port
+from surctl.system import Action, Controller, Plant, System, linearise
+from surctl.verification import system_disk_margin, system_margins
+from tests.system.examples import ANGLE, RATE, TORQUE, level, pendulum, pendulum_plant
+
+
+def largest_pole(linear, opening: str, factor: complex) -> float:
+    """Largest |z| of the loop closed through a factor at an opening."""
+    A, B, C, D = linear.opened(opening)
+    return float(np.abs(np.linalg.eigvals(A - factor * B @ C / (1 + factor * D[0, 0]))).max())
+
+
+@pytest.mark.parametrize("opening", ["torque", "angle", "rate"])
+def test_a_factor_at_its_margin_is_at_the_edge(opening: str) -> None:
+    linear = linearise(pendulum())
+    (found,) = system_margins(linear, opening)
+    for edge in (found.gain_margin, found.least_gain):
+        if 0 < edge < np.inf:
+            assert largest_pole(linear, opening, edge) == pytest.approx(1.0, abs=1e-7)
+    assert found.least_gain < 1 < found.gain_margin and found.stable
+    lag = np.exp(-1j * np.deg2rad(found.phase_margin_deg))
+    assert largest_pole(linear, opening, lag) == pytest.approx(1.0, abs=1e-6)
+    assert largest_pole(linear, opening, np.exp(-0.9j * np.deg2rad(found.phase_margin_deg))) < 1.0
+
+
+def test_a_factor_that_makes_the_loop_oscillate_at_the_nyquist_frequency_counts() -> None:
+    force = Port("force", (1,), "m/s^2", "")
+    cart = Plant("cart", Layout((RATE,)), Layout((force,)), lambda x, f, d, p: f["force"])
+    law = Controller("hold", 0.1, Layout((RATE,)), Layout((force,)), lambda x, u, p: -2 * u["rate"])
+    (found,) = system_margins(linearise(System(cart, law)), "force")
+    assert found.gain_margin == pytest.approx(10.0) and found.least_gain == 0.0  # z = 1 - 0.2 k
+
+
+def test_whole_periods_of_delay_within_the_margin_are_stable_and_beyond_it_not() -> None:
+    (found,) = system_margins(linearise(pendulum()), "torque")
+    borne = int(found.delay_margin_s / 0.01)
+
+    def late(periods: int) -> float:
+        names = [Port(f"late{k}", (1,), "N m", "") for k in range(periods)]
+
+        def law(x, u, p):
+            free = -(19.7 * u["angle"] + 6.2 * u["rate"])
+            line = [free, *(x[port.name] for port in names)]
+            return Action(line[-1], {port.name: line[k] for k, port in enumerate(names)})
+
+        controller = Controller(
+            "late",
+            dt=0.01,
+            inputs=Layout((ANGLE, RATE)),
+            command=Layout((TORQUE,)),
+            state=Layout(tuple(names)),
+            law=law,
+        )
+        start = {"start.angle": 0.0}
+        return float(np.abs(linearise(System(pendulum_plant(), controller), start).poles()).max())
+
+    assert borne > 5 and late(borne) < 1.0 < late(borne + 1)
+
+
+def test_the_disk_of_one_loop_is_that_of_its_nyquist_curve() -> None:
+    linear = linearise(level())
+    for opening in linear.channels():
+        loop = linear.loop(opening)(np.exp(1j * np.geomspace(1e-4, np.pi, 20001)))
+        nearest = float(np.min(2 * np.abs(1 + loop) / np.abs(1 - loop)))
+        assert system_margins(linear, opening)[0].disk_margin == pytest.approx(min(nearest, 2.0), rel=5e-3)
+
+
+def test_all_loops_at_once_bear_less_than_each_and_break_where_it_says() -> None:
+    linear = linearise(pendulum())
+    alone = min(loop.disk_margin for loop in system_margins(linear))
+    together = system_disk_margin(linear)
+    assert 0 < together.guaranteed <= together.reached and together.guaranteed <= alone * 1.001
+    assert 0 < together.frequency_rad_s <= np.pi / 0.01
+
+
+def test_an_unstable_loop_has_no_margins() -> None:
+    slack = replace(pendulum(), costs={}, controller=Controller(
+        "slack", 0.01, Layout((ANGLE, RATE)), Layout((TORQUE,)), lambda x, u, p: -5 * u["angle"] - ca.SX(0)
+    ))  # fmt: skip
+    linear = linearise(slack, {"start.angle": 0.0})
+    assert [(m.stable, m.gain_margin, m.disk_margin) for m in system_margins(linear, "torque")] == [(False, 1.0, 0.0)]
+    assert not system_disk_margin(linear).stable
