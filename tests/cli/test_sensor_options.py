@@ -134,7 +134,7 @@ def test_a_fault_is_flown_and_a_halt_is_told(tmp_path) -> None:
     words += [word for i in range(4) for word in ("--fault", f"dead:{i}:2")]
     said = surctl(*words, cwd=tmp_path)
     assert said.status == 1
-    assert "stopped at " in said.out and "stopped: all sonars are judged faulty (0, 1, 2, 3)" in said.out
+    assert "standstill at " in said.out and "standstill: all sonars are judged faulty (0, 1, 2, 3)" in said.out
     done = surctl(*words, "--json", cwd=tmp_path)
     (run,) = done.json["runs"]
     assert done.status == 1 and not run["reached"]
