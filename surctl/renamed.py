@@ -32,6 +32,7 @@ def current_table(table: Mapping[str, Any], *, file: object) -> dict[str, Any]:
         >>> import warnings
         >>> from surctl.renamed import current_table
         >>> with warnings.catch_warnings(record=True) as caught:
+        ...     warnings.simplefilter("always")
         ...     table = current_table({"kind": "scenario", "reach_m": 0.1}, file="pool.toml")
         >>> table
         {'kind': 'scenario', 'arrival_m': 0.1}
@@ -64,6 +65,7 @@ def current_arguments(arguments: Sequence[str]) -> list[str]:
         >>> import warnings
         >>> from surctl.renamed import current_arguments
         >>> with warnings.catch_warnings(record=True) as caught:
+        ...     warnings.simplefilter("always")
         ...     print(current_arguments(["export", "--law", "lean", "--ladder=bounded"]))
         ['export', '--law', 'closed_form', '--fallback=bounded']
     """

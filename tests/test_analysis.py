@@ -392,3 +392,11 @@ def test_the_study_of_every_scenario() -> None:
     rows = [row for row in table(done.stdout) if row[0].startswith("`pool-behind`")]
     assert [row[1:3] for row in rows] == [["4", "0"], ["19", "1"]], done.stdout
     assert rows[1][4] == "obstacle speed 1"  # what a collision breaks is named
+
+
+def test_a_system_of_ones_own_ends_where_its_peers_do() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "25_any_system" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if len(row) == 6 and row[1].startswith(("surctl", "scipy", "python"))]
+    assert len(rows) == 6 and all(float(row[4]) < 1e-6 for row in rows)

@@ -216,7 +216,7 @@ def interrupt():
 signal.signal(signal.SIGINT, signal.default_int_handler)
 threading.Thread(target=interrupt).start()
 try:
-    connect(f"tcp://127.0.0.1:{silent.getsockname()[1]}", patience=60).ask()
+    connect(f"tcp://127.0.0.1:{silent.getsockname()[1]}", patience=60).request()
 except KeyboardInterrupt:
     print("stopped")
 """
