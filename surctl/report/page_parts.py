@@ -1,4 +1,4 @@
-"""Pieces of HTML of the tuning page: figures, goals, verdicts and pictures, legible in light and dark."""
+"""HTML parts of the tuning page: metrics, goals, verdicts and pictures, legible in light and dark themes."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ _LINEAR = ("gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin", "
 
 
 def head(bench: Bench) -> str:
-    """Title and what is tuned."""
+    """Return the title, and one line with the tuned vehicle, the scenario and the gains."""
     what = f"{bench.vehicle.name} in {bench.scenario.name}, true positions, seed 0, gains from {bench.gains.name}"
     return f'{_STYLE}<h1 class="one">Tune</h1><p class="line">{escape(what)}</p>'
 
 
 def message(text: str) -> str:
-    """One line of what a button did; an error in its colour, and read aloud."""
+    """Return one line about the effect of a button; errors are coloured, and screen readers read the line aloud."""
     mark = "bad" if text.startswith("error:") else "good"
     return f'<p role="status" id="message" class="line {mark}">{escape(" ".join(text.split()))}</p>'
 
 
 def attempt(make: Callable[[], str]) -> str:
-    """What `make` gives, or in one line why these gains have none."""
+    """Return the result of `make`, or one line that says why it fails with these gains."""
     try:
         return make()
     except SurctlError as error:
@@ -55,7 +55,7 @@ def attempt(make: Callable[[], str]) -> str:
 
 
 def picture(figure: object, text: str) -> str:
-    """A figure as an image with its text."""
+    """Return a figure as an HTML image with its alternative text."""
     assert isinstance(figure, Figure)
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
@@ -64,18 +64,18 @@ def picture(figure: object, text: str) -> str:
 
 
 def run_text(run: Run) -> str:
-    """What the plan shows, in words."""
+    """Describe the plan view in words."""
     m = run.metrics
-    return f"Path flown in {run.scenario.name}: {m.stopped_because} at {m.time_s:.2f} s"
+    return f"Trajectory in {run.scenario.name}: {m.stopped_because} at {m.time_s:.2f} s"
 
 
 def sliders(shown: Iterable[object]) -> str:
-    """Sliders in as many columns as there is room for."""
+    """Arrange the sliders in as many columns as the page is wide enough for."""
     return '<h2 class="two">Gains</h2><div class="sliders">' + "".join(f"<div>{s}</div>" for s in shown) + "</div>"
 
 
 def pair(*parts: str) -> str:
-    """Parts side by side, one below the other where there is no room."""
+    """Arrange parts side by side, or one below the other on a narrow page."""
     return '<div class="pair">' + "".join(f"<div>{part}</div>" for part in parts) + "</div>"
 
 
@@ -96,7 +96,7 @@ def _number(name: str, value: float, unit: str) -> str:
 
 
 def figures(run: Run, linear: Mapping[str, float]) -> str:
-    """The run's figures and the least margins."""
+    """Return a table with the metrics of the run and the least margins."""
     m = run.metrics
     mark = "good" if m.reached else "bad"
     rows = [("how the run ended", f'<span id="outcome" class="{mark}">{escape(m.stopped_because)}</span>')]
@@ -107,19 +107,22 @@ def figures(run: Run, linear: Mapping[str, float]) -> str:
 
 
 def goals(evaluation: Evaluation) -> str:
-    """Each goal, whether it is met, and its figure at the worst plant."""
+    """Return a table of the goals: whether each is met, and its metric for the worst plant."""
     rows = []
     for goal, figure, share in zip(evaluation.goals, evaluation.figure[0], evaluation.normalised[0], strict=True):
         met = share <= 1
         word = f'<span class="{"good" if met else "bad"}">{"met" if met else "missed"}</span>'
         bound = f"{goal.sense} {goal.limit:g} {'' if goal.unit == '1' else goal.unit}"
         rows.append((escape(goal.name), goal.kind, word, _number(f"goal {goal.name}", figure, goal.unit), bound))
-    text = "<p>In this scenario: the nominal plant and, where a goal counts them, the corners of its ranges.</p>"
+    text = (
+        "<p>Checked in this scenario with the nominal plant and, if a goal includes them, the corners of the vehicle's "
+        "ranges.</p>"
+    )
     return _heading("Goals") + text + _table(("goal", "kind", "status", "figure", "bound"), rows)
 
 
 def verdicts(results: Sequence[Verdict | Inapplicable] | None) -> str:
-    """Each claim with its verdict; None before the button was pressed for these gains."""
+    """Return a table of claims with their verdicts; `results` is None until the button is pressed for these gains."""
     title = _heading("Claims")
     if results is None:
         return title + '<p id="verdicts">Not checked for these gains: press the button (about ten seconds).</p>'
