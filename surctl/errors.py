@@ -1,14 +1,14 @@
-"""The tree of errors; each carries its payload and says the next step.
+"""The hierarchy of errors; each error carries its data and names the next step.
 
 ::
 
-    SurctlError                 whatever this package raises on purpose
-    ├── InputError              a user's mistake: file, key, value, remedy; the CLI exits with status 2
-    │   ├── NotApplicable       a claim that is about other vehicles, speeds or gains than those at hand
-    │   ├── ToolMissing         an outside program (compiler, ...) that the job needs is not there
-    │   └── UnsupportedOperation  an operation that the instruction list does not carry
-    ├── SolverError             a solver broke its contract (never raised for an infeasible problem)
-    └── SelfTestError           two lives of one law disagree
+    SurctlError                 base class of all errors that this package raises on purpose
+    ├── InputError              a user's mistake: file, key, value, remedy; the command line exits with status 2
+    │   ├── NotApplicable       a claim does not apply to the given vehicle, speeds or gains
+    │   ├── ToolMissing         a required external program (compiler, ...) is not installed
+    │   └── UnsupportedOperation  the instruction list does not support an operation
+    ├── SolverError             a solver violated its specification (never raised for an infeasible problem)
+    └── SelfTestError           two implementations of one law disagree
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ __all__ = [
 
 
 class SurctlError(Exception):
-    """Whatever this package raises on purpose; `exit_status` is what the command line ends with."""
+    """Base class of all errors that this package raises on purpose; `exit_status` is that of the command line."""
 
     exit_status = 1
 
 
 class InputError(SurctlError):
-    """A user's mistake, told in one line: where, what, and what to do about it.
+    """A user's mistake; the message says in one line where it is, what is wrong, and what to do.
 
     Args:
         problem: what is wrong, without a full stop.
-        file: the file that holds the mistake, if any.
-        key: dotted key inside the file, or the option's name.
-        value: the offending value.
+        file: the file that contains the mistake, if any.
+        key: dotted key inside the file, or name of the option.
+        value: the wrong value.
         remedy: what to write or do instead.
     """
 
@@ -68,16 +68,16 @@ class InputError(SurctlError):
         super().__init__(" ".join(text.split()))
 
     def inside(self, file: object, key: str | None = None) -> InputError:
-        """The same mistake, told with the file (and key) in which it was made."""
+        """Return the same error with the file (and key) that contains the mistake."""
         return InputError(self.problem, file=file, key=key or self.key, value=self.value, remedy=self.remedy)
 
 
 class NotApplicable(InputError):
-    """A claim assumes what the case at hand violates: no mistake of the user's, and no verdict on the claim.
+    """The given case violates an assumption of a claim: this is not a user's mistake and not a verdict on the claim.
 
     Args:
         because: the violated assumption with its numbers: "m11 = 50 kg and m22 = 60 kg differ and …".
-        to: what the claim does not apply to.
+        to: the vehicle, speed or other case to which the claim does not apply.
         key: name of the claim, if known.
     """
 
@@ -86,28 +86,28 @@ class NotApplicable(InputError):
         super().__init__(f"not applicable to {to}, because {because}", key=key)
 
     def inside(self, file: object, key: str | None = None) -> NotApplicable:
-        """The same, told with the file that holds the claim."""
+        """Return the same error with the file that contains the claim."""
         return NotApplicable(self.because, to=self.to, key=key or str(file))
 
 
 class ToolMissing(InputError):
-    """An outside program that the job needs is not installed."""
+    """A required external program is not installed."""
 
 
 class UnsupportedOperation(InputError):
-    """A symbolic operation that the instruction list refuses, by name, with its substitute."""
+    """The instruction list does not support a symbolic operation; the message names the operation and a substitute."""
 
 
 class SolverError(SurctlError):
-    """A numerical solver broke its contract; infeasibility is a result, not an error."""
+    """A numerical solver violated its specification; an infeasible problem is a result, not an error."""
 
 
 class SelfTestError(SurctlError):
-    """Two lives of one law (Python, instruction list, C) do not give the same numbers."""
+    """Two implementations of one law (Python, instruction list, C) do not give the same numbers."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Remedy text that names the known name nearest to `name`, or lists what there is.
+    """Return a remedy that suggests the known name most similar to `name`, or lists all known names.
 
     Examples:
         >>> from surctl.errors import nearest

@@ -1,4 +1,4 @@
-"""Reading TOML, writing files, making folders: every mistake becomes one line with file, key, value and remedy."""
+"""Read TOML, write files and create folders; each mistake becomes an error with file, key, value and remedy."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ __all__ = [
 
 
 class Strict(BaseModel):
-    """Base of every file's model: frozen, finite, and no unknown keys."""
+    """Base class for the models of files: frozen, with finite numbers and without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Quantity(Strict):
-    """A number with its unit, and what is known of it; a file may write it short, as "0.54 m"."""
+    """A number with unit, range and provenance; a file may also write it in short form, as "0.54 m"."""
 
     value: StrictFloat
     unit: str
@@ -60,10 +60,10 @@ class Quantity(Strict):
         return {"value": value, "unit": unit}
 
     def within(self, unit: str) -> Quantity:
-        """The same in another unit, its range too; itself if it is in that unit.
+        """Return the quantity and its range converted to another unit; unchanged if it already has this unit.
 
         Raises:
-            InputError: an unknown unit, or one of another dimension.
+            InputError: the unit is unknown or has another dimension.
         """
         if self.unit == unit:
             return self
@@ -75,10 +75,10 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The file's table; a text like "15 cm" under a key like `depth_m` comes as a number in the key's unit.
+    """Return the table of a TOML file; text such as "15 cm" under `depth_m` becomes a number in the unit of the key.
 
     Raises:
-        InputError: a missing, unreadable, empty, binary or malformed file, or a length in seconds.
+        InputError: the file is missing, unreadable, empty, binary or malformed, or a unit does not fit its key.
 
     Example:
         >>> from pathlib import Path
@@ -104,16 +104,16 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return dict(pickle.loads(_parsed(text)))
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not valid TOML: {error}", file=path, remedy="mend that line") from None
+        raise InputError(f"is not valid TOML: {error}", file=path, remedy="correct that line") from None
     except RecursionError:
-        raise InputError("is not valid TOML: nested too deep", file=path, remedy="give a TOML file") from None
+        raise InputError("is not valid TOML: nested too deeply", file=path, remedy="give a TOML file") from None
     except InputError as error:
         raise error.inside(path) from None
 
 
 @lru_cache(maxsize=64)
 def _parsed(text: str) -> bytes:
-    """The table of a TOML text, read once; pickled, so that whoever asks gets a table of his own."""
+    """Return the parsed table of a TOML text, cached in pickled form so that each caller gets its own copy."""
     table = tomllib.loads(text)
     if not table:
         raise InputError("is empty", remedy="start from a built-in file: surctl list --show NAME")
@@ -121,7 +121,7 @@ def _parsed(text: str) -> bytes:
 
 
 def load_model(path: Path, model: type[M]) -> M:
-    """Read a TOML file and validate it against `model`.
+    """Read a TOML file, validate it against `model`, and return the model.
 
     Example:
         >>> from pathlib import Path
@@ -137,7 +137,7 @@ def load_model(path: Path, model: type[M]) -> M:
 
 
 def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
-    """Validate a table against `model`; the first mistake becomes an InputError, the rest are counted.
+    """Validate a table against `model`; an InputError describes the first mistake and counts the others.
 
     Example:
         >>> from pydantic import BaseModel
@@ -154,16 +154,16 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
     try:
         return model.model_validate(current_table(table, file=file))
     except ValidationError as error:
-        # of a union "quantity or text" only the quantity is of use to the reader
+        # for a union of quantity and text, only the message about the quantity helps the reader
         problems = [p for p in error.errors(include_url=False) if p["loc"][-1:] != ("str",)]
-        # a list counts as too short by the members that are wrong
+        # pydantic reports a list as too short if some of its members are wrong
         problems = [p for p in problems if p["type"] != "too_short" or not _inside(p["loc"], problems)]
-        # another kind of file explains everything else; an unknown key the missing one beside it
+        # a wrong kind of file explains all other mistakes; an unknown key explains a missing one
         first = min(problems, key=lambda p: (p["loc"] != ("kind",), p["type"] != "extra_forbidden"))
-        # a union's member types stand in the path like keys
+        # pydantic adds the types of a union to the path as if they were keys
         key = ".".join(str(part) for part in first["loc"] if part not in ("Quantity", "str")) or None
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        # of the whole file no value is told
+        # if the mistake concerns the whole file, the message shows no value
         value = None if first["type"] == "missing" or key is None else first["input"]
         if first["type"] == "extra_forbidden":
             known = _fields_at(model, first["loc"][:-1])
@@ -188,7 +188,7 @@ def _inside(path: tuple[int | str, ...], problems: Sequence[ErrorDetails]) -> bo
 
 
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    """Field names of the (nested) model that a validation path leads to."""
+    """Return the field names of the (nested) model at a validation path."""
     here: Any = model
     for part in path:
         if isinstance(part, int):
@@ -213,10 +213,10 @@ def _model_in(annotation: Any) -> Any:
 
 
 def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
-    """Make the output folder, or say in one line why that cannot be; `key` is the option that names it.
+    """Create the output folder and return it; `key` is the option that names the folder.
 
     Raises:
-        InputError: it is a file, or cannot be written.
+        InputError: the path is a file, or the folder cannot be written.
 
     Example:
         >>> from pathlib import Path
@@ -243,7 +243,7 @@ def prepare_folder(folder: Path, *, key: str = "--out") -> Path:
 
 
 def pick(name_or_path: str, library: Path, *, what: str) -> Path:
-    """The built-in file of that name, or the user's file at that path.
+    """Return the built-in file with the given name, or the user's file at the given path.
 
     A bare name (no suffix, no separator) is looked up in `library`; anything else is a path.
 
@@ -268,7 +268,7 @@ def pick(name_or_path: str, library: Path, *, what: str) -> Path:
 
 
 def quoted(text: str) -> str:
-    """A TOML basic string: JSON's escapes, and DEL, which JSON leaves bare.
+    """Return the text as a TOML basic string, with the escapes of JSON and an escaped DEL character.
 
     Example:
         >>> from surctl.files import quoted
@@ -279,10 +279,10 @@ def quoted(text: str) -> str:
 
 
 def write_file(target: Path, content: str | bytes) -> Path:
-    """Write a file by way of a temporary one beside it, so that it is there as a whole or as it was; the path.
+    """Write a file through a temporary file, so that it is replaced completely or not at all; return its path.
 
     Raises:
-        InputError: there is no room, or the folder cannot be written.
+        InputError: the disk is full, or the folder cannot be written.
 
     Example:
         >>> from pathlib import Path
@@ -299,11 +299,11 @@ def write_file(target: Path, content: str | bytes) -> Path:
             os.fsync(file.fileno())
         staging.replace(target)
     except OSError as error:
-        with suppress(OSError):  # that it cannot be removed, or never was, is not worth a second error
+        with suppress(OSError):  # the temporary file may not exist; one error is enough
             staging.unlink()
         raise InputError(
             f"cannot be written ({error.strerror})",
             file=target,
-            remedy="make room, or choose a folder that you may write to",
+            remedy="free disk space, or choose a folder that you may write to",
         ) from None
     return target

@@ -1,4 +1,4 @@
-"""A recording: a CSV file with a header and rows, a .mat or netCDF file; each mistake is told with file and line."""
+"""Read recordings from CSV, .mat and netCDF files; errors name the file and line of a mistake."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from surctl.recorded_arrays import ARRAY_FILES, read_arrays
 __all__ = ["Recorded", "read_recorded", "shown"]
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
-_MISSING = {"", "na", "n/a", "null", "none"}  # cells that stand for "no number" beside nan
+_MISSING = {"", "na", "n/a", "null", "none"}  # cells, besides nan, that mean a missing number
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """The rows of a file, as text.
+    """The rows of a recorded file as text.
 
     Attributes:
-        path: the file.
-        columns: header, in the file's order, to its cells.
-        lines: (n,) line of each row in the file, from 1.
-        about: the comments above the header, without their #.
+        path: path of the file.
+        columns: cells of each column by its name, in the order of the file.
+        lines: (n,) line number of each row in the file, from 1.
+        about: the comments above the header, without the #.
     """
 
     path: Path
@@ -39,20 +39,20 @@ class Recorded:
 
     @property
     def name(self) -> str:
-        """The file's path as one printable line."""
+        """The path of the file as one printable line."""
         return shown(self.path)
 
     def need(self, names: Iterable[str]) -> None:
-        """InputError, with the nearest column that is there, when one of the names is no column."""
+        """Raise an InputError that suggests the most similar column if one of the names is not a column."""
         for name in names:
             if name not in self.columns:
                 raise InputError(f"column {name!r} is missing", file=self.name, remedy=nearest(name, self.columns))
 
     def numbers(self, column: str) -> NDArray[np.float64]:
-        """(n,) the column's numbers; NaN where a cell is empty, NaN or infinite.
+        """Return the numbers (n,) of a column; NaN if a cell is empty, NaN or infinite.
 
         Raises:
-            InputError: a cell that is no number, with its line.
+            InputError: a cell is not a number; the message names its line.
         """
         cells = self.columns[column]
         try:
@@ -64,7 +64,7 @@ class Recorded:
         return np.where(np.isfinite(values), values, np.nan)
 
     def at(self, row: int) -> str:
-        """The row's place: file and line."""
+        """Return the place of a row as "file:line"."""
         return f"{self.name}:{self.lines[row]}"
 
     def _number(self, column: str, row: int) -> float:
@@ -82,7 +82,7 @@ class Recorded:
 
 
 def _number_remedy(cell: str) -> str:
-    """What to write instead; a comma between groups of three digits is not taken for a decimal one."""
+    """Return a remedy for a cell that is not a number; a comma before three digits may separate thousands."""
     plain = cell.replace(",", "")
     if _GROUPED.fullmatch(cell):
         if cell.count(",") == 1 and "." not in cell:
@@ -93,7 +93,7 @@ def _number_remedy(cell: str) -> str:
 
 
 def shown(path: object) -> str:
-    """A path or name as one line that any terminal and UTF-8 file takes: other characters become '?'.
+    """Return a path or name as one line of printable characters; all other characters become '?'.
 
     Example:
         >>> from surctl.recorded import shown
@@ -105,12 +105,13 @@ def shown(path: object) -> str:
 
 
 def read_recorded(path: Path) -> Recorded:
-    """Read a comma-separated file with a header; blank lines, and lines with # above the header, are left out.
+    """Read a comma-separated file with a header; blank lines, and # lines above the header, are no rows.
 
-    A file that ends in .mat or .nc gives its vectors as columns (see `recorded_arrays`), their place as lines.
+    The columns of a .mat or .nc file are its vectors (see `recorded_arrays`), and the lines are their indices from 1.
 
     Raises:
-        InputError: no such file, not UTF-8 text, no header, no rows, a row of another length, a column twice.
+        InputError: the file is missing, not UTF-8 text, or without header or rows; or a row has another length, or a
+            column name occurs twice.
 
     Example:
         >>> from pathlib import Path
@@ -143,16 +144,16 @@ def read_recorded(path: Path) -> Recorded:
                 raise InputError(
                     f"has {len(row)} cells where the header has {len(header)}",
                     file=f"{shown(path)}:{skipped + reader.line_num}",
-                    remedy="mend that row",
+                    remedy="correct that row",
                 )
             rows.append(row)
             lines.append(skipped + reader.line_num)
     except csv.Error as error:
         raise InputError(
-            f"is not CSV: {error}", file=f"{shown(path)}:{skipped + reader.line_num}", remedy="mend the quotes there"
+            f"is not CSV: {error}", file=f"{shown(path)}:{skipped + reader.line_num}", remedy="correct the quotes there"
         ) from None
     if not rows:
-        raise InputError("has a header and no rows", file=shown(path), remedy="add rows")
+        raise InputError("has a header but no rows", file=shown(path), remedy="add rows")
     columns = dict(zip(header, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
     return Recorded(path=path, columns=columns, lines=np.array(lines), about=about)
 
@@ -180,7 +181,7 @@ def _text(path: Path) -> str:
 
 
 def _comments(text: str) -> tuple[tuple[str, ...], str]:
-    """The lines with # that stand first, and the rest."""
+    """Split a text into the # lines at its start and the rest."""
     about = []
     while text.startswith("#"):
         line, _, text = text.partition("\n")
@@ -205,7 +206,7 @@ def _checked_header(place: str, row: list[str]) -> list[str]:
         raise InputError("has no header", file=place, remedy="name the columns in the first line")
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
-        raise InputError(f"column {twice[0]!r} stands there twice", file=place, remedy="leave one of them")
+        raise InputError(f"column {twice[0]!r} occurs twice", file=place, remedy="remove or rename one of them")
     return header
 
 

@@ -1,4 +1,4 @@
-"""A recording whose columns are arrays: MATLAB's .mat and netCDF, for those who read a recorded CSV."""
+"""Read recordings whose columns are arrays: .mat files of MATLAB and netCDF files, as an alternative to CSV."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from surctl.errors import InputError
 __all__ = ["ARRAY_FILES", "read_arrays"]
 
 Contents = tuple[dict[str, Any], str]
-"""Variables by name, and what the file says of its frame."""
+"""The variables of a file by name, and the text of its variable `frame`."""
 
 
 def read_arrays(path: Path, *, name: str) -> tuple[dict[str, NDArray[np.float64]], str]:
-    """Columns (n,) of a file, by name, and its text `frame`, empty if it has none.
+    """Return the columns (n,) of a file by name, and its text `frame`, which is empty if the file has none.
 
-    The columns are the numeric vectors as long as `t_s`; without it, all of one length. Everything else is left alone.
+    The columns are the numeric vectors with the length of `t_s`, or of the first vector if `t_s` is missing. All other
+    variables are ignored.
 
     Args:
-        path: ends in .mat or .nc.
-        name: of the file, for messages.
+        path: path of a .mat or .nc file.
+        name: name of the file for messages.
 
     Raises:
-        InputError: no such file, not of its kind, or without columns.
+        InputError: the file is missing, has another format, or has no columns.
 
     Example:
         >>> from pathlib import Path
@@ -43,7 +44,7 @@ def read_arrays(path: Path, *, name: str) -> tuple[dict[str, NDArray[np.float64]
     contents, frame = ARRAY_FILES[path.suffix.lower()](path, name)
     vectors = {key: v for key, value in contents.items() if (v := _vector(value)) is not None}
     if not vectors:
-        raise InputError("has no numeric vectors", file=name, remedy="save each column as a vector of its name")
+        raise InputError("has no numeric vectors", file=name, remedy="save each column as a named vector")
     size = len(vectors.get("t_s", next(iter(vectors.values()))))
     columns = {key: vector for key, vector in vectors.items() if len(vector) == size}
     if not size:
@@ -66,7 +67,7 @@ def _mat(path: Path, name: str) -> Contents:
     except NotImplementedError:  # version 7.3 is HDF5
         raise InputError("is a MAT-file of version 7.3", file=name, remedy="save it with -v7") from None
     except (OSError, ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, MemoryError) as error:
-        raise InputError(f"is no MAT-file that can be read ({error})", file=name, remedy="save it with -v7") from None
+        raise InputError(f"cannot be read as a MAT-file ({error})", file=name, remedy="save it with -v7") from None
     frame = held.get("frame")
     return {key: value for key, value in held.items() if not key.startswith("__")}, str(frame or "")
 
@@ -80,7 +81,7 @@ def _netcdf(path: Path, name: str) -> Contents:
             return values, str(getattr(file, "frame", ""))
     except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"is no netCDF file that can be read ({reason})", file=name, remedy="save it again") from None
+        raise InputError(f"cannot be read as a netCDF file ({reason})", file=name, remedy="save it again") from None
 
 
 def _numeric(file: Any) -> Mapping[str, Any]:

@@ -1,4 +1,4 @@
-"""Units as files write them: "0.54 m", "12 kgf", "5 cm"; everything inside is SI and radians."""
+"""Convert units of files, such as "0.54 m", "12 kgf" or "5 cm"; the package computes in SI units and radians."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ SUFFIXES = {
     "_s": "s",
     "_n": "N",
 }
-"""Ending of a file's key and the unit that it stands for, the longest ending first."""
+"""Unit of a key in a file by the ending of the key; longer endings come first."""
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
-_MOST = 40  # characters of a unit: what is longer is no unit, and not worth a parser's time
+_MOST = 40  # largest number of characters of a unit; longer texts are not parsed
 _UNIT = re.compile(r"[A-Za-zµΩ°%][\w\s*/^().°%µ-]*|1(?:\s*/\s*[\w\s*/^().-]+)?")
 
 
 @cache
 def _registry() -> UnitRegistry[Any]:
-    import pint  # half a second, and only files in other units need it
+    import pint  # the import takes half a second, and only files in other units need it
 
     return pint.UnitRegistry()
 
 
 def number_and_unit(text: str) -> tuple[float, str]:
-    """ "0.54 m" → (0.54, "m"); the unit may be empty.
+    """Split a text such as "0.54 m" into a number and a unit; the unit may be empty.
 
     Raises:
-        InputError: no number at the start.
+        InputError: the text does not start with a number.
 
     Example:
         >>> from surctl.units import number_and_unit
@@ -51,17 +51,17 @@ def number_and_unit(text: str) -> tuple[float, str]:
     """
     match = _NUMBER.fullmatch(text)
     if match is None:
-        raise InputError("is no number with its unit", value=text, remedy='write it like "0.54 m"')
+        raise InputError("is not a number with a unit", value=text, remedy='write it like "0.54 m"')
     return float(match.group(1)), match.group(2)
 
 
 def in_unit(value: float, unit: str, target: str) -> float:
-    """The value in the unit `wanted`; the same number, bit for bit, where the units are the same.
+    """Convert a value from `unit` to `target`; if the units are equal, the number is unchanged bit for bit.
 
-    Angles count as plain numbers (rad/s and 1/s are the same unit), as in the law's equations.
+    Angles count as plain numbers (rad/s and 1/s are the same unit), as in the equations of the law.
 
     Raises:
-        InputError: an unknown unit, or one of another dimension.
+        InputError: the unit is unknown or has another dimension.
 
     Example:
         >>> from surctl.units import in_unit
@@ -76,14 +76,14 @@ def in_unit(value: float, unit: str, target: str) -> float:
     if not unit.strip():
         raise InputError("has no unit", value=value, remedy=remedy)
     if len(unit) > _MOST or not _UNIT.fullmatch(unit):
-        raise InputError("is no unit", value=unit, remedy=remedy)
+        raise InputError("is not a unit", value=unit, remedy=remedy)
     try:
-        # decimal prefixes as one factor, so that 15 cm is 0.15 m to the last bit
+        # a single factor for decimal prefixes makes 15 cm equal to 0.15 m to the last bit
         factor = float(_registry().Quantity(1.0, unit).to(target).magnitude)
     except pint.DimensionalityError:
         raise InputError("wrong unit", value=unit, remedy=remedy) from None
-    except Exception:  # the parser of another library: whatever it says, the text is no unit
-        raise InputError("is no unit", value=unit, remedy=remedy) from None
+    except Exception:  # any error of the external parser means that the text is not a unit
+        raise InputError("is not a unit", value=unit, remedy=remedy) from None
     inverse = round(1.0 / factor) if factor else 0
     if factor < 1 and inverse and math.isclose(1.0 / inverse, factor, rel_tol=1e-15):
         return value / inverse
@@ -91,7 +91,7 @@ def in_unit(value: float, unit: str, target: str) -> float:
 
 
 def suffix_unit(key: str) -> str | None:
-    """The unit that a key's ending stands for: `depth_m` → m; None without such an ending.
+    """Return the unit given by the ending of a key, e.g. m for `depth_m`; None if the key has no such ending.
 
     Example:
         >>> from surctl.units import suffix_unit
@@ -102,14 +102,14 @@ def suffix_unit(key: str) -> str | None:
 
 
 def converted_by_suffix(table: Any, *, key: str = "") -> Any:
-    """A file's table with every text like "15 cm" under a key like `depth_m` as a number in the key's unit.
+    """Return a table in which text such as "15 cm" under `depth_m` is a number in the unit of the key.
 
     Raises:
-        InputError: such a text that is no number with a unit of the right dimension; it names the key.
+        InputError: such a text is not a number with a unit of the right dimension; the message names the key.
 
     Example:
-        >>> from surctl.units import told_by_suffix
-        >>> told_by_suffix({"depth_m": "-15 cm", "cruise_m_per_s": "20 cm/s", "name": "pool"})
+        >>> from surctl.units import converted_by_suffix
+        >>> converted_by_suffix({"depth_m": "-15 cm", "cruise_m_per_s": "20 cm/s", "name": "pool"})
         {'depth_m': -0.15, 'cruise_m_per_s': 0.2, 'name': 'pool'}
     """
     if isinstance(table, dict):

@@ -174,7 +174,7 @@ def test_a_file_is_written_whole_or_left_as_it_was(tmp_path: Path) -> None:
     room = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, room[1]))
     try:
-        with pytest.raises(InputError, match=r"gains\.toml: cannot be written \(File too large\); make room"):
+        with pytest.raises(InputError, match=r"gains\.toml: cannot be written \(File too large\); free disk space"):
             write_file(target, b"x" * 2000)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, room)

@@ -106,8 +106,8 @@ def test_arrays_that_are_no_log_are_told_with_file_and_remedy(tmp_path: Path) ->
     savemat(tmp_path / "other.mat", {"time": [0.0, 1.0, 2.0], "more": [1.0]})
     for name, message in (
         ("gone.mat", "no such file"),
-        ("bad.mat", "is no MAT-file"),
-        ("bad.nc", "is no netCDF file"),
+        ("bad.mat", "cannot be read as a MAT-file"),
+        ("bad.nc", "cannot be read as a netCDF file"),
         ("new.mat", "save it with -v7"),
         ("text.mat", "has no numeric vectors"),
         ("other.mat", "column 't_s' is missing"),
