@@ -204,7 +204,7 @@ def test_the_page_reads_from_the_verdict_to_the_parameters(page: str) -> None:
         ("Evidence for each claim", True),
         ("Closed-loop runs", True),
         ("Sweep of the gains", True),
-        ("Time taken", True),
+        ("Computing time", True),
         ("Parameters of vehicle sur540-flooded", False),
         ("Gains default", False),
     ]
@@ -257,7 +257,7 @@ def test_a_claim_comes_with_its_counterexample_or_what_is_left(page: str) -> Non
     for value in found.values.values():
         assert f"{value:.8g}" in text
     assert "Counterexample to v1-printed" in text and "Counterexample to v1-corrected" not in text
-    assert "Not proved: 256 samples" in text
+    assert re.search(r"Not proved: .* 256 samples", text)
     assert "surctl verify v1-printed --vehicle sur540-flooded --gains default --cruise 0.15 --cap 0.22" in text
     wrong = replace(report().verdicts[2], claim=replace(report().verdicts[2].claim, expected="refuted"))
     assert "which was NOT expected" in render_page(bare(verdicts=(wrong,)))
