@@ -130,7 +130,7 @@ def test_a_full_disk_is_one_line_and_the_search_resumes(monkeypatch, tmp_path):
     room = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, room[1]))
     try:
-        with pytest.raises(InputError, match=r"trials\.journal.*cannot be written.*free disk space"):
+        with pytest.raises(InputError, match=r"trials\.journal.*cannot be written.*make room"):
             search(request(), trials=96, journal=journal)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, room)
