@@ -1,4 +1,4 @@
-"""`python -m surctl`."""
+"""Run the command line of surctl as `python -m surctl`."""
 
 from surctl.cli import main
 

@@ -1,4 +1,4 @@
-"""Names of the release before. This one accepts them, and says in one line what to write instead."""
+"""Old names of the previous release, which this release still accepts with a warning that gives the new name."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class OldName(UserWarning):
 
 
 def current_table(table: Mapping[str, Any], *, file: object) -> dict[str, Any]:
-    """The table of a file with today's names for its kind.
+    """Return the table of a file with the current names for its kind.
 
     Warns:
-        OldName: for each key or value that has another name today.
+        OldName: a key or value has a new name.
 
     Example:
         >>> import warnings
@@ -44,7 +44,7 @@ def current_table(table: Mapping[str, Any], *, file: object) -> dict[str, Any]:
     for key, value in table.items():
         name = keys.get(key, key)
         if name != key and name in table:
-            name = key  # both are there: the model refuses the old one
+            name = key  # the table has both names: the model rejects the old one
         elif name != key:
             _warn(f"{file}: {key}", name)
         known = _VALUES.get(name, {})
@@ -56,10 +56,10 @@ def current_table(table: Mapping[str, Any], *, file: object) -> dict[str, Any]:
 
 
 def current_arguments(arguments: Sequence[str]) -> list[str]:
-    """The arguments of a command with today's options, laws and parameters.
+    """Return the arguments of a command with the current names of options, laws and parameters.
 
     Warns:
-        OldName: for each that has another name today.
+        OldName: an option, law or parameter has a new name.
 
     Example:
         >>> import warnings

@@ -1,4 +1,4 @@
-"""Pictures, and the self-contained HTML page."""
+"""Plots of results, and the self-contained HTML report."""
 
 from surctl.report.animation import check_animation, save_animation
 from surctl.report.calibration_plots import plot_calibration

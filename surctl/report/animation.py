@@ -1,4 +1,4 @@
-"""A run as a moving picture: path, hull, heading, obstacles, sonar beams, clearance."""
+"""Animations of a run: path, hull, heading, obstacles, sonar beams and clearance."""
 
 from __future__ import annotations
 
@@ -32,30 +32,31 @@ from surctl.simulation import Run
 __all__ = ["RATE", "check_animation", "frame_steps", "frames", "save_animation"]
 
 RATE = 10
-"""Frames a second."""
+"""Frames per second of an animation."""
 _SUFFIXES = (".gif", ".mp4")
-_SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # times real time
-_MOST = 150  # frames, about: 15 s to watch
-_COLOURS = 128  # of a GIF's one palette
+_SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # playback speeds as multiples of real time
+_MOST = 150  # approximate largest number of frames: 15 s of animation
+_COLOURS = 128  # size of the palette that all frames of a GIF share
 
 
 def check_animation(path: Path | str) -> Path:
-    """The path, if a moving picture can be written there.
+    """Return the path if an animation can be written to it.
 
     Raises:
-        InputError: its name does not end in .gif or .mp4, or is that of a folder; `ToolMissing`: MP4 without ffmpeg.
+        InputError: the name does not end in .gif or .mp4, or the path is a folder.
+        ToolMissing: the name ends in .mp4, and ffmpeg is not installed.
 
     Example:
         >>> from surctl.report import check_animation
         >>> check_animation("run.avi")
         Traceback (most recent call last):
             ...
-        surctl.errors.InputError: --animate = 'run.avi': is no moving picture; end the name in .gif or .mp4
+        surctl.errors.InputError: --animate = 'run.avi': is not the name of an animation; end the name in .gif or .mp4
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
         remedy = "end the name in .gif or .mp4"
-        raise InputError("is no moving picture", key="--animate", value=str(path), remedy=remedy)
+        raise InputError("is not the name of an animation", key="--animate", value=str(path), remedy=remedy)
     if path.is_dir():
         raise InputError("is a folder", key="--animate", value=str(path), remedy="name a file")
     if path.suffix.lower() == ".mp4" and which("ffmpeg") is None:
@@ -65,20 +66,20 @@ def check_animation(path: Path | str) -> Path:
 
 
 def frame_steps(run: Run, *, apart: float) -> list[int]:
-    """Ticks of a run that are `apart` [s] or a little more from each other, from the first one, and the last one."""
+    """Return control periods of a run at intervals of `apart` [s] or slightly more, with the first and the last."""
     last = len(run.record.time) - 1
     step = max(1, int(np.ceil(apart / run.law.dt - 1e-9)))
     return [*range(0, last, step), last]
 
 
 def save_animation(run: Run, path: Path | str) -> Path:
-    """Write a run as GIF or, by ffmpeg, as MP4, as the name ends; the path written.
+    """Write a run as a GIF, or as an MP4 with ffmpeg, according to the suffix of the path; return the path.
 
-    It plays at `RATE` frames a second, as many times faster than the run as keeps it short; the picture says so.
-    The same run gives the same bytes of a GIF.
+    The animation plays at `RATE` frames per second. A long run plays faster than real time, and the animation shows
+    the factor. The same run gives the same bytes of a GIF.
 
     Raises:
-        InputError: as `check_animation`, or the file cannot be written.
+        InputError: see `check_animation`; or the file cannot be written.
 
     Example:
         >>> from dataclasses import replace
@@ -98,7 +99,7 @@ def save_animation(run: Run, path: Path | str) -> Path:
 
 
 def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
-    """The pictures (height, width, 3) one after another; both sides are even, as video wants them."""
+    """Yield the frames (height, width, 3) in order; height and width are even, as video encoders require."""
     duration = float(run.record.time[-1])
     speed = next((s for s in _SPEEDS if duration * RATE / s <= _MOST), _SPEEDS[-1])
     length, width, _ = run.scenario.site
@@ -111,7 +112,7 @@ def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
     heading = strip.set_title(" ", loc="left", fontsize=9.5, color=INK, parse_math=False)
     canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
     canvas.draw()
-    figure.set_layout_engine("none")  # nothing may move from here on
+    figure.set_layout_engine("none")  # later frames reuse this background, so the layout must not change
     ground = canvas.copy_from_bbox(figure.bbox)
     for step in frame_steps(run, apart=speed / RATE):
         canvas.restore_region(ground)
@@ -136,7 +137,7 @@ def _draw_plan(ax: Axes, run: Run) -> None:
 
 
 def _draw_strip(ax: Axes, run: Run) -> None:
-    """Clearance over the whole run, over which a cursor moves."""
+    """Draw the clearance over the whole run; the frames add a cursor."""
     dress(ax, x="time [s]", y="clearance [m]")
     time = run.record.time
     ax.plot(time, finite(run.record.clearance), color=ROBOT, linewidth=1.2)
@@ -146,7 +147,7 @@ def _draw_strip(ax: Axes, run: Run) -> None:
 
 
 def _moving(run: Run, step: int, plan: Axes, strip: Axes, heading: Text, speed: int) -> Iterator[tuple[Axes, Artist]]:
-    """What one frame draws on the still ground, bottom first."""
+    """Yield the artists that one frame draws over the fixed background, lowest first."""
     record, radius = run.record, run.vehicle["radius"]
     length, width, _ = run.scenario.site
     water = Rectangle((0, 0), length, width, transform=plan.transData)
@@ -194,25 +195,25 @@ def _handles(run: Run) -> list[Line2D | Patch]:
 
 
 def _gif(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
-    """All in the palette of the first picture, which has every colour; only what changed between two is kept."""
+    """Return a GIF of frames that all use the palette of the first one, which contains every colour."""
     begun = next(pictures)
     nearest, colours = _palette(begun)
     first, *rest = (_indexed(nearest[_cells(p)], colours) for p in chain([begun], pictures))
     out = BytesIO()
-    duration = [1000 // RATE] * len(rest) + [2000]  # the end stays to be looked at
+    duration = [1000 // RATE] * len(rest) + [2000]  # the last frame stays for 2 s
     first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
     return out.getvalue()
 
 
 def _cells(picture: NDArray[np.uint8]) -> NDArray[np.int_]:
-    """Number of each pixel's colour among 32³ of them."""
+    """Return the index of each pixel's colour among 32³ colours."""
     fine = picture.astype(int) >> 3
     cells: NDArray[np.int_] = (fine[..., 0] << 10) | (fine[..., 1] << 5) | fine[..., 2]
     return cells
 
 
 def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """The most frequent colours (k, 3) of a picture, and which of them is nearest to each of the 32³."""
+    """Return the most frequent colours (k, 3) of a picture, and the nearest of them for each of the 32³ colours."""
     # Pillow's own mapping to a palette turns white into grey
     parts = np.stack(np.unravel_index(np.arange(1 << 15), (32, 32, 32)), axis=1)
     every = (parts << 3) | (parts >> 2)
@@ -224,7 +225,7 @@ def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.
 
 def _indexed(indices: NDArray[np.uint8], colours: NDArray[np.uint8]) -> Image.Image:
     image = Image.fromarray(indices)
-    image.putpalette(colours.tobytes())  # makes it an image of indices
+    image.putpalette(colours.tobytes())  # converts it to an image of palette indices
     return image
 
 
@@ -238,6 +239,6 @@ def _mp4(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
         sent = b"".join([first.tobytes(), *(p.tobytes() for p in pictures)])
         done = subprocess.run(command, input=sent, capture_output=True, check=False)
         if done.returncode or not target.exists():
-            said = done.stderr.decode(errors="replace").strip().splitlines() or ["nothing said"]
+            said = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
             raise InputError(f"ffmpeg failed ({said[-1]})", key="--animate", remedy="end the name in .gif")
         return target.read_bytes()

@@ -1,4 +1,4 @@
-"""The sonars' beams of a run at one tick, as numbers and as patches."""
+"""The sonar beams of a run at one control period, as numbers and as patches."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from surctl.simulation import Run
 __all__ = ["INSTANT", "Beam", "beam_patch", "beams_at"]
 
 INSTANT = "#6D28D9"
-"""Colour of an instant at which the sonar is shown."""
+"""Colour that marks the instant at which sonar beams are shown."""
 
 
 @dataclass(frozen=True)
 class Beam:
-    """A cone in {E}, as long as the filtered range.
+    """The beam of one sonar: a cone in {E} whose length is the filtered range.
 
     Attributes:
-        apex: (x, y) [m].
-        axis: direction [rad].
-        half_angle: of the cone [rad].
+        apex: position of the sonar (x, y) [m].
+        axis: direction of the cone's axis [rad].
+        half_angle: half of the cone's opening angle [rad].
         length: filtered range [m].
-        echo: False where the sonar reads its maximum.
+        echo: whether the sonar received an echo; False if it reads its maximum range.
     """
 
     apex: tuple[float, float]
@@ -35,7 +35,7 @@ class Beam:
 
 
 def beams_at(run: Run, step: int) -> tuple[Beam, ...]:
-    """The beams of all sonars at a tick; none of a run that is told its obstacles."""
+    """Return the beams of all sonars at a control period; empty if the law uses true positions instead of sonar."""
     if run.sensing != "sonar":
         return ()
     array = run.scenario.sensors.array_on(run.vehicle["radius"])
@@ -49,7 +49,7 @@ def beams_at(run: Run, step: int) -> tuple[Beam, ...]:
 
 
 def beam_patch(beam: Beam) -> Wedge:
-    """Filled where there is an echo, dashed where the sonar reads its maximum; in {E} [m]."""
+    """Return the beam as a patch in {E} [m]: filled if there is an echo, dashed if the sonar reads its maximum."""
     middle, half = np.rad2deg(beam.axis), np.rad2deg(beam.half_angle)
     return Wedge(
         beam.apex,

@@ -1,7 +1,7 @@
-"""What the tuning page shows for a set of gains: pure functions of a bench and its gains, with nothing of the page.
+"""Computations of the tuning page for a set of gains: pure functions of a bench and its gains, without page code.
 
-The page is in the package, not among the notebooks, because an installed `surctl` has to be able to serve it; and in
-the report, because only the report draws and may import tuning, verification and simulation.
+The page is in the package, not among the notebooks, because an installed `surctl` must be able to serve it. It is in
+the report package, because only this package plots results and may import tuning, verification and simulation.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ from surctl.verification.steps import STEP_NAMES, step_system
 
 __all__ = ["Bench", "Steps", "plot_steps", "save_gains", "slider_steps", "step_responses"]
 
-_STOPS = 40  # places of a slider on either side of the value that it starts from
+_STOPS = 40  # positions of a slider on either side of its start value
 _SAMPLES = 400
 _LOCUS = 41
-_SMOOTH = 0.05  # share of its modulus that a pole goes from one value of the locus to the next
-_PATIENCE = 10.0  # [s] a proof
-_DIGITS = 4  # of a slider's values; the one that it starts from is kept whole
+_SMOOTH = 0.05  # largest step of a pole between two locus values, as a share of its modulus
+_PATIENCE = 10.0  # [s] time limit of each proof
+_DIGITS = 4  # significant digits of slider values; the start value is not rounded
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Responses to unit steps in what is wanted, each loop closed.
+    """Responses to unit steps in the references, with all loops closed.
 
     Attributes:
-        time: by name of the step, (n,) [s].
-        value: by name, (n,), share of the step.
+        time: (n,) times [s] by name of the step.
+        value: (n,) responses by name of the step, as a share of the step.
     """
 
     time: Mapping[str, NDArray[np.float64]]
@@ -67,14 +67,14 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """One vehicle in one scenario with true positions, judged by goals; the gains come with each question.
+    """One vehicle in one scenario with true positions, and the goals; each method takes the gains to evaluate.
 
     Attributes:
-        vehicle: what is flown, and what the controller believes.
+        vehicle: the simulated vehicle, which is also the model of the controller.
         scenario: the mission.
-        gains: what the page starts from.
-        goals: what a set of gains is judged by.
-        cruise: speeds [m/s] at which the loops are shown beside the scenario's and the goals' own.
+        gains: the gains that the page starts with.
+        goals: the goals that a set of gains should meet.
+        cruise: further speeds [m/s] at which the page shows the loops, beside those of the scenario and the goals.
     """
 
     vehicle: Vehicle
@@ -85,7 +85,7 @@ class Bench:
 
     @property
     def case(self) -> Case:
-        """What is flown."""
+        """The simulated case: scenario, vehicle and start gains."""
         return Case(self.scenario, self.vehicle, self.gains)
 
     @property
@@ -99,31 +99,31 @@ class Bench:
         return tuple(sorted({self.scenario.cruise, *self.cruise, *(u for goal in self.goals for u in goal.cruise)}))
 
     def ranges(self, gains: Gains) -> tuple[GainRange, ...]:
-        """The gains that have a slider, with its ends: the gain file's range, else a quarter to four times."""
+        """Return the gains with a slider, and its ends: the gain file's range, or a quarter to four times the gain."""
         return gain_ranges(gains, {name: gains.ranges.get(name) for name in TUNED})
 
     def simulate(self, gains: Gains) -> Run:
-        """The closed loop, seed 0; the law is compiled once, its gains are numbers that it reads."""
+        """Simulate the closed loop with seed 0; the law is compiled once and reads the gains as parameters."""
         return simulate(self.scenario, self.vehicle, gains=gains, law=self.case.build())
 
     def judge(self, gains: Gains) -> Evaluation:
-        """The goals over this scenario: nominal plant, and the corners of the vehicle's ranges."""
+        """Evaluate the goals in this scenario, for the nominal plant and the corners of the vehicle's ranges."""
         evaluated = conditions([self.case], seeds=[0])
         return evaluate(self.goals, evaluated, {name: np.array([value]) for name, value in gains.values.items()})
 
     def linear(self, gains: Gains) -> dict[str, float]:
-        """`LINEAR_METRICS` about the scenario's cruise speed."""
+        """Return the `LINEAR_METRICS` at the scenario's cruise speed."""
         table = linear_table(
             self.vehicle, {}, base=gains.values, columns=tuple(LINEAR_METRICS), cruise=self.scenario.cruise, dt=self.dt
         )
         return {name: float(values[0]) for name, values in table.items()}
 
     def over_speeds(self, gains: Gains, columns: Collection[str]) -> OverSpeeds:
-        """Columns of `LINEAR_METRICS` at all speeds."""
+        """Return columns of `LINEAR_METRICS` at all speeds."""
         return over_speeds(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, columns=columns)
 
     def bode(self, gains: Gains, loop: str | None = None) -> Figure:
-        """One loop at all speeds, or without a name all eight at the scenario's cruise speed."""
+        """Plot the Bode diagram of one loop at all speeds; without a name, of all eight at the scenario's cruise speed."""
         figure = new_figure(6.4, 5.2)
         upper, lower = figure.subplots(2, 1, sharex=True)
         if loop is None:
@@ -139,18 +139,18 @@ class Bench:
         return plot_bode(shown, (upper, lower))
 
     def steps(self, gains: Gains) -> Figure:
-        """Step responses drawn, at all speeds."""
+        """Plot the step responses at all speeds."""
         return plot_steps({u: step_responses(self.vehicle, gains.values, cruise=u, dt=self.dt) for u in self.speeds})
 
     def sensitivity(self, gains: Gains) -> Figure:
-        """S and T of all loops together, opened at the thrust, at all speeds where they are stable."""
-        found = sensitivities(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, places=("thrust",))
-        if not found:
+        """Plot S and T of all loops opened together at the thrust, at each speed at which the loop is stable."""
+        curves = sensitivities(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, places=("thrust",))
+        if not curves:
             raise _unstable(self.vehicle, gains.values, cruise=self.speeds[0], dt=self.dt)
-        return plot_s_and_t(found)
+        return plot_s_and_t(curves)
 
     def locus(self, gains: Gains, gain: str) -> Axes:
-        """Closed-loop poles over the range of one gain, those of its value marked."""
+        """Plot the closed-loop poles over the range of one gain, with the poles at its current value marked."""
         ends = next(r for r in self.ranges(self.gains) if r.name == gain)
         low, high = min(ends.low, gains[gain]), max(ends.high, gains[gain])
         values = np.union1d(np.linspace(low, high, _LOCUS), [gains[gain]])
@@ -161,15 +161,15 @@ class Bench:
 
     @property
     def locus_gains(self) -> tuple[str, ...]:
-        """Gains with a slider that move a pole."""
+        """The gains with a slider that influence a closed-loop pole."""
         return tuple(r.name for r in self.ranges(self.gains) if r.name in LINEAR_PARAMETERS)
 
     def plan(self, run: Run) -> Axes:
-        """The way flown, from above."""
+        """Plot the run in plan view."""
         return plot_run(run)
 
     def verdicts(self, gains: Gains) -> tuple[Verdict | Inapplicable, ...]:
-        """Every claim of the library for these gains, this scenario's speeds and this vehicle."""
+        """Return the verdict on each claim of the library, for these gains, this vehicle and the scenario's speeds."""
         at_hand = {**gains.values, "speed": self.scenario.cruise, "speed_max": self.scenario.cap}
         claims, refused = applicable_claims(at_hand, vehicle=self.vehicle)
         decided = [decide(c, time_limit=_PATIENCE) for c in claims]
@@ -177,9 +177,9 @@ class Bench:
 
 
 def slider_steps(about: GainRange, value: float) -> list[float]:
-    """Places of a slider, ascending, even in the logarithm; the value itself and both ends are among them.
+    """Return the positions of a slider, ascending and evenly spaced in the logarithm, with the value and both ends.
 
-    A value outside the range widens it.
+    If the value is outside the range, the slider extends to the value.
     """
     low, high = min(about.low, value), max(about.high, value)
     grid = np.concatenate([np.geomspace(low, value, _STOPS + 1), np.geomspace(value, high, _STOPS + 1)])
@@ -188,17 +188,17 @@ def slider_steps(about: GainRange, value: float) -> list[float]:
 
 
 def step_responses(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> Steps:
-    """Unit steps in the wanted surge speed, heading and cross-track place, as `LINEAR_METRICS` counts them.
+    """Return the responses to unit steps in the references of surge speed, heading and cross-track position.
 
     Args:
         vehicle: the vehicle.
-        gains: values by name.
-        cruise: U [m/s].
+        gains: gain values by name.
+        cruise: cruise speed U [m/s].
         dt: control period [s].
 
     Raises:
         InputError: a gain is missing or not positive, the vehicle cannot cruise at that speed, or the loop is
-            unstable: then there is nothing to settle.
+            unstable.
     """
     from control import ss, step_response
 
@@ -223,7 +223,7 @@ def _unstable(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
 
 
 def plot_steps(data: Mapping[float, Steps]) -> Figure:
-    """Responses over time by cruise speed [m/s], with the band of 2 % within which one has settled; axes a step."""
+    """Plot the responses over time by cruise speed [m/s], with the ±2 % band that defines the settling time."""
     figure = new_figure(6.4, 6.2)
     axes = figure.subplots(len(STEP_NAMES), 1)
     for ax, name in zip(axes, STEP_NAMES, strict=True):
@@ -237,14 +237,14 @@ def plot_steps(data: Mapping[float, Steps]) -> Figure:
 
 
 def save_gains(gains: Gains, file: str) -> Path:
-    """Write a gain file that `load_gains` reads back; the path.
+    """Write a gain file that `load_gains` can read; return its path.
 
     Raises:
-        InputError: no name, another suffix than .toml, or the folder cannot be written.
+        InputError: the name is empty or does not end in .toml, or the folder cannot be written.
     """
     path = Path(file.strip()).expanduser()
     if path.suffix != ".toml":
-        raise InputError("is no gain file's name", key="save", value=file, remedy="write a path that ends in .toml")
+        raise InputError("is not the name of a gain file", key="save", value=file, remedy="end the path in .toml")
     write_file(path, write_gains(gains))
     load_gains(str(path))
     return path

@@ -1,4 +1,4 @@
-"""A range sensor's calibration: errors against distance with the fitted line and noise, and studentised residuals."""
+"""Plots of a range sensor's calibration: errors with the fitted line and noise, and studentised residuals."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from surctl.sensing import SensorCalibration
 
 __all__ = ["plot_calibration", "plot_errors", "plot_studentised"]
 
-_DOTS = 4000  # drawn at most beside the outliers: more is a solid block
+_DOTS = 4000  # largest number of rows drawn besides the outliers: more would merge
 _NORMAL = 1.96
 
 
 def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -> Figure:
-    """Errors, and studentised residuals, over the true distance.
+    """Plot the errors and the studentised residuals of a calibration over the true distance.
 
     Args:
         one: the calibration.
-        ax: two axes; None makes them.
+        ax: two axes, for errors and residuals; None creates them.
 
     Returns:
         The figure that holds the axes.
@@ -46,7 +46,7 @@ def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -
 
 
 def plot_errors(one: SensorCalibration, ax: Axes | None = None) -> Axes:
-    """Measured − true [mm] over the true distance [m], the fitted line and the band that holds 95 % of the noise."""
+    """Plot measured − true [mm] over the true distance [m], with the fitted line and the band of 95 % of the noise."""
     fit = one.calibration
     ax = _axes(ax, y="measured − true [mm]")
     ax.axhline(0.0, color=MUTED, linewidth=0.9)
@@ -63,14 +63,14 @@ def plot_errors(one: SensorCalibration, ax: Axes | None = None) -> Axes:
     if len(fit.outliers):
         ax.plot(
             fit.true[fit.outliers], 1e3 * fit.errors[fit.outliers], "s", color=AVOIDING, markersize=8,
-            fillstyle="none", label="outlier, kept",
+            fillstyle="none", label="outlier, kept in the fit",
         )  # fmt: skip
     legend_above(ax)
     return ax
 
 
 def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
-    """Residual over its own sd over the true distance [m], with the bound beyond which a row counts as an outlier."""
+    """Plot each residual, divided by its standard deviation, over the true distance [m], with the outlier bound."""
     fit = one.calibration
     ax = _axes(ax, y="studentised residual [1]")
     bound = fit.outlier_bound
@@ -82,7 +82,7 @@ def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
     ax.plot(fit.true[shown], values[shown], "o", color=ROBOT, markersize=_size(shown))
     if len(fit.outliers):
         beyond = np.abs(fit.studentised[fit.outliers]) > 3.0 * bound
-        label = "outlier, kept (held to the axis)" if beyond.any() else "outlier, kept"
+        label = "outlier, kept in the fit (clipped to the axis)" if beyond.any() else "outlier, kept in the fit"
         ax.plot(
             fit.true[fit.outliers], values[fit.outliers], "s", color=AVOIDING, markersize=8, fillstyle="none",
             label=label,
@@ -92,7 +92,7 @@ def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
 
 
 def _share(true: NDArray[np.float64], outliers: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Indices of an even share of the rows, and of every outlier."""
+    """Return the indices of at most `_DOTS` evenly spaced rows, and of every outlier."""
     even = np.linspace(0, len(true) - 1, min(len(true), _DOTS)).astype(np.intp)
     return np.union1d(even, outliers)
 

@@ -1,4 +1,4 @@
-"""Boxes of interval proofs: those that settle a claim, and those that an open claim leaves."""
+"""Plots of the boxes of interval proofs: boxes that prove a claim, and boxes that remain open."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ from surctl.verification.proving.cells import Cells, cells_of
 __all__ = ["plot_cells", "plot_open_boxes"]
 
 _RULES = {
-    "i": "outside the domain", "j": "outside it, mean value", "n": "interval value", "m": "mean value",
+    "i": "outside the domain", "j": "outside the domain, mean value", "n": "interval value", "m": "mean value",
     "c": "concave, by a tangent",
 }  # fmt: skip
-_BESIDE = 0.507  # of the domain: beside the middle, where boxes meet
+_BESIDE = 0.507  # section as a share of the domain: not exactly the middle, where boxes meet
 _COLOURS = ("#0072B2", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#5F6368")
 
 
 def plot_cells(verdict: Verdict, ax: Axes | None = None) -> Axes:
-    """The boxes of a proved claim's certificate in the two variables that are halved most.
+    """Plot the boxes of a proved claim's certificate over the two variables that are halved most often.
 
-    Of more variables it is the section near the middle of the others; of more cases, the one with most boxes.
+    If the claim has more variables, the plot shows a section near the middle of the others. If the proof has several
+    cases, it shows the case with the most boxes.
 
     Raises:
-        InputError: the claim is not proved, or has fewer than two variables.
+        InputError: the claim is not proved, or fewer than two of its variables vary.
     """
     claim = verdict.claim
     if verdict.certificate is None:
@@ -57,21 +58,21 @@ def plot_cells(verdict: Verdict, ax: Axes | None = None) -> Axes:
     legend_above(ax, columns=2)
     total = sum(len(c.rules) for c in cases)
     note = f"{len(indices)} of {total} boxes lie in this section" + (
-        "; of the cases, the one with most" if len(cases) > 1 else ""
+        "; this case has the most boxes" if len(cases) > 1 else ""
     )
     ax.text(0.0, -0.2, note, transform=ax.transAxes, fontsize=8, color=INK)
     return ax
 
 
 def plot_open_boxes(verdict: Verdict, ax: Axes | None = None) -> Axes:
-    """The boxes that an attempt at a proof left open, seen from above: all of them, not a section.
+    """Plot all boxes that an attempted proof left open, projected onto two variables.
 
     Raises:
-        InputError: nothing is open, or the claim has fewer than two variables.
+        InputError: no box is open, or fewer than two variables of the claim vary.
     """
     claim, boxes = verdict.claim, verdict.open_boxes
     if not boxes:
-        raise InputError("has no open boxes", key=f"claim {claim.name}", remedy="plot claims that are left open")
+        raise InputError("has no open boxes", key=f"claim {claim.name}", remedy="plot undecided claims only")
     ends = [np.array([[box[v.name][k] for box in boxes] for v in claim.variables]) for k in (0, 1)]
     first, second = _axes(claim, ends)
     ax = _dressed(claim, first, second, ax)
@@ -81,25 +82,29 @@ def plot_open_boxes(verdict: Verdict, ax: Axes | None = None) -> Axes:
     ]
     ax.add_collection(PatchCollection(patches, facecolor=BAD, alpha=0.4, edgecolor=BAD, linewidth=0.7))
     ax.legend(
-        handles=[Patch(facecolor=BAD, alpha=0.4, label=f"open: the {len(boxes)} largest boxes")], fontsize=8,
+        handles=[Patch(facecolor=BAD, alpha=0.4, label=f"the {len(boxes)} largest open boxes")], fontsize=8,
         frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2,
     )  # fmt: skip
     return ax
 
 
 def _axes(claim: Claim, ends: Sequence[NDArray[np.float64]]) -> tuple[int, int]:
-    """The two variables in which the boxes are narrowest against the domain, in the claim's order."""
+    """Return the two variables in which the boxes are narrowest relative to the domain, in the claim's order."""
     width = np.maximum(claim.upper - claim.lower, 1e-300)
     free = [k for k, v in enumerate(claim.variables) if v.upper > v.lower]
     if len(free) < 2:
-        raise InputError("has fewer than two variables that vary", key=f"claim {claim.name}", remedy="read its boxes")
+        raise InputError(
+            "has fewer than two variables that vary",
+            key=f"claim {claim.name}",
+            remedy="read its boxes",
+        )
     share = np.mean((ends[1] - ends[0]) / width[:, None], axis=1)
     first, second = sorted(sorted(free, key=lambda k: float(share[k]))[:2])
     return first, second
 
 
 def _section(cells: Cells, first: int, second: int) -> list[int]:
-    """Boxes that the section near the middle of every other variable meets."""
+    """Return the indices of the boxes that the section near the middle of all other variables intersects."""
     low, high = cells.lower.min(axis=1), cells.upper.max(axis=1)
     centre = low + _BESIDE * (high - low)
     others = [k for k in range(len(centre)) if k not in (first, second)]

@@ -1,4 +1,4 @@
-"""The library's claims as clauses that need no formula, and what each leaves out."""
+"""The claims of the library in words without formulas, and what each claim does not cover."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class ClaimWords(NamedTuple):
     """A claim in words.
 
     Attributes:
-        clause: what it says, as it follows "It is proved that".
-        beyond: what it does not cover, besides the assumption that all claims of its kind share.
+        clause: what the claim says, worded to follow "It is proved that".
+        beyond: what the claim does not cover, in addition to the limits that all claims of its kind share.
     """
 
     clause: str
@@ -28,22 +28,22 @@ _WORDS: Mapping[str, ClaimWords] = {
         "the tracking error never grows when the surge command may be negative", "corrected form: v1-corrected"
     ),
     "v1-corrected": ClaimWords(
-        "the tracking error decreases at a stated rate when the surge command is kept at 0 or above", "a speed cap"
+        "the tracking error decreases at a stated rate when the surge command is kept at 0 or above", "a speed limit"
     ),
     "v1-speed-cap": ClaimWords(
-        "the tracking error never grows under the speed cap, however far behind the robot is",
+        "the tracking error never grows under the speed limit, however far behind the robot is",
         "corrected form: v1-speed-cap-region",
     ),
     "v1-speed-cap-region": ClaimWords(
-        "the tracking error never grows under the speed cap while the robot is no farther behind than this set allows",
+        "the tracking error never grows under the speed limit while the robot is at most as far behind as in this set",
         "robots farther behind the target",
     ),
     "course-printed": ClaimWords(
-        "the cross-track error never grows when the heading is steered, whatever the sway",
+        "the cross-track error never grows when the law steers the heading, for any sway velocity",
         "corrected form: course-corrected",
     ),
     "course-corrected": ClaimWords(
-        "the cross-track error decreases when the course is steered, so that the heading compensates the sideslip",
+        "the cross-track error decreases when the law steers the course, so that the heading compensates the sideslip",
         "curved paths",
     ),
     "m-norm-printed": ClaimWords(
@@ -54,21 +54,21 @@ _WORDS: Mapping[str, ClaimWords] = {
         "negative surge commands",
     ),
     "v2-printed": ClaimWords(
-        f"{_SHRINKS} before a static obstacle, for any offset delta of 0 or above", "corrected form: v2-static"
+        f"{_SHRINKS} for a static obstacle, for any offset delta of 0 or above", "corrected form: v2-static"
     ),
     "v2-static": ClaimWords(
-        f"{_SHRINKS} before a static obstacle where the offset delta and the distance e2 have the same sign",
+        f"{_SHRINKS} for a static obstacle where the offset delta and the distance e2 have the same sign",
         "moving obstacles",
     ),
     "v2-obstacle": ClaimWords(
-        f"{_SHRINKS} before a moving obstacle that is slower than the robot", "corrected form: clearance-corrected"
+        f"{_SHRINKS} for a moving obstacle that is slower than the robot", "corrected form: clearance-corrected"
     ),
     "v2-clockwise": ClaimWords(
-        f"{_SHRINKS} before a static obstacle when the bearing is taken clockwise, as printed",
+        f"{_SHRINKS} for a static obstacle when the bearing is measured clockwise, as printed",
         "corrected form: v2-static",
     ),
     "clearance-printed": ClaimWords(
-        "the clearance to a static obstacle shrinks no faster than the barrier allows, with the printed course",
+        "the clearance to a static obstacle shrinks no faster than the barrier allows, with the course as printed",
         "corrected form: clearance-corrected",
     ),
     "clearance-corrected": ClaimWords(
@@ -80,5 +80,5 @@ _WORDS: Mapping[str, ClaimWords] = {
 
 
 def claim_words(claim: Claim) -> ClaimWords:
-    """The claim's words; of a claim that is not in the library, its own statement."""
+    """Return the claim in words; for a claim that is not in the library, its own statement."""
     return _WORDS.get(claim.name, ClaimWords(claim.statement))

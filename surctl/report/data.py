@@ -1,4 +1,4 @@
-"""What the page is made of: everything a study found, as one object."""
+"""The contents of the report page: all results of a study in one object."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class ExportSummary:
 
     Attributes:
         name: prefix of the files and C symbols.
-        id: identity of the law.
-        files: what was written.
-        sil: one software-in-the-loop report a replayed run; empty when nothing was compiled.
-        status: a sentence on what was or was not done; may be empty.
+        id: identifier of the law.
+        files: the files that were written.
+        sil: one software-in-the-loop report per replayed run; empty if nothing was compiled.
+        status: a sentence that says what was done or not done; may be empty.
     """
 
     name: str
@@ -42,7 +42,7 @@ class ExportSummary:
 
     @property
     def passed(self) -> bool | None:
-        """Whether every comparison passed without a reset; None when there was none."""
+        """Whether every comparison with Python passed without a reset; None if there was no comparison."""
         return all(report.conclusive for report in self.sil) if self.sil else None
 
 
@@ -52,27 +52,27 @@ class ReportData:
 
     Attributes:
         title: heading of the page.
-        command: the command line that made it all.
-        version: of this package.
-        vehicle: what the gains and margins are for.
+        command: the command line that produced the page.
+        version: version of this package.
+        vehicle: the vehicle that the gains and margins are for.
         gains: the gains of the runs.
-        speeds: cruise speed and cap [m/s] that margins and claims are about; None where they are not known.
-        margins: of the eight loops.
-        linear: loops together, poles and sampling: of the vehicle, of the worst of its ranges.
+        speeds: cruise speed and speed limit [m/s] of the margins and claims; None if they are not known.
+        margins: margins of the eight loops.
+        linear: analysis of all loops together, of poles and of sampling, for the nominal vehicle and the worst corner.
         poles: closed-loop poles [rad/s], or None.
-        loops: frequency responses of the loops; without them no Bode plot is drawn.
-        verdicts: of the claims.
-        inapplicable: claims that are not about this vehicle, and why.
+        loops: frequency responses of the loops; without them the page has no Bode plot.
+        verdicts: verdicts on the claims.
+        inapplicable: claims that do not apply to this vehicle, each with the reason.
         runs: closed-loop runs.
-        deciding: for each run, whether it decides the outcome; None lets the runs with true positions decide.
-        sweep: the sweep that picked the gains, or None.
+        deciding: for each run, whether it counts towards the result; None counts only the runs with true positions.
+        sweep: the sweep that selected the gains, or None.
         export: the exported controller, or None.
-        seconds: time taken [s] by stage.
-        summary: lines of the outcome: holds, fails, or None for a note that decides nothing; see `Check`.
-        gains_file: the gain file that `--gains` takes to get these gains; empty when there is none.
+        seconds: computing time [s] of each stage.
+        summary: lines of the summary: True holds, False fails, None does not count towards the result; see `Check`.
+        gains_file: the gain file that `--gains` takes to use these gains; empty if there is none.
 
     Raises:
-        InputError: `deciding` has another length than `runs`.
+        InputError: `deciding` and `runs` differ in length.
     """
 
     title: str
@@ -100,18 +100,18 @@ class ReportData:
             raise InputError(
                 f"has {len(self.deciding)} entries for {len(self.runs)} runs",
                 key="deciding",
-                remedy="give one a run",
+                remedy="give one entry per run",
             )
 
     @property
     def decides(self) -> tuple[bool, ...]:
-        """For each run, whether it decides."""
+        """For each run, whether it counts towards the result."""
         if self.deciding is None:
             return tuple(run.sensing == "truth" for run in self.runs)
         return self.deciding
 
     @property
     def passed(self) -> bool | None:
-        """False when a line of the summary fails, True when one holds and none fails, None when none decides."""
+        """False if a line of the summary fails, True if lines hold and none fails, None if no line counts."""
         outcomes = [line[0] for line in self.summary if line[0] is not None]
         return all(outcomes) if outcomes else None

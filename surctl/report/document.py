@@ -1,4 +1,4 @@
-"""What a page consists of: sections of paragraphs, tables and pictures, as data. The template only lays it out."""
+"""Contents of a page as data: sections of paragraphs, tables and pictures. The template only lays them out."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Check(NamedTuple):
     """A line of the summary.
 
     Attributes:
-        good: it holds, fails, or, with None, decides nothing.
-        text: what it says.
-        anchor: of the section or heading that tells more; empty for none.
+        good: True if the line holds, False if it fails, None if it does not count towards the result.
+        text: the sentence of the line.
+        anchor: anchor of the section or heading with the details; empty for none.
     """
 
     good: bool | None
@@ -44,9 +44,9 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a table: its text, what it says of the outcome, whether it is set as code or as a number.
+    """One entry of a table: its text, its mark (good, bad or note), and whether it is set as code or as a number.
 
-    `anchor` is that of the section or heading that tells more; empty for none.
+    `anchor` is the anchor of the section or heading with the details; empty for none.
     """
 
     text: str
@@ -57,7 +57,7 @@ class Cell:
 
     @property
     def style(self) -> str:
-        """Classes of the cell: its mark, and how it may be broken into lines."""
+        """CSS classes of the cell: its mark, and how its text may be broken into lines."""
         length = len(self.text)
         fit = "number" if self.number else "short" if length <= 16 else "long" if length > 40 else "text"
         return f"{self.mark} {fit}".strip()
@@ -65,9 +65,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table: caption, column heads with units, rows of cells. Plain text stands for an unmarked cell.
+    """A table: caption, column heads with units, and rows of cells; plain text is an unmarked cell.
 
-    `widths` are the columns' shares of the page's width [%]; without them each column is as wide as its text.
+    `widths` are the columns' shares of the page width [%]; without them, each column is as wide as its text.
     """
 
     caption: str
@@ -78,19 +78,19 @@ class Table:
 
     @property
     def cells(self) -> tuple[tuple[Cell, ...], ...]:
-        """The rows with plain text as cells."""
+        """The rows, with plain text converted to cells."""
         return tuple(tuple(c if isinstance(c, Cell) else Cell(c) for c in row) for row in self.rows)
 
     @property
     def columns(self) -> tuple[tuple[str, str], ...]:
-        """Head and class of each column: that of numbers where the first row has one."""
+        """Head and CSS class of each column; the class is `number` if the first cell of the column is a number."""
         first = self.cells[0] if self.rows else tuple(Cell("") for _ in self.heads)
         return tuple((head, "number" if cell.number else "") for head, cell in zip(self.heads, first, strict=True))
 
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A paragraph; a marked one tells an outcome."""
+    """A paragraph; a marked one states a result."""
 
     text: str
     mark: Mark = ""
@@ -99,7 +99,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading inside a section; one with an anchor (an HTML id) can be linked to."""
+    """A heading inside a section; links can point to a heading with an anchor (an HTML id)."""
 
     text: str
     anchor: str = ""
@@ -112,10 +112,10 @@ class Picture:
 
     Attributes:
         uri: `data:image/png;base64,...`.
-        width, height: [px].
-        alt: what it shows, for those who do not see it.
-        caption: what to read from it.
-        command: the command that makes it.
+        width, height: size [px].
+        alt: description of the picture for screen readers.
+        caption: sentences below the picture.
+        command: the command that draws the picture.
     """
 
     uri: str
@@ -128,7 +128,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures side by side where there is room."""
+    """Pictures that stand side by side where the page is wide enough."""
 
     pictures: tuple[Picture, ...]
     kind: ClassVar[str] = "pictures"
@@ -136,12 +136,12 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Player:
-    """A run to be played and scrubbed; without a script, and on paper, its still picture.
+    """A run that the page can play; without scripts, and on paper, the page shows a still picture instead.
 
     Attributes:
-        frames: what `player.js` plays, as JSON without any `<`.
+        frames: input of `player.js`, as JSON without any `<`.
         still: the whole run in one picture.
-        label: what is played, for those who do not see it.
+        label: description of the animation for screen readers.
     """
 
     frames: str
@@ -151,7 +151,7 @@ class Player:
 
     @property
     def pictures(self) -> tuple[Picture, ...]:
-        """The still picture."""
+        """The still picture of the run, as a tuple with one element."""
         return (self.still,)
 
 
@@ -160,7 +160,7 @@ Block = Table | Paragraph | Heading | Pictures | Player
 
 @dataclass(frozen=True)
 class Section:
-    """A section: its anchor (an HTML id), title and blocks; a folded one is closed until the reader opens it."""
+    """A section: its anchor (an HTML id), title and blocks; a folded section is closed until the reader opens it."""
 
     anchor: str
     title: str
@@ -169,15 +169,15 @@ class Section:
 
     @property
     def headings(self) -> tuple[Heading, ...]:
-        """Those with an anchor."""
+        """The headings of the section that have an anchor."""
         return tuple(block for block in self.blocks if isinstance(block, Heading) and block.anchor)
 
 
 def picture(plot: Axes | Figure, *, alt: str, caption: str, command: str) -> Picture:
-    """Render a plot into a `Picture`; the same plot gives the same bytes."""
+    """Render a plot as a `Picture`; the same plot gives the same bytes."""
     figure = plot if isinstance(plot, Figure) else plot.figure.figure
     buffer = BytesIO()
-    # a library's version in the file would make the bytes depend on it
+    # leave out the library's version, so that the bytes do not depend on it
     figure.savefig(buffer, format="png", metadata={"Software": None})
     width, height = (round(side) for side in figure.get_size_inches() * figure.dpi)
     uri = "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
@@ -185,5 +185,5 @@ def picture(plot: Axes | Figure, *, alt: str, caption: str, command: str) -> Pic
 
 
 def outcome_cell(good: bool, yes: str, no: str) -> Cell:
-    """`yes` marked good, or `no` marked bad."""
+    """Return a cell with the text `yes` marked good, or with the text `no` marked bad."""
     return Cell(yes, "good") if good else Cell(no, "bad")

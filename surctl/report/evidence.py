@@ -1,4 +1,4 @@
-"""What a counterexample shows: its replay over time, and the claim's margin about it in two variables."""
+"""Plots of a counterexample: its replay over time, and the claim's margin around it in two variables."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _PROBES = 61
 
 @dataclass(frozen=True, eq=False)
 class MarginSlice:
-    """A claim's margin on a plane through a counterexample, all other variables held.
+    """A claim's margin on a plane through a counterexample; all other variables are constant.
 
     Attributes:
         claim: the claim.
         point: the counterexample.
-        one, other: the variables of the two directions.
+        one, other: the variables along the two axes of the plane.
         x: (m,) values of `one`.
         y: (n,) values of `other`.
         margin: (n, m) left − right, positive where the claim fails; NaN outside the claim's domain.
@@ -43,10 +43,10 @@ class MarginSlice:
 
 
 def margin_slice(verdict: Verdict) -> MarginSlice:
-    """The slice through a verdict's counterexample along its two most influential variables.
+    """Return the slice through a verdict's counterexample along its two most influential variables.
 
-    A variable is as influential as the margin's range along its interval, from the counterexample; what lies
-    deeper on the good side than the counterexample on the bad one does not count, or a term far away would decide.
+    The influence of a variable is the range of the margin along its interval, through the counterexample. Values below
+    minus the counterexample's margin are clipped first, so that terms far from the counterexample do not dominate.
 
     Raises:
         InputError: the verdict has no counterexample, or fewer than two variables can vary.
@@ -66,7 +66,7 @@ def margin_slice(verdict: Verdict) -> MarginSlice:
     free = [k for k, v in enumerate(claim.variables) if v.upper > v.lower]
     if len(free) < 2:
         raise InputError(
-            "has fewer than two variables that vary", key=f"claim {claim.name}", remedy="show its replay instead"
+            "has fewer than two variables that vary", key=f"claim {claim.name}", remedy="plot its replay instead"
         )
     first, second = sorted(sorted(free, key=lambda k: -_influence(oracle, here, k))[:2])
     one, other = claim.variables[first], claim.variables[second]
@@ -96,12 +96,12 @@ def _influence(oracle: Oracle, here: NDArray[np.float64], k: int) -> float:
     margin = _inside(oracle, points)
     depth = float(_inside(oracle, here[:, None])[0])
     known = np.maximum(margin[np.isfinite(margin)], -abs(depth))
-    # rounded, so that equal influence leaves the variables in the claim's order
+    # rounded, so that variables of equal influence keep the claim's order
     return round(float(np.ptp(known)) / max(abs(depth), 1e-300), 3) if known.size else 0.0
 
 
 def plot_counterexample(verdict: Verdict, ax: Axes | None = None) -> Axes:
-    """The counterexample's replay over time where the claim bounds a rate, else the slice of the margin.
+    """Plot the counterexample's replay over time if the claim bounds a rate, otherwise the slice of the margin.
 
     Raises:
         InputError: the verdict has no counterexample.
@@ -122,10 +122,10 @@ def plot_counterexample(verdict: Verdict, ax: Axes | None = None) -> Axes:
 
 
 def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) -> Axes:
-    """The watched quantity along the replayed motion, and what the claim would have allowed it to be.
+    """Plot the watched quantity along the replayed motion, and the bound that the claim sets for it.
 
     Raises:
-        InputError: the verdict has no counterexample, or the replay no motion.
+        InputError: the verdict has no counterexample, or the replay has no motion.
 
     Example:
         >>> from surctl.report import plot_replay
@@ -138,7 +138,7 @@ def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) ->
     """
     claim, point = verdict.claim, _counterexample(verdict)
     if trajectory.time.size == 0:
-        raise InputError("has no motion", key=f"claim {claim.name}", remedy="show the slice of its margin instead")
+        raise InputError("has no motion", key=f"claim {claim.name}", remedy="plot the slice of its margin instead")
     ax = dress(ax or new_axes(5.1, 3.7), x="time from the counterexample [s]")
     ax.set_ylabel(f"{trajectory.name} [{trajectory.unit}]", fontsize=9.5, color=INK, parse_math=False, wrap=True)
     sense = _sense(claim, claim.point(point.values))
@@ -155,9 +155,10 @@ def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) ->
 
 
 def _sense(claim: Claim, here: NDArray[np.float64]) -> int:
-    """+1 where the left side is the watched quantity's rate, −1 where it is minus that rate, 0 for neither.
+    """Return +1 if the left side is the rate of the watched quantity, −1 if it is minus this rate, otherwise 0.
 
-    Judged at the counterexample: a left side that is the worse of two turns is the rate of one of them only.
+    Both are compared at the counterexample, because a left side that is the maximum over two turning directions is the
+    rate for only one of them.
     """
     if claim.motion is None:
         return 0
@@ -170,7 +171,7 @@ def _sense(claim: Claim, here: NDArray[np.float64]) -> int:
 
 
 def plot_slice(cut: MarginSlice, ax: Axes | None = None) -> Axes:
-    """Where the claim fails on the slice, how badly, and the counterexample; white lies outside the domain.
+    """Plot where and by how much the claim fails on the slice, with the counterexample; outside the domain is white.
 
     Example:
         >>> from surctl.report import margin_slice, plot_slice
@@ -184,7 +185,7 @@ def plot_slice(cut: MarginSlice, ax: Axes | None = None) -> Axes:
     ax = dress(ax or new_axes(5.1, 3.7), x=_title(cut.one), y=_title(cut.other))
     ax.grid(visible=False)
     known = cut.margin[np.isfinite(cut.margin)]
-    # as wide as the failure is deep: how well the claim holds elsewhere is of less interest
+    # the largest violation sets the colour range: how well the claim holds elsewhere matters less
     size = float(np.max(known, initial=0.0)) or float(np.max(np.abs(known), initial=0.0)) or 1.0
     image = ax.pcolormesh(
         cut.x, cut.y, np.ma.masked_invalid(cut.margin), cmap="PuOr_r", vmin=-size, vmax=size, shading="nearest",

@@ -1,4 +1,4 @@
-"""The page's sections on what was checked: the decisive run, the evidence for claims, all closed-loop runs."""
+"""Sections of the page with the evidence: the decisive run, the claims, and all closed-loop runs."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ from surctl.verification import Counterexample, Verdict
 
 __all__ = ["claims_section", "decisive_section", "runs_section"]
 
-_BUDGET = 3_600_000  # [byte] of run pictures, about: the page stays below 6 MB
+_BUDGET = 3_600_000  # [byte] approximate total size of run pictures; keeps the page below 6 MB
 
 
 def claims_section(data: ReportData) -> Section:
-    """The numbers of all verdicts in one table, then each claim with its counterexample or what is left open."""
+    """Return a table of all verdicts, then each claim with its counterexample or the part that is still open."""
     text = (
-        "A claim is an inequality left ≤ right on a domain. A refuted claim comes with a point where it fails, a "
-        "proved one with a certificate that an independent checker accepts. An unknown one states what is left open."
+        "A claim is an inequality left ≤ right on a domain. A refuted claim comes with a point where it fails. A "
+        "proved claim comes with a certificate that an independent checker has accepted. For an unknown claim, the "
+        "text says which part is still open."
     )
     rows = tuple(_verdict_row(v) for v in data.verdicts)
     heads = (
         "claim", "equation", "errata", "expected", "verdict", "as expected", "worst left − right", "unit",
-        "share of samples that fails [%]", "time [s]",
+        "share of failing samples [%]", "time [s]",
     )  # fmt: skip
     blocks: list[Block] = [Paragraph(text), Table("Verdicts", heads, rows)]
     gains = gains_argument(data.gains, data.gains_file)
@@ -92,7 +93,7 @@ def _counterexample_table(v: Verdict, counterexample: Counterexample) -> Table:
             Cell(number(counterexample.margin, digits=6), number=True),
             counterexample.unit,
             "at most 0",
-            "the claim",
+            "margin of the claim",
         )
     )
     caption = f"Counterexample to {v.claim.name}, found by {counterexample.origin}"
@@ -106,20 +107,20 @@ def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
             picture(
                 plot_counterexample(v),
                 alt=f"Replay of the counterexample to {v.claim.name}: {v.claim.motion.name} over time",
-                caption=f"Replayed from the counterexample: {v.claim.motion.name} leaves what the claim allows.",
+                caption=f"Replay from the counterexample: {v.claim.motion.name} violates the bound of the claim.",
                 command=command,
             )
         )
     try:
         cut = margin_slice(v)
-    except InputError:  # a claim in one variable has no plane to show
+    except InputError:  # a claim in one variable has no plane to plot
         return tuple(pictures)
     names = f"{cut.one.name} and {cut.other.name}"
     pictures.append(
         picture(
             plot_slice(cut),
             alt=f"Margin of {v.claim.name} over {names} through the counterexample",
-            caption=f"Where the claim fails over {names}, all else as in the counterexample.",
+            caption=f"Region in which the claim fails over {names}; all other variables as in the counterexample.",
             command=command,
         )
     )
@@ -127,7 +128,10 @@ def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
 
 
 def decisive_section(data: ReportData) -> Section | None:
-    """The decisive run, animated: the first deciding run that does not arrive, else the first; None without any."""
+    """Return a section with the animated decisive run; None if no run counts towards the result.
+
+    Among the runs that count, the decisive run is the first that does not arrive, otherwise the first.
+    """
     played = _to_play(data)
     if played is None:
         return None
@@ -138,7 +142,7 @@ def decisive_section(data: ReportData) -> Section | None:
 
 
 def runs_section(data: ReportData) -> Section:
-    """All runs in one table, then plan view and signals of each kind of run; the decisive run has signals only.
+    """Return a table of all runs, then plan view and signals of each kind of run; the decisive run has signals only.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -154,13 +158,14 @@ def runs_section(data: ReportData) -> Section:
     """
     rows = tuple(_run_row(run, decides) for run, decides in zip(data.runs, data.decides, strict=True))
     heads = (
-        "scenario", "vehicle", "law", "sensing", "seed", "reached", "stopped because", "decides",
+        "scenario", "vehicle", "law", "sensing", "seed", "reached", "stopped because", "counts",
         "time [s]", "paper's time [s]", "least clearance [m]", "path error [m]", "length [m]", "mean thrust [N]",
     )  # fmt: skip
     text = (
-        "Clearance is the distance from the hull to obstacles, and to walls once the hull is clear of them. The path "
-        "error is the rms distance to the path outside avoidance. Sensing: with sonar, the law measures the obstacles "
-        "by sonar; with truth, it gets their true positions."
+        "Clearance is the distance from the hull to the nearest obstacle; walls count once the hull has been clear of "
+        "them. The path error is the rms distance to the path outside avoidance. Sensing: with sonar, the law detects "
+        "the obstacles by sonar; with truth, it receives their true positions. The column “counts” says whether the "
+        "run counts towards the result."
     )
     blocks: list[Block] = [Paragraph(text), Table("Closed-loop runs", heads, rows), *_surface_notes(data)]
     chosen, used, left = _to_draw(data), 0, 0
@@ -170,7 +175,7 @@ def runs_section(data: ReportData) -> Section:
             left += 1
             continue
         command = _simulate_command(data, run)
-        if played is not None and place == played[0]:  # its plan and its anchor are those of the player
+        if played is not None and place == played[0]:  # the section with the player has its plan and its anchor
             title = Heading(f"Decisive run, {describe(run)}")
             pictures = (_signals_picture(run, command), *_priority_picture(run, command))
         else:
@@ -180,12 +185,12 @@ def runs_section(data: ReportData) -> Section:
         blocks += [title, *_outcome(run, decides), Pictures(pictures)]
     left += len(data.runs) - len(chosen)
     if left:
-        blocks.append(Paragraph(f"{left} more runs are in the table only.", "note"))
+        blocks.append(Paragraph(f"{left} more runs are only in the table.", "note"))
     return Section("runs", "Closed-loop runs", tuple(blocks), folded=True)
 
 
 def _simulate_command(data: ReportData, run: Run) -> str:
-    """The command that repeats the run, or, where none does, that of the page."""
+    """Return the command that repeats the run; if no command does, return the command of the page."""
     same = run.gains.values == data.gains.values
     gains = gains_argument(data.gains, data.gains_file) if same else gains_argument(run.gains, "")
     return simulate_command(run, gains) or data.command
@@ -211,7 +216,7 @@ def _run_row(run: Run, decides: bool) -> tuple[Cell | str, ...]:
 
 
 def _surface_notes(data: ReportData) -> list[Block]:
-    """The model has no buoyancy: say where a hull would stand out of the water (E16)."""
+    """Return a note for each hull that would stand out of the water, because the model has no buoyancy (E16)."""
     heights = {}
     for run in data.runs:
         above = run.scenario.depth + run.vehicle["radius"]
@@ -228,7 +233,7 @@ def _surface_notes(data: ReportData) -> list[Block]:
 
 
 def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
-    """The first run of each kind and every run that does not arrive: its place from 1, it, whether it decides."""
+    """Return (number from 1, run, whether it counts) for the first run of each kind and all that do not arrive."""
     kinds, chosen = set(), []
     for place, (run, decides) in enumerate(zip(data.runs, data.decides, strict=True), start=1):
         kind = (run.scenario.name, run.vehicle.name, run.law.name, run.law.mode, run.sensing)
@@ -239,13 +244,13 @@ def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
 
 
 def _to_play(data: ReportData) -> tuple[int, Run] | None:
-    """Place from 1 of the run to be played, and the run; see `decisive_section`."""
+    """Return the number (from 1) of the run to play, and the run; see `decisive_section`."""
     deciding = [(place, run) for place, run, decides in _to_draw(data) if decides]
     return min(deciding, key=lambda one: one[1].metrics.reached, default=None)
 
 
 def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
-    """What each level gave up, where any did."""
+    """Return a picture of how much each level was relaxed; empty if none was."""
     timeline = priority_timeline(run)
     if not timeline.eventful:
         return ()
@@ -254,8 +259,8 @@ def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
     return (
         picture(
             plot_priority(run, timeline),
-            alt=f"What each level of priority gave up over time in {describe(run)}: {summary}",
-            caption=f"Priorities, highest first, and the rows that held them back. {summary[0].upper()}{summary[1:]}.",
+            alt=f"Relaxation of each priority level over time in {describe(run)}: {summary}",
+            caption=f"Priority levels, highest first, and the rows that limit them. {summary[0].upper()}{summary[1:]}.",
             command=explained,
         ),
     )
@@ -263,9 +268,9 @@ def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
 
 def _outcome(run: Run, decides: bool, lead: str = "") -> list[Block]:
     m, paper = run.metrics, run.scenario.paper
-    reported = f" The paper: {paper.result}." if paper.result not in ("", "none") else ""
+    reported = f" The paper reports: {paper.result}." if paper.result not in ("", "none") else ""
     ended = f"{m.stopped_because[:1].upper()}{m.stopped_because[1:]} after {number(m.time_s)} s"
-    text = f"{lead}{run.scenario.title}. {ended}{'' if decides else ' (does not decide)'}.{reported}"
+    text = f"{lead}{run.scenario.title}. {ended}{'' if decides else ' (does not count towards the result)'}.{reported}"
     return [Paragraph(text, "good" if m.reached and m.min_clearance_m > 0 else "bad")]
 
 
@@ -284,6 +289,6 @@ def _signals_picture(run: Run, command: str) -> Picture:
     return picture(
         plot_run_signals(run),
         alt=f"Clearance, path error, velocity, yaw rate, thrust and yaw moment over time of {describe(run)}",
-        caption="Signals over time. Shaded: avoidance; lighter: until back on the path (not counted as path error).",
+        caption="Signals over time. Dark: avoidance. Light: return to the path. The path error leaves out both.",
         command=command,
     )

@@ -1,4 +1,4 @@
-"""Single pictures on disk, for the commands that make no page."""
+"""Write single pictures to disk, for commands that write no page."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = [
 
 
 def save_run(run: Run, folder: Path | str) -> Path:
-    """Plan view and signals of a run as one PNG, named after what was flown; the path written.
+    """Write plan view and signals of a run as one PNG, named after the run; return its path.
 
     Raises:
         InputError: the folder cannot be written.
@@ -65,7 +65,7 @@ def save_run(run: Run, folder: Path | str) -> Path:
 
 
 def save_priority(run: Run, folder: Path | str) -> Path:
-    """What each level of priority gave up over a run, as a PNG; the path written.
+    """Write the relaxation of each priority level over a run as a PNG; return its path.
 
     Raises:
         InputError: the folder cannot be written.
@@ -91,10 +91,10 @@ def _run_labels(run: Run) -> tuple[str, ...]:
 
 
 def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: tuple[str, str] | None = None) -> Path:
-    """One column of a sweep over two axes as a PNG, named after it; the path written.
+    """Write one column of a sweep over two axes as a PNG, named after column and axes; return its path.
 
     Raises:
-        InputError: as `plot_heat_map`, or the folder cannot be written.
+        InputError: see `plot_heat_map`; or the folder cannot be written.
 
     Example:
         >>> from surctl.control import load_gains
@@ -112,7 +112,7 @@ def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: t
 
 
 def save_parallel(table: SweepTable, folder: Path | str) -> Path:
-    """Parallel coordinates of a sweep as a PNG; the path written. InputError if the folder cannot be written.
+    """Write the parallel coordinates of a sweep as a PNG; return its path. InputError if the folder cannot be written.
 
     Example:
         >>> from surctl.control import load_gains
@@ -128,7 +128,7 @@ def save_parallel(table: SweepTable, folder: Path | str) -> Path:
 
 
 def save_sensitivity(result: Sensitivity, folder: Path | str) -> Path:
-    """Sobol' indices as a PNG; the path written. InputError if the folder cannot be written.
+    """Write Sobol' indices as a PNG; return its path. InputError if the folder cannot be written.
 
     Example:
         >>> from surctl.control import load_gains
@@ -145,7 +145,7 @@ def save_sensitivity(result: Sensitivity, folder: Path | str) -> Path:
 
 
 def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float | None = None) -> Path:
-    """A sweep locus as a PNG, named after its knob; the path written.
+    """Write a sweep locus as a PNG, named after its parameter; return its path.
 
     Raises:
         InputError: the folder cannot be written.
@@ -166,7 +166,7 @@ def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float
 
 
 def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
-    """Overview, front and a view of each goal that has a course over time, as PNGs; the paths written.
+    """Write PNGs of the overview, of the front, and of each goal with a metric over time; return their paths.
 
     Raises:
         InputError: the folder cannot be written.
@@ -192,7 +192,7 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
 
 
 def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) -> list[Path]:
-    """Residual plots of calibrations as PNGs, named after sensor and medium; the paths written.
+    """Write residual plots of calibrations as PNGs, named after sensor and medium; return their paths.
 
     Raises:
         InputError: the folder cannot be written.
@@ -211,7 +211,10 @@ def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) 
 
 
 def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") -> Path:
-    r"""Raw and filtered ranges of a recording as a PNG; the path written. InputError if the folder cannot be written.
+    r"""Write raw and filtered ranges of a recording as a PNG; return its path.
+
+    Raises:
+        InputError: the folder cannot be written.
 
     Example:
         >>> from pathlib import Path
@@ -227,8 +230,8 @@ def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") 
 
 
 def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:
-    """A figure as a PNG in the folder, named after what it shows; the path written."""
-    # names come from files: whatever could leave the folder is replaced
+    """Write a figure as a PNG in the folder, named after its contents; return its path."""
+    # names come from files: replace characters that could lead out of the folder
     name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
     buffer = BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})

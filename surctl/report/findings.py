@@ -1,4 +1,4 @@
-"""Margins and claims in one table: a sentence each, for which vehicle, speed and set, and what it does not cover."""
+"""Margins and claims in one table: what holds, for which vehicle, speed and set, and what is not covered."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ _LEADS = {"proved": "It is proved that", "refuted": "It is not true that"}
 
 
 def findings_section(data: ReportData) -> Section:
-    """One row for the single loops, one for each set of loops together, one for each claim."""
+    """Return one row for the single loops, one for each analysis of all loops together, and one for each claim."""
     rows = [_loops_row(data)] if data.margins else []
     rows += [_together_row(data, side) for side in data.linear]
     rows += [_claim_row(data, verdict) for verdict in data.verdicts]
     rows += [_inapplicable_row(data, one) for one in data.inapplicable]
     text = (
-        "Margins belong to the linear loop about straight cruise. The paper's claims belong to the kinematic loop: "
-        "velocities follow their commands at once. A printed claim may be expected to be refuted."
+        "Margins concern the loop linearised about straight cruise. The paper's claims concern the kinematic loop, "
+        "in which velocities follow their commands without delay. Some claims are expected to be refuted as printed."
     )
-    heads = ("what", "verdict", "what holds", "vehicle, speed and set", "not covered")
+    heads = ("loop or claim", "verdict", "what holds", "vehicle, speed and set", "not covered")
     table = Table("What holds, for which vehicle, speed and set", heads, tuple(rows), _WIDTHS)
     return Section("margins", "Margins and claims", (Paragraph(text), table))
 
 
 def _where(data: ReportData, vehicle: str) -> str:
-    """Vehicle, then cruise speed and cap where they are known."""
+    """Return the vehicle, with cruise speed and speed limit if they are known."""
     if data.speeds is None:
         return vehicle
     cruise, cap = data.speeds
-    return f"{vehicle}; cruise {number(cruise)} m/s, cap {number(cap)} m/s"
+    return f"{vehicle}; cruise speed {number(cruise)} m/s, speed limit {number(cap)} m/s"
 
 
 def _loops_row(data: ReportData) -> Row:
@@ -61,8 +61,8 @@ def _loops_sentence(margins: Sequence[LoopMargins]) -> str:
     disk = min(margins, key=lambda m: m.disk_margin)
     return (
         f"Each of the {len(margins)} loops stays stable with {number(delay.delay_margin_s, digits=3)} s of extra delay "
-        f"(least: {delay.name}), {number(gain.gain_margin, digits=3)} times its gain ({gain.name}) or "
-        f"{number(phase.phase_margin_deg, digits=3)} deg of phase lag ({phase.name}); the least disk margin is "
+        f"(least: {delay.name}), {number(gain.gain_margin, digits=3)} times its gain (least: {gain.name}) or "
+        f"{number(phase.phase_margin_deg, digits=3)} deg of phase lag (least: {phase.name}); the least disk margin is "
         f"{number(disk.disk_margin, digits=3)} ({disk.name})."
     )
 
@@ -72,8 +72,8 @@ def _together_row(data: ReportData, side: LinearSide) -> Row:
     low, high = (number(v, digits=3) for v in disk.gain)
     held = (
         f"All loops together stay stable with gain factors from {low} to {high}, or with phase errors up to "
-        f"{number(disk.phase_deg, digits=3)} deg; sampled every {number(side.sampled.period_s)} s, with "
-        f"{side.sampled.delay_periods} periods of delay."
+        f"{number(disk.phase_deg, digits=3)} deg. Sampled every {number(side.sampled.period_s)} s, the loop stays "
+        f"stable with up to {side.sampled.delay_periods} periods of delay."
     )
     return (
         Cell("all loops together", anchor="loops"),
@@ -86,7 +86,7 @@ def _together_row(data: ReportData, side: LinearSide) -> Row:
 
 def _claim_row(data: ReportData, v: Verdict) -> Row:
     words = claim_words(v.claim)
-    lead = _LEADS.get(v.verdict, "It is open whether")
+    lead = _LEADS.get(v.verdict, "It is not known whether")
     count = f"; {number(100 * v.fraction, digits=3)} % of the samples in this set violate it"
     share = count if v.verdict == "refuted" else ""
     expected = "as expected" if v.as_expected else "NOT expected"
@@ -100,15 +100,15 @@ def _claim_row(data: ReportData, v: Verdict) -> Row:
 
 
 def _beyond(v: Verdict, beyond: str) -> str:
-    """What a verdict leaves out; a refuted claim leaves nothing out, but may have a corrected form."""
+    """Return what a verdict does not cover; for a refuted claim, return its corrected form if there is one."""
     if v.verdict == "refuted":
         return f"{beyond[0].upper()}{beyond[1:]}." if beyond else "–"
-    dynamics = "dynamics, thrust limits, current" if v.claim.paper else "all other steps of the argument"
+    dynamics = "dynamics, thrust limits, current" if v.claim.paper else "all other steps of the safety argument"
     return f"Points outside this set; {'; '.join(filter(None, (beyond, dynamics)))}."
 
 
 def _domain(claim: Claim) -> str:
-    """The intervals of the claim's variables; those with the same interval together."""
+    """Return the intervals of the claim's variables; variables with the same interval are listed together."""
     same: dict[str, list[str]] = {}
     for x in claim.variables:
         unit = "" if x.unit == "1" else f" {x.unit}"
@@ -125,5 +125,5 @@ def _inapplicable_row(data: ReportData, one: Inapplicable) -> Row:
         Cell("not applicable", "note"),
         reason,
         f"{_where(data, data.vehicle.name)}.",
-        "This claim decides nothing here.",
+        "This claim does not count towards the result.",
     )

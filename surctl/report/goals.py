@@ -1,4 +1,4 @@
-"""Goals as pictures: how far each is met, the front of a tuning, and a figure over time with the bad side shaded."""
+"""Plots of goals: how well each is met, the front of a tuning, and a metric over time with the bad side shaded."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from surctl.vehicle import Vehicle
 
 __all__ = ["GoalBars", "GoalView", "goal_bars", "goal_view", "plot_front", "plot_goal_bars", "plot_goal_view"]
 
-_MOST = 2.0  # normalised values are drawn up to this; longer bars are cut and say so
+_MOST = 2.0  # largest normalised value shown; longer bars are cut and labelled with their value
 
 
 @dataclass(frozen=True, eq=False)
 class GoalBars:
-    """Normalised values of m goals with two gain sets.
+    """Normalised values of m goals for two gain sets.
 
     Attributes:
-        names: (m,) goals, hard ones first.
+        names: (m,) names of the goals, hard ones first.
         hard: (m,) whether the goal is hard.
-        hand, tuned: (m,) normalised values.
-        speed: (m,) cruise speed [m/s] at which the tuned gains do worst; NaN for a goal at the scenario's own.
+        hand, tuned: (m,) normalised values with the hand-tuned gains and with the tuned gains.
+        speed: (m,) cruise speed [m/s] at which the tuned gains are worst; NaN if the goal names no speeds.
     """
 
     names: tuple[str, ...]
@@ -53,7 +53,7 @@ class GoalBars:
 
 
 def goal_bars(tuning: Tuning) -> GoalBars:
-    """The goals of a tuning, hard ones first.
+    """Return the normalised goals of a tuning, hard goals first.
 
     Example:
         >>> from surctl.control import load_gains
@@ -77,7 +77,7 @@ def goal_bars(tuning: Tuning) -> GoalBars:
 
 
 def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
-    """A pair of bars a goal, with the line at 1 that they must not pass.
+    """Plot two bars per goal, with a line at 1, the largest value that meets the goal.
 
     Example:
         >>> from surctl.control import load_gains
@@ -131,7 +131,7 @@ def _largest(data: GoalBars) -> float:
 
 
 def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
-    """The undominated gain sets: score against mean thrust, with the start and the tuned gains marked.
+    """Plot score and mean thrust of the undominated gain sets, with the start and the tuned gains marked.
 
     Example:
         >>> from surctl.control import load_gains
@@ -164,14 +164,14 @@ def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
 
 @dataclass(frozen=True, eq=False)
 class GoalView:
-    """A figure over time in the run that is worst for a goal, against its bound.
+    """The metric of a goal over time, in the run that is worst for the goal.
 
     Attributes:
         goal: the goal.
-        label: the run.
-        course: what the values are, with their unit.
-        time: label of a gain set → (k,) [s].
-        values: label of a gain set → (k,).
+        label: name of the run.
+        course: name of the metric with its unit.
+        time: (k,) times [s], by label of the gain set.
+        values: (k,) values of the metric, by label of the gain set.
     """
 
     goal: Goal
@@ -186,14 +186,14 @@ _OVER_TIME = {
     "deviation_m": "deviation so far, rms [m]",
     "max_deviation_m": "distance from the path [m]",
     "effort_n": "thrust so far, mean [N]",
-    "time_s": "distance to the target [m]",  # the bound is one on the other axis
+    "time_s": "distance to the target [m]",  # the bound applies to the time axis
 }
 
 
 def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
-    """The figure behind a goal over time, hand gains and tuned ones, in the tuned gains' worst run.
+    """Return the metric of a goal over time for hand gains and tuned gains, in the worst run of the tuned gains.
 
-    The run is flown again by the reference loop. None where the figure has no course over time.
+    The reference simulation repeats this run. The result is None if the metric is not a function of time.
 
     Example:
         >>> from surctl.control import load_gains
@@ -238,7 +238,7 @@ def _course(condition: Condition, gains: Gains, metric: str) -> tuple[NDArray[np
     counted = np.arange(1, len(away) + 1)
     course = {
         "min_clearance_m": record.clearance,
-        "deviation_m": np.sqrt(np.cumsum(away**2) / counted),  # the figure is the last value of the curve
+        "deviation_m": np.sqrt(np.cumsum(away**2) / counted),  # the metric is the last value of the curve
         "max_deviation_m": away,
         "effort_n": np.cumsum(np.hypot(record.tau[:, 0], record.tau[:, 1])) / counted,
         "time_s": np.hypot(*(record.eta[:, :2] - case.scenario.target).T),
@@ -251,7 +251,7 @@ def _actual_vehicle(vehicle: Vehicle, condition: Condition) -> Vehicle:
 
 
 def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
-    """The figure over time; the side of the bound that misses the goal is shaded.
+    """Plot the metric over time; the side of the bound that misses the goal is shaded.
 
     Example:
         >>> from surctl.control import load_gains
@@ -271,7 +271,7 @@ def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
     dress(ax, title=goal.name, x="time [s]", y=data.course)
     for k, label in enumerate(data.time):
         curve(ax, data.time[label], data.values[label], label=label, k=k)
-    # an arrival is bounded along the time, every other figure along its own axis
+    # the goal of arrival bounds the time axis, every other goal bounds the axis of its metric
     bounded_values, shade, line, bounded, free = (
         (data.time, ax.axvspan, ax.axvline, ax.set_xlim, ax.set_ylim)
         if goal.metric == "time_s"

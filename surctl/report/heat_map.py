@@ -1,4 +1,4 @@
-"""A sweep's column over two of its axes as a heat map: picked point marked, infeasible cells hatched."""
+"""Heat map of one column of a sweep over two axes: the picked point is framed, infeasible cells are hatched."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ COLUMN_TITLES = {
     "disk_margin": "least disk margin (high is good)",
     "feasible": "feasible (1) or not (0)",
 }
-_NUMBERS = 80  # cells with a number in them, at most
-_TICKS = 12  # on an axis, at most
+_NUMBERS = 80  # largest number of cells in which values are written
+_TICKS = 12  # largest number of labels on an axis
 
 
 def plot_heat_map(
     table: SweepTable, column: str, ax: Axes | None = None, *, over: tuple[str, str] | None = None
 ) -> Axes:
-    """One column of a grid over two of its axes; every other axis at its picked value, else at its middle one.
+    """Plot one column of a grid over two of its axes; all other axes are at their picked or middle value.
 
     Args:
-        table: a sweep over a grid of two axes or more.
+        table: a sweep over a grid of two or more axes.
         column: name of the column.
         ax: axes to draw in.
         over: names of the horizontal and the vertical axis; by default the first two.
 
     Raises:
-        InputError: the sweep has no such column or axis, or no grid of two axes.
+        InputError: the sweep has no such column or axis, or is not a grid of at least two axes.
 
     Example:
         >>> from surctl.control import load_gains
@@ -57,13 +57,13 @@ def plot_heat_map(
     """
     names = [axis.name for axis in table.axes]
     if not table.is_grid or len(names) < 2:
-        raise InputError("needs a grid of two axes", key="heat map", remedy="draw parallel coordinates")
+        raise InputError("needs a grid of at least two axes", key="heat map", remedy="plot parallel coordinates")
     across, up = over or (names[0], names[1])
     for name in (across, up):
         if name not in names:
             raise InputError("no such axis", key="heat map", value=name, remedy=nearest(name, names))
     if across == up:
-        raise InputError("is drawn twice", key="heat map", value=across, remedy="name two axes")
+        raise InputError("is named for both axes", key="heat map", value=across, remedy="name two different axes")
     at = table.picked or tuple(n // 2 for n in table.shape)
     measured = _slice(table.column(column), names, at, across, up)  # (rows = vertical axis, columns = horizontal one)
     feasible = _slice(table.column("feasible"), names, at, across, up) > 0.5
@@ -77,7 +77,7 @@ def plot_heat_map(
     ax.grid(visible=False)
     colours = mpl.colormaps["cividis"].with_extremes(bad="#E8EAED")
     low, high = _range(values)
-    # cells of equal size whatever the spacing of the values: the ticks name them
+    # all cells have the same size, for any spacing of the values; the axis labels give the values
     image = ax.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
     bar = ax.figure.colorbar(image, ax=ax)
     bar.ax.tick_params(labelsize=8.5)
@@ -94,12 +94,12 @@ def plot_heat_map(
 
 
 def axis_title(axis: SweptAxis) -> str:
-    """Name and unit."""
+    """Return the name of a swept axis with its unit."""
     return axis.name + _in(axis.unit)
 
 
 def column_title(table: SweepTable, column: str) -> str:
-    """What the column is, and its unit."""
+    """Return the title of a column with its unit."""
     return COLUMN_TITLES.get(column, column) + _in(table.units.get(column, "1"))
 
 
@@ -116,13 +116,13 @@ def _slice(
 
 
 def _ticks(axis: SweptAxis) -> tuple[list[int], list[str]]:
-    """Places and texts; not more than are legible."""
+    """Return positions and texts of the axis labels, no more than are legible."""
     places = list(range(0, len(axis.values), -(-len(axis.values) // _TICKS)))
     return places, [f"{axis.values[k]:.4g}" for k in places]
 
 
 def _range(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Colour range; not empty even where every value is the same or none is a number."""
+    """Return the range of the colour scale; it is never empty, even if all values are equal or none is finite."""
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0

@@ -1,4 +1,4 @@
-"""The linear side on the page: all loops at once, and the loop as it is sampled."""
+"""The linear analysis on the page: disk margins of all loops at once, poles, and the sampled loop."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ __all__ = ["linear_blocks"]
 
 
 def linear_blocks(sides: Sequence[LinearSide]) -> list[Block]:
-    """A table of disk margins, and one of poles and sampling; none without sides."""
+    """Return a table of disk margins and a table of poles and sampling; empty if there is no analysis."""
     if not sides:
         return []
     text = (
-        "All loops at once: every gain and phase may be off together, in any combination, by as much as the disk "
-        "margin says. The guaranteed one holds at every frequency; a perturbation of the reached size was found that "
-        "destabilises. Sampled: thrust held over a control period, whole periods of delay, no approximation."
+        "All loops at once: the gains and phases of all loops may vary together, in any combination, within the disk "
+        "margin. The guaranteed margin holds at every frequency. The upper bound is the size of a perturbation that "
+        "destabilises the loop. The sampled loop is computed without approximation: thrust is constant over each "
+        "control period, and delays are whole periods."
     )
     return [Paragraph(text), _disks(sides), _sampled(sides)]
 
@@ -37,8 +38,8 @@ def _disks(sides: Sequence[LinearSide]) -> Table:
         for disk in side.disks
     )
     heads = (
-        "of", "opened at", "closed loop", "guaranteed [1]", "reached [1]", "at [rad/s]", "gains borne [1]",
-        "phases borne [deg]",
+        "vehicle", "opened at", "closed loop", "guaranteed [1]", "upper bound [1]", "at [rad/s]",
+        "tolerated gain factors [1]", "tolerated phase errors [deg]",
     )  # fmt: skip
     return Table("Disk margins of all loops at once", heads, rows)
 
@@ -56,7 +57,7 @@ def _sampled(sides: Sequence[LinearSide]) -> Table:
     )
     periods = tuple(f"largest period [s], {d}" for d in ("no delay", "1 period of delay", "2 periods of delay"))
     heads = (
-        "of", "closed loop", "slowest pole [1/s]", "least damping [1]", *periods,
-        f"periods of delay borne at {number(sides[0].sampled.period_s)} s",
+        "vehicle", "closed loop", "slowest pole [1/s]", "least damping [1]", *periods,
+        f"tolerated periods of delay at {number(sides[0].sampled.period_s)} s",
     )  # fmt: skip
     return Table("Poles, and the sampled loop", heads, rows)

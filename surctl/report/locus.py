@@ -1,4 +1,4 @@
-"""A sweep locus: closed-loop poles over one knob, coloured by its value, on a grid of damping and natural frequency."""
+"""Sweep locus: closed-loop poles coloured by the value of one parameter, on a grid of damping and natural frequency."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _ARC = np.linspace(np.pi / 2, 3 * np.pi / 2, 121)
 def plot_locus(
     data: Locus, ax: Axes | None = None, *, unit: str = "", picked: float | None = None, radius: float | None = None
 ) -> Axes:
-    """Poles over the knob, upper and lower half-plane.
+    """Plot the closed-loop poles over the swept parameter, in the upper and lower half-plane.
 
     Args:
         data: the locus.
         ax: axes to draw in.
-        unit: the knob's unit.
-        picked: value whose poles are marked (the nearest one that was computed).
-        radius: largest |pole| shown [rad/s]; default: that below the topmost gap of a factor of 3, which leaves out
-            the poles of the delay.
+        unit: unit of the parameter.
+        picked: parameter value whose poles are marked; the nearest computed value is used.
+        radius: largest |pole| shown [rad/s]; by default the largest one below the topmost gap of a factor of 3, which
+            leaves out the poles of the delay.
 
     Example:
         >>> from surctl.control import load_gains
@@ -73,7 +73,7 @@ def plot_locus(
 
 
 def _below_the_gap(sizes: NDArray[np.float64]) -> float:
-    """The last of the ascending sizes before the topmost gap that has a third of them below it; else the last."""
+    """Return the size below the topmost gap with at least a third of the ascending sizes below it, or the largest."""
     gaps = 1 + np.flatnonzero(sizes[1:] > _GAP * sizes[:-1])
     gaps = gaps[gaps >= max(2, len(sizes) / 3)]
     return float(sizes[gaps[-1] - 1] if gaps.size else sizes[-1])
@@ -84,7 +84,7 @@ def _mark(ax: Axes, poles: NDArray[np.complex128], marker: str, colour: str, lab
 
 
 def _grid(ax: Axes, edge: float) -> None:
-    """Rays of equal damping and circles of equal natural frequency."""
+    """Draw rays of equal damping and circles of equal natural frequency."""
     ax.grid(visible=False)
     for damping in _DAMPING:
         slope = np.sqrt(1 - damping**2) / damping

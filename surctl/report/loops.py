@@ -1,4 +1,4 @@
-"""Linear loops: frequency responses as data; Bode and Nyquist plots, and closed-loop poles."""
+"""Linear loops: frequency responses as data, Bode and Nyquist plots, and plots of closed-loop poles."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _GAP = 6.0  # ratio of two neighbouring pole sizes that separates the dynamics f
 
 @dataclass(frozen=True, eq=False)
 class LoopResponse:
-    """Frequency response of one loop, broken at one place with all others closed.
+    """Frequency response of one loop that is opened at one place while all others stay closed.
 
     Attributes:
-        name: the loop, as in `LoopMargins`.
-        at: where it is broken: `thrust` or `measurement`.
-        omega: (k,) [rad/s], up to the Nyquist frequency of the sampled controller.
+        name: name of the loop, as in `LoopMargins`.
+        at: where the loop is opened: `thrust` or `measurement`.
+        omega: (k,) frequencies [rad/s], up to the Nyquist frequency of the sampled controller.
         response: (k,) complex L(jω); the closed loop is 1/(1 + L).
     """
 
@@ -44,12 +44,12 @@ class LoopResponse:
 def loop_responses(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float
 ) -> tuple[LoopResponse, ...]:
-    """Responses of the eight loops of `loop_margins`, in its order.
+    """Return the frequency responses of the eight loops of `loop_margins`, in the same order.
 
     Args:
         vehicle: the vehicle.
-        gains: values by name.
-        cruise: U [m/s].
+        gains: gain values by name.
+        cruise: cruise speed U [m/s].
         dt: control period [s].
 
     Raises:
@@ -77,7 +77,7 @@ def loop_responses(
 def _frequency_response(
     A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], omega: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """c (jω − A)⁻¹ b, (k,)."""
+    """Return c (jω − A)⁻¹ b at each frequency, (k,)."""
     pencils = 1j * omega[:, None, None] * np.eye(len(A)) - A
     response: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(omega), *b.shape))))[
         :, 0, 0
@@ -86,7 +86,9 @@ def _frequency_response(
 
 
 def plot_bode(loops: Sequence[LoopResponse], ax: tuple[Axes, Axes] | None = None) -> Figure:
-    """Gain [dB] over phase [deg]; dots mark where a gain crosses 1. `ax`: axes of gain and phase, or None.
+    """Plot gain [dB] and phase [deg] over frequency; dots mark where a gain crosses 1.
+
+    `ax` holds the axes of gain and phase; None creates them.
 
     Example:
         >>> from surctl.control import load_gains
@@ -123,18 +125,19 @@ def plot_bode(loops: Sequence[LoopResponse], ax: tuple[Axes, Axes] | None = None
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Unwrapped phase [deg] that begins in (−270, 90]."""
+    """Return the unwrapped phase [deg], which starts in (−270, 90]."""
     phase = np.rad2deg(np.unwrap(np.angle(response)))
     return np.asarray(phase - 360 * np.ceil((phase[0] - 90) / 360), dtype=float)
 
 
 def plot_nyquist(loops: Sequence[LoopResponse], ax: Axes | None = None, *, disk_margin: float | None = None) -> Axes:
-    """L(jω) for ω > 0 about the critical point −1, with the unit circle.
+    """Plot L(jω) for ω > 0 around the critical point −1, with the unit circle.
 
     Args:
         loops: the loops.
         ax: axes to draw in.
-        disk_margin: α of the balanced disk margin; its forbidden disk (Seiler, Packard and Gahinet 2020) is drawn.
+        disk_margin: α of the balanced disk margin; the plot shades its forbidden disk (Seiler, Packard and Gahinet
+            2020).
 
     Example:
         >>> from surctl.control import load_gains
@@ -164,7 +167,7 @@ def plot_nyquist(loops: Sequence[LoopResponse], ax: Axes | None = None, *, disk_
 
 
 def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
-    """Closed-loop poles [rad/s]; the fast ones that only the delay brings are counted, not shown.
+    """Plot the closed-loop poles [rad/s]; fast poles that come only from the delay are counted, not shown.
 
     Example:
         >>> from surctl.control import load_gains
@@ -197,13 +200,13 @@ def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
     ax.set_ylim(-edge, edge)
     hidden = len(values) - len(shown)
     if hidden:
-        ax.plot([], [], linestyle="none", label=f"{hidden} faster poles of the delay not shown")
+        ax.plot([], [], linestyle="none", label=f"{hidden} faster poles of the delay are not shown")
     legend_above(ax, columns=3)
     return ax
 
 
 def _slow(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """The poles below the widest gap in size, if there is one wider than `_GAP`; all of them otherwise."""
+    """Return the poles below the widest gap, if it exceeds `_GAP` and the poles above it are stable, otherwise all."""
     ordered = poles[np.argsort(np.abs(poles), kind="stable")]
     size = np.maximum(np.abs(ordered), 1e-3)
     ratio = size[1:] / size[:-1]

@@ -1,4 +1,4 @@
-"""The map of a law with senses at some instants of a run: the numbers, and the picture beside what is truly there."""
+"""The map of a law with perception at some instants of a run: its values, and plots with the true obstacles."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _COLOURS = {"unknown": "#DADCE0", "free": "#CDE7DD", "marked": AVOIDING}
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MapView:
-    """The map after one control period, and where the robot was.
+    """The map after one control period, with the trajectory and heading of the robot.
 
     Attributes:
         step: number of the control period.
-        time: [s].
+        time: time [s].
         corner: (2,) x, y of the window's corner in {E} [m].
-        edge: of a cell [m].
-        kinds: (N, N) of each cell, row k the k-th along y: 0 unknown, 1 known to be free, 2 marked.
-        track: (k, 2) flown so far in {E} [m].
-        heading: ψ [rad].
+        edge: edge length of a cell [m].
+        kinds: (N, N) state of each cell, row k is the k-th along y: 0 unknown, 1 known to be free, 2 marked.
+        track: (k, 2) trajectory up to this period in {E} [m].
+        heading: heading ψ [rad].
     """
 
     step: int
@@ -50,14 +50,14 @@ class MapView:
 
 
 def map_view(run: Run, step: int) -> MapView:
-    """The map of a run after one control period.
+    """Return the map of a run after one control period.
 
     Args:
-        run: flown by a law with senses.
-        step: of its record; from 0 to one less than its last.
+        run: a run of a law with perception.
+        step: control period of its record, from 0 to one less than the last.
 
     Raises:
-        InputError: a law without senses, or no such tick.
+        InputError: the law has no perception, or the record has no such control period.
 
     Example:
         >>> from dataclasses import replace
@@ -70,12 +70,12 @@ def map_view(run: Run, step: int) -> MapView:
         >>> view = map_view(run, 40)
         >>> view.time, view.kinds.shape, round(view.edge, 3)
         (2.0, (48, 48), 0.05)
-        >>> round(float((view.kinds == 1).sum()) * view.edge**2, 1)  # m^2 of water that it knows to be free
+        >>> round(float((view.kinds == 1).sum()) * view.edge**2, 1)  # m^2 of water known to be free
         3.1
     """
     law, record = run.law, run.record
     if law.perception is None:
-        raise InputError("keeps no map", key="law", value=law.name, remedy="fly law guarded with sensing sonar")
+        raise InputError("has no map", key="law", value=law.name, remedy="use the law guarded with sensing sonar")
     if not 0 <= step < len(record.time) - 1:
         raise InputError("is not in the record", key="step", value=step, remedy=f"give 0 to {len(record.time) - 2}")
     after, known = record.law_state[step + 1], LocalMap(dt=law.dt)
@@ -96,11 +96,11 @@ def map_view(run: Run, step: int) -> MapView:
 
 
 def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
-    """One map in {E} [m], equal scale: its cells, the true obstacles and walls, path, way and hull.
+    """Plot one map in {E} [m] at equal scale: cells, true obstacles and walls, path, trajectory and hull.
 
     Args:
-        run: that the map is of.
-        view: of `map_view`.
+        run: the run of the map.
+        view: the map, from `map_view`.
         ax: axes to draw in.
 
     Example:
@@ -150,10 +150,10 @@ def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
 
 
 def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
-    """Several maps of one run under one title, two a row, with a legend; the first one's axes.
+    """Plot several maps of one run, two per row, with one title and one legend; return the axes of the first map.
 
     Raises:
-        InputError: no map.
+        InputError: `views` is empty.
 
     Example:
         >>> from dataclasses import replace
@@ -168,7 +168,7 @@ def plot_maps(run: Run, views: Sequence[MapView]) -> Axes:
         ['0.5 s', '2.5 s']
     """
     if not views:
-        raise InputError("is empty", key="views", remedy="give one map at least")
+        raise InputError("is empty", key="views", remedy="give at least one map")
     length, width, _ = run.scenario.site
     columns = min(2, len(views))
     rows = -(-len(views) // columns)

@@ -1,4 +1,4 @@
-"""Margins drawn: a Bode plot with gain, phase and delay margin marked, disk margins over frequency and as a region."""
+"""Plots of margins: a Bode plot with marked margins, disk margins over frequency and as a region, and S and T."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["plot_disk_margins", "plot_marked_bode", "plot_s_and_t", "sensitiviti
 
 
 def plot_marked_bode(loop: LoopResponse, margins: LoopMargins) -> Figure:
-    """Gain over phase of one loop, its margins marked where they are read."""
+    """Plot gain and phase of one loop, with its gain, phase and delay margins marked."""
     figure = new_figure(5.6, 5.0)
     upper, lower = figure.subplots(2, 1, sharex=True)
     dress(upper, title=f"Loop {loop.name}, broken at the {loop.at}", y="gain |L| [dB]")
@@ -55,14 +55,14 @@ def plot_marked_bode(loop: LoopResponse, margins: LoopMargins) -> Figure:
 
 
 def _nearest_turn(loop: LoopResponse, phase: NDArray[np.float64], margins: LoopMargins) -> float:
-    """The −180° line, plus whole turns, that the phase is nearest to where the gain crosses 1."""
+    """Return the line −180° plus whole turns that is nearest to the phase where the gain crosses 1."""
     at = margins.crossover_rad_s or float(loop.omega[-1])
     here = float(np.interp(at, loop.omega, phase))
     return -180.0 + 360.0 * round((here + 180.0) / 360.0 - 1e-9)
 
 
 def _crossing(omega: NDArray[np.float64], value: NDArray[np.float64], miss: NDArray[np.float64]) -> float:
-    """The zero of the value (several: the one with the least miss)."""
+    """Return the frequency at which the value crosses zero; among several, the one with the least `miss`."""
     at = np.flatnonzero(np.diff(np.sign(value)))
     if not at.size:
         return float(omega[int(np.argmin(np.abs(value)))])
@@ -78,11 +78,11 @@ def _mark(ax: Axes, at: float, begin: float, end: float, colour: str) -> None:
 
 
 def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: float) -> Figure:
-    """The α that is borne at each frequency, and the gains and phases that all loops bear at once.
+    """Plot the disk margin α at each frequency, and the gains and phases that all loops tolerate at once.
 
     Args:
         loops: each opened loop with its margin; unstable ones are left out.
-        highest: largest frequency drawn [rad/s].
+        highest: largest frequency in the plot [rad/s].
     """
     figure = new_figure(9.6, 4.3)
     left, right = figure.subplots(1, 2)
@@ -91,7 +91,7 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
     omega = np.geomspace(1e-2, highest, 300)
     for k, (loop, margin) in enumerate((a, b) for a, b in loops if b.stable):
         judged = np.isfinite(margin.guaranteed)
-        label = f"{margin.place}: " + (f"{margin.guaranteed:.2f}" if judged else "not judged")
+        label = f"{margin.place}: " + (f"{margin.guaranteed:.2f}" if judged else "not determined")
         curve(left, omega, np.minimum(disk_profile(loop, omega), 2.0), label=label, k=k)
         left.plot(margin.frequency_rad_s, margin.reached, "o", color=INK, markersize=5, zorder=5)
         curve(right, *_rim(margin.guaranteed), label=label, k=k)
@@ -105,28 +105,28 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
     right.set_ylim(bottom=0.0)
     right.plot(1.0, 0.0, "+", color=INK, markersize=10, clip_on=False)
     legend_above(left, columns=3)
-    right.set_title("below a line: borne by all loops at once", loc="left", fontsize=9, color=INK)
+    right.set_title("below a line: tolerated by all loops at once", loc="left", fontsize=9, color=INK)
     return figure
 
 
 def sensitivities(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: Sequence[float], dt: float, places: Sequence[str]
 ) -> list[Sensitivity]:
-    """S and T opened at each of `DISK_PLACES` that is named, at each cruise speed [m/s] where the loop is stable.
+    """Return S and T for the loop opened at the given `DISK_PLACES`, at each cruise speed [m/s] at which it is stable.
 
-    Where there are several speeds, `place` names the speed too; `dt`: control period [s].
+    If there are several speeds, `place` contains the speed. `dt` is the control period [s].
     """
-    found: list[Sensitivity] = []
+    curves: list[Sensitivity] = []
     for speed in cruise:
         cascade = build_cascade(vehicle, gains, cruise=speed, dt=dt)
         at = f" at {speed:g} m/s" if len(cruise) > 1 else ""
         shown = places if cascade.stable else ()
-        found += [sensitivity_of(open_loop(cascade, place), f"{place}{at}", highest=np.pi / dt) for place in shown]
-    return found
+        curves += [sensitivity_of(open_loop(cascade, place), f"{place}{at}", highest=np.pi / dt) for place in shown]
+    return curves
 
 
 def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
-    """Largest singular values of S and T over frequency, one pair of curves a place."""
+    """Plot the largest singular values of S and T over frequency, one curve per place in each plot."""
     columns = 2 if len(curves) <= 2 else 1  # places at several speeds have long names
     figure = new_figure(9.6, 3.9 + 0.2 * len(curves))
     for ax, which, name in zip(figure.subplots(1, 2), ("S", "T"), ("sensitivity S", "complementary T"), strict=True):
@@ -141,7 +141,7 @@ def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
 
 
 def _rim(alpha: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gains and phases [deg] on the rim |δ| = α of f = (2 + δ)/(2 − δ), upper half."""
+    """Return gains and phases [deg] on the boundary |δ| = α of f = (2 + δ)/(2 − δ), upper half."""
     delta = alpha * np.exp(1j * np.linspace(0, np.pi, 181))
     factor = (2 + delta) / (2 - delta)
     return np.abs(factor), np.abs(np.rad2deg(np.angle(factor)))

@@ -1,4 +1,4 @@
-"""The page: one HTML file with everything in it."""
+"""The report page: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 
 def render_page(data: ReportData, *, runs: Section | None = None) -> str:
-    """The page as one HTML text: no network, pictures, style and player inside, every text escaped.
+    """Return the page as one HTML text without links to the network; all text is escaped.
 
     Args:
-        data: what it tells.
-        runs: `runs_section` of the same runs, where it was drawn before.
+        data: the contents of the page.
+        runs: `runs_section` of the same runs, if it was rendered before.
 
     Example:
         >>> from surctl.control import load_gains
@@ -73,17 +73,17 @@ def render_sections(
     summary: Sequence[Check | tuple[bool | None, str]],
     sections: Sequence[Section],
 ) -> str:
-    """A page of any sections, as `render_page` makes it.
+    """Return a page of any sections in the layout of `render_page`.
 
     Args:
-        title: heading.
-        subject: sentence under it: what the page is about.
-        version: of this package.
-        command: the command line that made it; may be empty.
-        outcome: class (`good`, `bad` or `note`) and words of the first line.
-        summary: lines of the outcome, see `Check`; those that fail are shown first, those that decide nothing last.
-            Where sections are folded, only those that fail are open.
-        sections: in reading order.
+        title: heading of the page.
+        subject: sentence below the heading with the subject of the page.
+        version: version of this package.
+        command: the command line that produced the page; may be empty.
+        outcome: class (`good`, `bad` or `note`) and text of the first line.
+        summary: lines of the summary, see `Check`. Lines that fail come first, lines that do not count towards the
+            result come last. If a section is folded, all lines except those that fail are folded too.
+        sections: the sections in reading order.
 
     Example:
         >>> from surctl.report import Check, render_sections
@@ -133,27 +133,27 @@ def render_sections(
 
 
 def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequence[Section]) -> list[Check]:
-    """The lines in the order in which they matter, each with the nearest anchor that the page has."""
+    """Return the lines, failed checks first, each with the nearest anchor that the page has."""
     there = {section.anchor for section in sections} | {h.anchor for section in sections for h in section.headings}
     linked = []
     for line in summary:
         good, text, anchor = Check(*line)
-        whole = anchor.partition("-")[0]  # of a part that is not told, the section
+        whole = anchor.partition("-")[0]  # the section, if the page does not show this part of it
         linked.append(Check(good, text, anchor if anchor in there else whole if whole in there else ""))
     return sorted(linked, key=lambda check: (check.good is None, check.good))
 
 
 def _counted(lines: Sequence[Check]) -> str:
-    """What is folded away of the verdict: how many checks hold, and how many notes there are."""
+    """Return the heading of the folded lines: how many checks hold, and how many notes do not count."""
     hold = sum(line.good is True for line in lines)
     notes = len(lines) - hold
     parts = [f"{hold} {'check holds' if hold == 1 else 'checks hold'}"] if hold else []
-    parts += [f"{notes} {'note decides' if notes == 1 else 'notes decide'} nothing"] if notes else []
+    parts += [f"{notes} {'note does' if notes == 1 else 'notes do'} not count towards the result"] if notes else []
     return "; ".join(parts)
 
 
 def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
-    """The decisive run, margins and claims, then details folded, parameters last; one without content is left out."""
+    """Return the decisive run, margins and claims, then folded details, then parameters; without empty sections."""
     decisive = decisive_section(data)
     sections = [] if decisive is None else [decisive]
     if data.margins or data.linear or data.verdicts or data.inapplicable:
@@ -174,22 +174,25 @@ def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
 
 
 def _subject(data: ReportData) -> str:
-    speeds = "" if data.speeds is None else f", cruise {number(data.speeds[0])} m/s, cap {number(data.speeds[1])} m/s"
+    speeds = ""
+    if data.speeds is not None:
+        cruise, cap = data.speeds
+        speeds = f", cruise speed {number(cruise)} m/s, speed limit {number(cap)} m/s"
     return f"Vehicle {data.vehicle.name}, gains {data.gains.name}{speeds}."
 
 
 def _outcome(data: ReportData) -> tuple[str, str]:
-    """Class and words of the first line."""
+    """Return class and text of the first line."""
     failed = sum(line[0] is False for line in data.summary)
     if failed:
-        return "bad", f"✗ {failed} of the checks that decide {'fails' if failed == 1 else 'fail'}."
+        return "bad", f"✗ {failed} {'check fails' if failed == 1 else 'checks fail'}."
     if data.passed is None:
-        return "note", "• Nothing was decided."
-    return "good", "✓ All checks that decide hold."
+        return "note", "• No check counts towards the result."
+    return "good", "✓ All checks hold."
 
 
 def write_page(data: ReportData, path: Path | str, *, runs: Section | None = None) -> Path:
-    """Render (see `render_page`) and write the page; the file is replaced in one step or left as it was.
+    """Render the page (see `render_page`) and write it; the file is replaced in one step or stays as it was.
 
     Returns:
         The path written.

@@ -1,4 +1,4 @@
-"""Pieces of HTML of the tuning page: figures, goals, verdicts and pictures, legible in light and dark."""
+"""HTML parts of the tuning page: metrics, goals, verdicts and pictures, legible in light and dark themes."""
 
 from __future__ import annotations
 
@@ -50,19 +50,19 @@ BY_SPEED = (*LINEAR, "sensitivity_peak", "settling_time_s.cross_track")
 
 
 def head(bench: Bench) -> str:
-    """Title and what is tuned."""
+    """Return the title, and one line with the tuned vehicle, the scenario and the gains."""
     what = f"{bench.vehicle.name} in {bench.scenario.name}, true positions, seed 0, gains from {bench.gains.name}"
     return f'{_STYLE}<h1 class="one">Tune</h1><p class="line">{escape(what)}</p>'
 
 
 def message(text: str) -> str:
-    """One line of what a button did; an error in its colour, and read aloud."""
+    """Return one line about the effect of a button; errors are coloured, and screen readers read the line aloud."""
     mark = "bad" if text.startswith("error:") else "good"
     return f'<p role="status" id="message" class="line {mark}">{escape(" ".join(text.split()))}</p>'
 
 
 def attempt(make: Callable[[], str]) -> str:
-    """What `make` gives, or in one line why these gains have none."""
+    """Return the result of `make`, or one line that says why it fails with these gains."""
     try:
         return make()
     except SurctlError as error:
@@ -70,7 +70,7 @@ def attempt(make: Callable[[], str]) -> str:
 
 
 def picture(figure: object, text: str) -> str:
-    """A figure as an image with its text."""
+    """Return a figure as an HTML image with its alternative text."""
     assert isinstance(figure, Figure)
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
@@ -79,18 +79,18 @@ def picture(figure: object, text: str) -> str:
 
 
 def run_text(run: Run) -> str:
-    """What the plan shows, in words."""
+    """Describe the plan view in words."""
     m = run.metrics
-    return f"Path flown in {run.scenario.name}: {m.stopped_because} at {m.time_s:.2f} s"
+    return f"Trajectory in {run.scenario.name}: {m.stopped_because} at {m.time_s:.2f} s"
 
 
 def sliders(shown: Iterable[object]) -> str:
-    """Sliders in as many columns as there is room for."""
+    """Arrange the sliders in as many columns as the page is wide enough for."""
     return '<h2 class="two">Gains</h2><div class="sliders">' + "".join(f"<div>{s}</div>" for s in shown) + "</div>"
 
 
 def pair(*parts: str) -> str:
-    """Parts side by side, one below the other where there is no room."""
+    """Arrange parts side by side, or one below the other on a narrow page."""
     return '<div class="pair">' + "".join(f"<div>{part}</div>" for part in parts) + "</div>"
 
 
@@ -111,7 +111,7 @@ def _number(name: str, value: float, unit: str) -> str:
 
 
 def figures(run: Run, linear: Mapping[str, float]) -> str:
-    """The run's figures and the least margins."""
+    """Return a table with the metrics of the run and the least margins."""
     m = run.metrics
     mark = "good" if m.reached else "bad"
     rows = [("how the run ended", f'<span id="outcome" class="{mark}">{escape(m.stopped_because)}</span>')]
@@ -121,22 +121,22 @@ def figures(run: Run, linear: Mapping[str, float]) -> str:
     return _heading("This run, and the loops") + _table(("figure", "value"), rows)
 
 
-def speeds(found: OverSpeeds) -> str:
-    """The loops' figures at each cruise speed, and the speed where each is worst; nothing for one speed alone."""
-    if len(found.cruise) < 2:
+def speeds(table: OverSpeeds) -> str:
+    """Return a table of the loops' figures at each cruise speed, and the worst speed of each; empty for one speed."""
+    if len(table.cruise) < 2:
         return ""
     rows = []
-    for name, values in found.figures.items():
+    for name, values in table.figures.items():
         spec = LINEAR_METRICS[name]
-        cells = [_number(f"{name} at {u:g}", v, spec.unit) for u, v in zip(found.cruise, values.tolist(), strict=True)]
-        rows.append((escape(spec.meaning), *cells, found.worst_at(name)))
+        cells = [_number(f"{name} at {u:g}", v, spec.unit) for u, v in zip(table.cruise, values.tolist(), strict=True)]
+        rows.append((escape(spec.meaning), *cells, table.worst_at(name)))
     return _heading("The loops by cruise speed") + _table(
-        ("figure", *(f"{u:g} m/s" for u in found.cruise), "worst at"), rows
+        ("figure", *(f"{u:g} m/s" for u in table.cruise), "worst at"), rows
     )
 
 
 def goals(evaluation: Evaluation) -> str:
-    """Each goal, whether it is met, and its figure at the worst plant and cruise speed."""
+    """Return a table of the goals: whether each is met, and its metric for the worst plant and cruise speed."""
     rows = []
     shown = zip(evaluation.goals, evaluation.figure[0], evaluation.normalised[0], evaluation.speed[0], strict=True)
     for goal, figure, share, speed in shown:
@@ -145,12 +145,15 @@ def goals(evaluation: Evaluation) -> str:
         bound = f"{goal.sense} {goal.limit:g}" + ("" if goal.unit == "1" else f" {goal.unit}")
         bound += f", worst at {speed:g} m/s" if goal.cruise else ""
         rows.append((escape(goal.name), goal.kind, word, _number(f"goal {goal.name}", figure, goal.unit), bound))
-    text = "<p>In this scenario: the nominal plant and, where a goal counts them, the corners of its ranges.</p>"
+    text = (
+        "<p>Checked in this scenario with the nominal plant and, if a goal includes them, the corners of the vehicle's "
+        "ranges.</p>"
+    )
     return _heading("Goals") + text + _table(("goal", "kind", "status", "figure", "bound"), rows)
 
 
 def verdicts(results: Sequence[Verdict | Inapplicable] | None) -> str:
-    """Each claim with its verdict; None before the button was pressed for these gains."""
+    """Return a table of claims with their verdicts; `results` is None until the button is pressed for these gains."""
     title = _heading("Claims")
     if results is None:
         return title + '<p id="verdicts">Not checked for these gains: press the button (about ten seconds).</p>'

@@ -1,4 +1,4 @@
-"""The paper's figures redrawn: X, Y, Z over time, position error, and a series of ways and times."""
+"""Plots that redraw the paper's figures: x, y, z over time, position error, and trajectories of several runs."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ __all__ = ["plot_coordinates", "plot_position_errors", "plot_series"]
 
 
 def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
-    """x, y and z in {E} [m] of each run over time [s]; z of all runs is close to the depth.
+    """Plot x, y and z in {E} [m] of each run over time [s].
 
     Raises:
-        InputError: no runs.
+        InputError: `runs` is empty.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -45,15 +45,15 @@ def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
 
 
 def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None = None) -> Axes:
-    """Distance to the path in three axes, √(Δx² + Δy² + Δz²) [m], over time [s]; avoidance included.
+    """Plot the distance to the path in three axes, √(Δx² + Δy² + Δz²) [m], over time [s], including avoidance.
 
     Args:
-        runs: what was flown.
-        title: of the plot.
-        bound: the paper's figure [m], drawn as a line.
+        runs: the runs to plot.
+        title: title of the plot.
+        bound: the paper's value [m], shown as a line.
 
     Raises:
-        InputError: no runs.
+        InputError: `runs` is empty.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -78,10 +78,10 @@ def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None
 
 
 def plot_series(runs: Sequence[Run], *, title: str) -> Axes:
-    """Ways of several runs of one site in {E} [m], with the time of arrival in the legend.
+    """Plot the trajectories of several runs at one site in {E} [m]; the legend gives the time of arrival.
 
     Raises:
-        InputError: no runs.
+        InputError: `runs` is empty.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -113,4 +113,4 @@ def _name(run: Run) -> str:
 
 def _some(runs: Sequence[Run]) -> None:
     if not runs:
-        raise InputError("must not be empty", key="runs", remedy="give at least one run to draw")
+        raise InputError("must not be empty", key="runs", remedy="give at least one run to plot")

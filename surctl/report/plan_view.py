@@ -1,4 +1,4 @@
-"""A run seen from above: path, way flown, hulls, obstacles in motion, walls, sonar beams."""
+"""Plan view of a run: path, trajectory, hulls, moving obstacles, walls and sonar beams."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from surctl.world import Box, Disc, Heights, Wall
 
 __all__ = ["body_middle", "body_outline", "box_corners", "describe", "draw_ends", "draw_site", "plot_run"]
 
-_SNAPSHOTS = 9  # hulls drawn along a run, at most
+_SNAPSHOTS = 9  # largest number of hulls drawn along a run
 _NICE = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # [s]
 _STILL = 1e-3  # [m] an obstacle that moves less is drawn once
 
 
 def describe(run: Run) -> str:
-    """What was flown, in one line: scenario, vehicle, law, sensing, seed."""
+    """Describe a run in one line: scenario, vehicle, law, sensing and seed."""
     law = run.law.name.removeprefix("surctl_")
     return f"{run.scenario.name}: {run.vehicle.name}, law {law} ({run.law.mode}), {run.sensing}, seed {run.seed}"
 
 
 def plot_run(run: Run, ax: Axes | None = None) -> Axes:
-    """Plan view in {E}, x and y in m, equal scale; the numbers in hulls and moving obstacles are times in s.
+    """Plot the plan view in {E}, x and y in m at equal scale; numbers in hulls and moving obstacles are times in s.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -69,9 +69,9 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def _snapshots(run: Run) -> list[int]:
-    """Ticks at round, evenly spaced times, so far apart that hulls hardly overlap, and the last tick."""
+    """Return control periods at round, evenly spaced times, so that hulls hardly overlap, and the last period."""
     time, m = run.record.time, run.metrics
-    apart = 1.4 * run.vehicle["radius"] * m.time_s / max(m.length_m, 1e-9)  # [s] to fly 0.7 diameters
+    apart = 1.4 * run.vehicle["radius"] * m.time_s / max(m.length_m, 1e-9)  # [s] to travel 0.7 diameters
     least = max(m.time_s / _SNAPSHOTS, apart)
     step = next((s for s in _NICE if s >= least), _NICE[-1])
     steps = {int(np.argmin(np.abs(time - t))) for t in np.arange(0.0, m.time_s - 0.4 * step, step)}
@@ -79,7 +79,7 @@ def _snapshots(run: Run) -> list[int]:
 
 
 def _closest(run: Run) -> int:
-    """Tick of the smallest clearance to an obstacle: the instant whose sonar beams say most."""
+    """Return the control period with the smallest distance to an obstacle; its sonar beams are the most informative."""
     positions = run.record.eta[:, :2]
     nearest = [
         min((body.shape.nearest(at)[0] for body in bodies), default=np.inf)
@@ -89,7 +89,7 @@ def _closest(run: Run) -> int:
 
 
 def draw_site(ax: Axes, length: float, width: float) -> None:
-    """The water of a site, length × width [m], and solid ground about it."""
+    """Draw the water of a site, length × width [m], and the solid ground around it."""
     rim = 0.03 * max(length, width)
     frame = [(-rim, -rim), (length + rim, -rim), (length + rim, width + rim), (-rim, width + rim), (-rim, -rim)]
     water = [(0, 0), (0, width), (length, width), (length, 0), (0, 0)]
@@ -100,30 +100,30 @@ def draw_site(ax: Axes, length: float, width: float) -> None:
 
 
 def body_outline(shape: Shape) -> Patch:
-    """A disc or box as a patch in data units, in {E} [m]; TypeError for a wall."""
+    """Return a disc or box as a patch in {E} [m]; TypeError for a wall."""
     if isinstance(shape, Disc):
         return Circle((shape.center[0], shape.center[1]), shape.radius)
     if isinstance(shape, Box):
         return Polygon(box_corners(shape) + np.array(shape.center))
-    raise TypeError(f"a {type(shape).__name__} is no body in the water")
+    raise TypeError(f"a {type(shape).__name__} is not a body in the water")
 
 
 def box_corners(box: Box) -> NDArray[np.float64]:
-    """(4, 2) from its centre, in {E} [m]."""
+    """Return the corners (4, 2) of a box relative to its centre, in {E} [m]."""
     c, s = np.cos(box.angle), np.sin(box.angle)
     half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(box.size) / 2
     return np.asarray(half @ np.array([[c, s], [-s, c]]))
 
 
 def body_middle(body: Body) -> NDArray[np.float64]:
-    """(2,) in {E} [m]; TypeError for a wall."""
+    """Return the centre (2,) of a body in {E} [m]; TypeError for a wall."""
     if isinstance(body.shape, Wall):
-        raise TypeError("a wall is no body in the water")
+        raise TypeError("a wall is not a body in the water")
     return np.asarray(body.shape.center, dtype=float)
 
 
 def _draw_obstacles(ax: Axes, run: Run, steps: list[int]) -> None:
-    """Each obstacle at the hulls' instants: one that moves fainter the earlier, one that drifts as outlines."""
+    """Draw each obstacle at the times of the hulls: moving ones fainter at earlier times, drifting ones as outlines."""
     for name in dict.fromkeys(body.name for bodies in run.record.obstacles for body in bodies):
         history = {k: b for k, bodies in enumerate(run.record.obstacles) for b in bodies if b.name == name}
         middles = np.array([body_middle(body) for body in history.values()])
@@ -144,7 +144,7 @@ def _draw_obstacles(ax: Axes, run: Run, steps: list[int]) -> None:
 
 
 def _height_text(heights: Heights) -> str:
-    """From which z to which, in words."""
+    """Describe in words the interval of z that an obstacle covers."""
     if isinf(heights.bottom):
         return f"below z {heights.top:g} m"
     return f"above z {heights.bottom:g} m" if isinf(heights.top) else f"z {heights.bottom:g} to {heights.top:g} m"
@@ -157,8 +157,8 @@ def _draw_body(ax: Axes, body: Body, *, alpha: float, filled: bool) -> None:
 
 
 def _name(ax: Axes, run: Run, body: Body, name: str) -> None:
-    """The obstacle's name beside it, towards the middle of the site."""
-    patch = body_outline(body.shape).get_extents()  # in data units: the patch is in no axes yet
+    """Write the name of an obstacle beside it, on the side towards the middle of the site."""
+    patch = body_outline(body.shape).get_extents()  # in data units, because the patch is not in any axes yet
     x, y = body_middle(body)
     up = y < run.scenario.site[1] / 2
     at = (x, patch.y1 if up else patch.y0)
@@ -175,7 +175,7 @@ def _label(ax: Axes, at: NDArray[np.float64], text: str, colour: str, ground: st
 
 
 def _draw_track(ax: Axes, run: Run) -> None:
-    """The path, and the way flown, highlighted where the law avoids."""
+    """Draw the path and the trajectory; the trajectory is highlighted where the law avoids."""
     points = run.scenario.path.waypoints
     ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
     track = run.record.eta[:, :2]
@@ -199,12 +199,12 @@ def _draw_hull(ax: Axes, run: Run, k: int) -> None:
     ax.add_patch(Circle((x, y), radius, fill=False, edgecolor=ROBOT, linewidth=1.0, zorder=4.5))
     nose = np.array([[x, y], [x, y]]) + radius * np.array([[0.55], [1.0]]) * [np.cos(heading), np.sin(heading)]
     ax.plot(nose[:, 0], nose[:, 1], color=ROBOT, linewidth=1.6, zorder=4.5)
-    if 0 < k < len(run.record.time) - 1:  # the ends have marks of their own
+    if 0 < k < len(run.record.time) - 1:  # start and end have their own marks
         _label(ax, np.array([x, y]), f"{run.record.time[k]:.3g}", ROBOT, "white")
 
 
 def _draw_beams(ax: Axes, run: Run, k: int) -> None:
-    """The sonars' cones at one tick, and what moved by then."""
+    """Draw the sonar beams at one control period, and the moving obstacles at that time."""
     x, y = run.record.eta[k, :2]
     length, width, _ = run.scenario.site
     water = Rectangle((0, 0), length, width, transform=ax.transData)
@@ -220,7 +220,7 @@ def _draw_beams(ax: Axes, run: Run, k: int) -> None:
 
 
 def draw_ends(ax: Axes, run: Run) -> None:
-    """Start, target, and where a run stopped that did not arrive."""
+    """Mark the start, the target, and the end of a run that did not arrive."""
     x, y = run.scenario.start
     ax.plot(x, y, marker="s", color=INK, markersize=6, markerfacecolor="white", zorder=5.5, linestyle="none")
     x, y = run.scenario.target

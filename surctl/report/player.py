@@ -1,4 +1,4 @@
-"""A run as frames for the page's player: what moves, as JSON that stands inside the page."""
+"""A run as frames for the page's player: everything that moves, as JSON embedded in the page."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from surctl.world import Box
 
 __all__ = ["player", "player_frames"]
 
-_APART = 0.1  # [s] between two frames, at least
-_LARGEST = 150_000  # [byte] of frames
-_STILL = 5e-4  # [m] an obstacle that moves less is given one place
+_APART = 0.1  # [s] smallest time between two frames
+_LARGEST = 150_000  # [byte] largest size of the frames
+_STILL = 5e-4  # [m] an obstacle that moves less has one position
 
 
 def player(run: Run, still: Picture) -> Player:
-    """The run as a block of the page; `still` is what is there on paper, and without a script."""
+    """Return the run as a block of the page; `still` is the picture shown on paper and without scripts."""
     apart, frames = _APART, player_frames(run)
     while len(frames) > _LARGEST:
         apart *= 1.05 * len(frames) / _LARGEST
         frames = player_frames(run, apart=apart)
     grid = _grid(run)
-    words = f"Played over a grid of {grid:g} m, and under it the clearance over time; the arrow keys move its slider."
+    words = f"Animation with a grid of {grid:g} m; below it, clearance over time. The arrow keys move the slider."
     return Player(frames, replace(still, caption=f"{still.caption} {words}"), f"Animation. {still.alt}")
 
 
@@ -39,10 +39,10 @@ def _grid(run: Run) -> float:
 
 
 def player_frames(run: Run, *, apart: float = _APART) -> str:
-    """The frames, `apart` [s] from each other or more, as one JSON text without any `<`.
+    """Return the frames, at least `apart` [s] from each other, as one JSON text without any `<`.
 
-    Lengths are in m, in {E} unless said, angles in rad, times in s; what is not finite is null. `length` of a beam is
-    negative where the sonar reads its maximum.
+    Lengths are in m, in {E} unless stated, angles in rad, times in s; values that are not finite are null. `length` of
+    a beam is negative if the sonar reads its maximum.
     """
     record, scenario, steps = run.record, run.scenario, frame_steps(run, apart=apart)
     frames = {
@@ -60,12 +60,12 @@ def player_frames(run: Run, *, apart: float = _APART) -> str:
         "obstacles": _obstacles([record.obstacles[k] for k in steps]),
         "beams": _beams(run, steps),
     }
-    # inside a script element nothing else ends it
+    # only a "<" could end the script element that contains the text
     return json.dumps(frames, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
-    """Name and outline of each obstacle, and its centre in each frame; one centre where it stays in place."""
+    """Return name and outline of each obstacle, and its centre in each frame; only one centre if it does not move."""
     entries: list[dict[str, object]] = []
     for name in dict.fromkeys(body.name for bodies in frames for body in bodies):
         history = [next((body for body in bodies if body.name == name), None) for bodies in frames]
@@ -83,7 +83,7 @@ def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
 
 
 def _beams(run: Run, steps: Sequence[int]) -> list[dict[str, object]]:
-    """Apex and axis in {B} of each sonar, and its filtered ranges."""
+    """Return apex and axis in {B} of each sonar, with its filtered ranges."""
     if run.sensing != "sonar":
         return []
     array, ranges = run.scenario.sensors.array_on(run.vehicle["radius"]), run.telemetry("ranges")[steps]

@@ -1,4 +1,4 @@
-"""Priorities over time: which level gave up what, and to which row."""
+"""Plots of priorities over time: how much each level was relaxed, and which rows caused it."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from surctl.simulation.priority_timeline import NOTICEABLE, PriorityTimeline
 
 __all__ = ["plot_priority", "relaxation_text"]
 
-_MOST = 8  # rows drawn: those that hold back or are missed longest
+_MOST = 8  # largest number of rows shown: those that bind or are violated longest
 
 
 def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
-    """One lane a level, highest priority first, with what it gave up; under them one lane a row.
+    """Plot the relaxation of each level, highest priority first; below, one lane per row shows when it binds.
 
     Args:
-        run: what was flown.
-        timeline: `priority_timeline` of it.
+        run: the run.
+        timeline: `priority_timeline` of the run.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -51,17 +51,17 @@ def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
     end = float(timeline.time[-1]) if timeline.time.size else 0.0
     axes[-1].set_xlim(0.0, end or run.law.dt)
     handles = [
-        Patch(facecolor=ROBOT, alpha=0.55, label="given up to levels above"),
-        Patch(facecolor=AVOIDING, label="given up to rows"),
-        Line2D([], [], color=INK, linewidth=5, label="row holds back"),
-        Line2D([], [], color=BAD, linewidth=5, alpha=0.45, label="row is missed"),
+        Patch(facecolor=ROBOT, alpha=0.55, label="residual due to higher levels"),
+        Patch(facecolor=AVOIDING, label="residual due to rows"),
+        Line2D([], [], color=INK, linewidth=5, label="row binds"),
+        Line2D([], [], color=BAD, linewidth=5, alpha=0.45, label="row is violated"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
     return figure
 
 
 def relaxation_text(timeline: PriorityTimeline) -> str:
-    """In words: the most that each level gave up, for how long and to which rows; rows that were missed."""
+    """Describe how much each level gave up, for how long and because of which rows, and which rows were violated."""
     parts = []
     step = float(np.median(np.diff(timeline.time))) if len(timeline.time) > 1 else 0.0
     for level, (name, unit) in enumerate(zip(timeline.levels, timeline.units, strict=True)):
@@ -73,12 +73,13 @@ def relaxation_text(timeline: PriorityTimeline) -> str:
             to = _listed(rows) if guilty else "the levels above it"
             most = f"{number(float(lost[:, level].max()), digits=2)} {unit}".strip()
             parts.append(
-                f"{name} gave up at most {most} to {to}, in {number(step * int(noticeable.sum()), digits=3)} s"
+                f"{name} gave up at most {most} because of {to}, "
+                f"for {number(step * int(noticeable.sum()), digits=3)} s in total"
             )
     missed = [row for k, row in enumerate(timeline.rows) if (timeline.missed[:, k] > NOTICEABLE).any()]
     if missed:
-        parts.append(f"the wish missed {_listed(missed)}, by {number(float(timeline.missed.max()), digits=2)} at most")
-    return "; ".join(parts) or "no level gave anything up"
+        parts.append(f"violated by at most {number(float(timeline.missed.max()), digits=2)}: {_listed(missed)}")
+    return "; ".join(parts) or "no level gave up anything"
 
 
 def _listed(rows: list[str]) -> str:
@@ -86,7 +87,7 @@ def _listed(rows: list[str]) -> str:
 
 
 def _longest(timeline: PriorityTimeline) -> list[int]:
-    """Rows to draw, in the law's order."""
+    """Return the indices of the rows to show, in the law's order."""
     counts = (timeline.binding | (timeline.missed > NOTICEABLE)).sum(axis=0)
     return sorted(np.argsort(-counts, kind="stable")[:_MOST].tolist())
 
@@ -99,9 +100,7 @@ def _draw_level(ax: Axes, timeline: PriorityTimeline, level: int) -> None:
     most = float(np.max(above + rows, initial=0.0))
     if most <= NOTICEABLE:
         ax.set(ylim=(0.0, 1.0), yticks=[])
-        ax.text(
-            0.5, 0.5, "gave nothing up", transform=ax.transAxes, ha="center", va="center", fontsize=8.5, color=MUTED
-        )
+        ax.text(0.5, 0.5, "no residual", transform=ax.transAxes, ha="center", va="center", fontsize=8.5, color=MUTED)
     else:
         ax.set_ylim(0.0, 1.15 * most)
     ax.yaxis.label.set(rotation=0, horizontalalignment="right", verticalalignment="center", fontsize=8.5)
@@ -115,7 +114,7 @@ def _draw_rows(ax: Axes, timeline: PriorityTimeline, rows: list[int]) -> None:
         _bars(ax, timeline.time, timeline.missed[:, row] > NOTICEABLE, place, BAD, 0.45)
         _bars(ax, timeline.time, timeline.binding[:, row], place, INK, 1.0)
     left = len(timeline.rows) - len(rows)
-    text = f"{left} more rows" if left else "" if rows else "no row held back, none was missed"
+    text = f"{left} more rows" if left else "" if rows else "no row binds or is violated"
     ax.text(0.99, 0.06, text, transform=ax.transAxes, ha="right", fontsize=8, color=MUTED)
 
 

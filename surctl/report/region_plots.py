@@ -1,4 +1,4 @@
-"""Region certificates: level sets, the flow, and where the certified rate was found to fail."""
+"""Plots of region certificates: level sets, the flow, and the points at which the certified rate fails."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from surctl.verification.portrait import Portrait, planes_of, portrait
 __all__ = ["plot_portrait", "plot_region"]
 
 _LABELS = {
-    "along": ("along the path, x_e from its rest [m]", "velocity along it [m/s]"),
+    "along": ("along the path, x_e from its equilibrium [m]", "velocity along it [m/s]"),
     "across": ("across the path, y_e [m]", "velocity across it [m/s]"),
-    "place": ("along the path, x_e from its rest [m]", "across the path, y_e [m]"),
+    "place": ("along the path, x_e from its equilibrium [m]", "across the path, y_e [m]"),
     "turning": ("heading against the path, ψ [rad]", "yaw rate [rad/s]"),
     "steering": ("across the path, y_e [m]", "heading against the path, ψ [rad]"),
 }
-_STILL = ("place", "steering")  # planes of places, where nothing moves while the velocities are 0
-_ARROWS = 15  # to a side
+_STILL = ("place", "steering")  # planes of positions: the velocities are 0 there, so there is no flow
+_ARROWS = 15  # number of arrows along each side
 
 
 def plot_region(document: Mapping[str, Any]) -> Figure:
-    """All planes of a region certificate side by side.
+    """Plot all planes of a region certificate side by side.
 
     Raises:
-        InputError: a certificate of another kind.
+        InputError: the certificate is of another kind.
 
     Example:
         >>> from surctl.control import load_gains
@@ -54,7 +54,7 @@ def plot_region(document: Mapping[str, Any]) -> Figure:
 
 
 def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
-    """One plane: certified (inside V = 1, outside the floor), refuted by the rate, and the flow; a legend if alone."""
+    """Plot one plane: the certified set (V ≤ 1, above the floor), points where the rate fails, and the flow."""
     alone = ax is None
     ax = dress(ax or new_axes(5.1, 4.9), x=_LABELS[one.plane][0], y=_LABELS[one.plane][1])
     ax.grid(visible=False)
@@ -84,12 +84,14 @@ def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
 
 
 def _handles(one: Portrait) -> list[Artist]:
-    shells = ", and its shells" if len(one.levels) > 2 else ""
+    shells = ", with inner level sets" if len(one.levels) > 2 else ""
     handles: list[Artist] = [Line2D([], [], color=GOOD, linewidth=2.0, label=f"certified: V = 1{shells}")]
     if one.levels[0] > 0:
-        handles.append(Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="where it ends: floor of V"))
+        handles.append(
+            Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="floor of V: rate certified above")
+        )
     if one.lagged:
-        return [*handles, Line2D([], [], linestyle="none", label="flow and failures: without the lag, not shown")]
+        return [*handles, Line2D([], [], linestyle="none", label="flow and failures are not shown: thrust lag")]
     handles.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
     if one.plane not in _STILL:
         handles.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,

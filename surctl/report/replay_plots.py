@@ -1,4 +1,4 @@
-"""A recording through the filter, a panel a sensor: raw samples, filtered range with its bound, a strip of health."""
+"""Plots of a replayed sonar recording, one panel per sensor: raw samples, filtered range with bound, and health."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from surctl.sensing import Replay
 
 __all__ = ["plot_replay_sensor", "plot_sonar_replay"]
 
-_POINTS = 20_000  # steps and samples drawn at most
+_POINTS = 20_000  # largest number of steps and samples drawn
 _FAINT_BAD = "#F3C6C1"
-_STRIP = 0.04  # of the panel's height
+_STRIP = 0.04  # as a share of the panel's height
 
 
 def plot_sonar_replay(replayed: Replay, ax: Sequence[Axes] | None = None, *, title: str = "") -> Figure:
-    r"""One panel for each sensor that sent anything.
+    r"""Plot one panel for each sensor that sent data.
 
     Args:
         replayed: the replay.
-        ax: as many axes as there are such sensors; None makes them.
-        title: above them.
+        ax: one axes for each of these sensors; None creates them.
+        title: title above the panels.
 
     Returns:
         The figure that holds the axes.
@@ -56,7 +56,7 @@ def plot_sonar_replay(replayed: Replay, ax: Sequence[Axes] | None = None, *, tit
 
 
 def plot_replay_sensor(replayed: Replay, sensor: int, ax: Axes | None = None) -> Axes:
-    r"""Raw samples, filtered range, its bound and health of one sensor over time.
+    r"""Plot raw samples, filtered range with bound, and health of one sensor over time.
 
     Example:
         >>> from pathlib import Path
@@ -73,7 +73,7 @@ def plot_replay_sensor(replayed: Replay, sensor: int, ax: Axes | None = None) ->
     ax = dress(ax or new_figure(9.0, 3.0).add_subplot(), x="time [s]", y=f"sensor {sensor}: range [m]")
     steps = np.linspace(0, len(r.time) - 1, min(len(r.time), _POINTS)).astype(np.intp)
     ends = r.first[1:]
-    cuts = np.searchsorted(steps, ends)  # a line does not span a silence
+    cuts = np.searchsorted(steps, ends)  # interrupt the line where the recording has a gap
     time = np.insert(r.time[steps], cuts, r.time[np.minimum(ends, len(r.time) - 1)])
     value, bound = (np.insert(v[steps, sensor], cuts, np.nan) for v in (t.range, t.bound))
     ax.fill_between(time, value - bound, value + bound, color=ROBOT, alpha=0.18, linewidth=0.0, label="promised bound")
@@ -99,7 +99,7 @@ def plot_replay_sensor(replayed: Replay, sensor: int, ax: Axes | None = None) ->
 def _strip(
     ax: Axes, time: NDArray[np.float64], where: NDArray[np.bool_], *, colour: str, hatch: str | None, label: str
 ) -> None:
-    """A strip along the foot of the panel; hatched, so that colour alone does not tell the two apart."""
+    """Draw a strip along the bottom of the panel; hatching distinguishes the two strips without colour."""
     ax.fill_between(
         time, 0.0, _STRIP, where=where.tolist(), step="post", transform=ax.get_xaxis_transform(), label=label,
         facecolor=colour if hatch is None else _FAINT_BAD, edgecolor=colour, hatch=hatch, linewidth=0.0, zorder=3,

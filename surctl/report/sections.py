@@ -1,4 +1,4 @@
-"""The page's sections on the design: loops, sweep, export, time taken, and the tables of parameters."""
+"""Sections of the page on the design: loops, sweep, export, computing time, and tables of parameters."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _SWEPT = (
 
 
 def vehicle_section(data: ReportData) -> Section:
-    """Every parameter with unit, range and provenance; the other vehicles of the runs follow."""
+    """Return all parameters with unit, range and provenance, first for the vehicle, then for other simulated ones."""
     others = {run.vehicle.name: run.vehicle for run in data.runs if run.vehicle.name != data.vehicle.name}
     blocks: list[Block] = [*_note(data.vehicle), _parameters(data.vehicle)]
     for vehicle in others.values():
@@ -70,7 +70,7 @@ def _parameters(vehicle: Vehicle) -> Table:
 
 
 def gains_section(data: ReportData) -> Section:
-    """The gains with unit and meaning, and where they come from."""
+    """Return the gains with unit and meaning, and their provenance."""
     rows = tuple(
         (Cell(name, code=True), Cell(number(value, digits=6), number=True), GAINS[name].unit, GAINS[name].meaning)
         for name, value in data.gains.values.items()
@@ -84,7 +84,7 @@ def _provenance(gains: Gains) -> str:
 
 
 def loops_section(data: ReportData) -> Section:
-    """Margins of each loop, Bode and Nyquist plots, poles."""
+    """Return the margins of each loop, Bode and Nyquist plots, and poles."""
     heads = (
         "loop", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
         "disk margin [1]", "crossover [rad/s]",
@@ -108,8 +108,9 @@ def loops_section(data: ReportData) -> Section:
         for m in data.margins
     )
     text = (
-        "Each loop is broken at one place while all others stay closed, about straight cruise: surge, sway, heave and "
-        "yaw at the thrust command; along_track, cross_track, depth and heading at the measurement."
+        "Each loop is opened at one place while all others stay closed, about straight cruise. The loops surge, sway, "
+        "heave and yaw are opened at the thrust command, along_track, cross_track, depth and heading at the "
+        "measurement."
     )
     blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows), *linear_blocks(data.linear)]
     pictures = _loop_pictures(data)
@@ -140,8 +141,8 @@ def _loop_pictures(data: ReportData) -> tuple[Picture, ...]:
 def _bode_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -> Picture:
     return picture(
         plot_bode(group),
-        alt=f"Bode plot of the loops broken at the {at}: {', '.join(loop.name for loop in group)}",
-        caption=f"Bode plot, broken at the {at}. Dots: the loop gain crosses 1.",
+        alt=f"Bode plot of the loops opened at the {at}: {', '.join(loop.name for loop in group)}",
+        caption=f"Bode plot of the loops opened at the {at}. Dots mark where the loop gain crosses 1.",
         command=data.command,
     )
 
@@ -150,27 +151,27 @@ def _nyquist_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -
     names = [loop.name for loop in group]
     disks = [m.disk_margin for m in data.margins if m.name in names and m.stable]
     least = min(disks, default=None)
-    shading = "" if least is None else f" Shaded: the disk that the least disk margin, {number(least)}, keeps free."
+    shading = "" if least is None else f" No curve enters the shaded disk of the least disk margin, {number(least)}."
     return picture(
         plot_nyquist(group, disk_margin=least),
-        alt=f"Nyquist plot of the loops broken at the {at} about the point -1",
-        caption=f"Nyquist plot, broken at the {at}.{shading}",
+        alt=f"Nyquist plot of the loops opened at the {at}, around the point -1",
+        caption=f"Nyquist plot of the loops opened at the {at}.{shading}",
         command=data.command,
     )
 
 
 def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
-    """Pictures of the sweep's columns, and the picked point's numbers."""
+    """Return pictures of the columns of the sweep, and a table of the picked point."""
     feasible = sweep.column("feasible") > 0.5
     over = " and ".join(axis_title(axis) for axis in sweep.axes)
     text = (
-        f"{feasible.size} points over {over}; each is simulated in {', '.join(sweep.cases)}. {int(feasible.sum())} "
-        "points are feasible: every run arrives without contact and the margins suffice. The feasible point of least "
-        "score is picked."
+        f"The sweep has {feasible.size} points over {over}; each is simulated in {', '.join(sweep.cases)}. "
+        f"{int(feasible.sum())} points are feasible: every run arrives without contact and the margins suffice. The "
+        "feasible point with the lowest score is picked."
     )
     blocks: list[Block] = [Paragraph(text)]
     if sweep.picked is None:
-        blocks.append(Paragraph("No point is feasible: the gains of the file are kept.", "bad"))
+        blocks.append(Paragraph("No point is feasible, so the gains of the file stay in use.", "bad"))
     else:
         blocks.append(_picked(sweep, sweep.picked))
     if sweep.is_grid and len(sweep.axes) > 1:
@@ -197,7 +198,7 @@ def _heat_picture(data: ReportData, sweep: SweepTable, name: str) -> Picture:
     return picture(
         plot_heat_map(sweep, name),
         alt=f"Heat map over {one.name} and {other.name}: {title}",
-        caption=f"{title[0].upper()}{title[1:]}. Framed: the picked point. Hatched: not feasible.",
+        caption=f"{title[0].upper()}{title[1:]}. The frame marks the picked point; hatched cells are infeasible.",
         command=data.command,
     )
 
@@ -206,13 +207,13 @@ def _parallel_picture(data: ReportData, sweep: SweepTable) -> Picture:
     return picture(
         plot_parallel(sweep),
         alt=f"Parallel coordinates of the sweep over {', '.join(axis.name for axis in sweep.axes)}",
-        caption="Parallel coordinates: one line a point, each scale over its own range.",
+        caption="Parallel coordinates: one line per point; each axis has its own scale.",
         command=data.command,
     )
 
 
 def export_section(export: ExportSummary) -> Section:
-    """Files with size and SHA-256, and how the compiled C compares with Python."""
+    """Return the exported files with size and SHA-256, and the comparison of the compiled C code with Python."""
     rows = tuple(
         (Cell(f.path.name, code=True), Cell(file_size(f.path), number=True), Cell(f.sha256, code=True))
         for f in export.files
@@ -221,7 +222,7 @@ def export_section(export: ExportSummary) -> Section:
     if export.status:
         blocks.append(Paragraph(export.status))
     blocks.append(Table("Exported files", ("file", "size [byte]", "SHA-256"), rows))
-    blocks += _comparison(export.sil) or [Paragraph("The C was not compiled and not compared.", "note")]
+    blocks += _comparison(export.sil) or [Paragraph("The C was not compiled and not compared with Python.", "note")]
     return Section("export", "Exported controller", tuple(blocks), folded=True)
 
 
@@ -238,8 +239,17 @@ def _comparison(reports: Sequence[SilReport]) -> list[Block]:
     for k, report in enumerate(reports, start=1):
         kinds = (("thrust", report.tau), ("next state", report.state), ("telemetry", report.telemetry))
         rows += [_difference_row(k, report.steps, _Quantity(*kind)) for kind in kinds]
-    heads = ("run", "steps", "quantity", "absolute", "relative", f"judged (bar {TOLERANCE:g})", "at step", "verdict")
-    caption = "Largest differences C against Python, step by step; judged relative to max(1, |Python|)"
+    heads = (
+        "run",
+        "steps",
+        "quantity",
+        "absolute",
+        "relative",
+        f"mixed (limit {TOLERANCE:g})",
+        "at step",
+        "verdict",
+    )
+    caption = "Largest differences between C and Python over all steps; mixed: relative to max(1, |Python|)"
     blocks: list[Block] = [Heading("Software in the loop"), Table(caption, heads, tuple(rows)), _checks(reports)]
     for report in reports:
         blocks += [Paragraph(f"Failed: {label}", "bad") for label in report.fault_failures[:5]]
@@ -274,7 +284,7 @@ def _checks(reports: Sequence[SilReport]) -> Table:
             )
         )
     heads = (
-        "run", "state loaded anew", "status differs", "NaN and infinity at every state, input and gain", "self-test",
+        "run", "state resets", "status mismatches", "NaN and infinity at every state, input and gain", "self-test",
         "code and constants [byte]", "compiler",
     )  # fmt: skip
     return Table("Other checks of the compiled controller", heads, tuple(rows))
@@ -285,7 +295,7 @@ def _count(failures: int, fine: str) -> Cell:
 
 
 def time_section(data: ReportData) -> Section:
-    """How long each stage took."""
+    """Return the computing time of each stage."""
     rows = [(stage, Cell(number(value, digits=3), number=True)) for stage, value in data.seconds.items()]
-    rows.append(("together", Cell(number(sum(data.seconds.values()), digits=3), number=True)))
-    return Section("time", "Time taken", (Table("Time by stage", ("stage", "time [s]"), tuple(rows)),), folded=True)
+    rows.append(("total", Cell(number(sum(data.seconds.values()), digits=3), number=True)))
+    return Section("time", "Computing time", (Table("Time by stage", ("stage", "time [s]"), tuple(rows)),), folded=True)

@@ -1,4 +1,4 @@
-"""Serve the tuning page on this machine alone."""
+"""Serve the tuning page to this machine only."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from surctl.report.bench import Bench
 __all__ = ["current_bench", "serve"]
 
 _HOST = "127.0.0.1"
-_BENCHES: list[Bench] = []  # the page's cells run in threads of this process, and are given nothing else
+_BENCHES: list[Bench] = []  # the page's cells run in threads of this process and take no arguments
 
 
 def current_bench() -> Bench:
     """The bench of the page that this process serves.
 
     Raises:
-        InputError: none is served.
+        InputError: this process serves no page.
     """
     if not _BENCHES:
-        raise InputError("nothing is served", key="page", remedy="start it with surctl tune --page")
+        raise InputError("no tuning page is served", key="page", remedy="start it with surctl tune --page")
     return _BENCHES[-1]
 
 
 def serve(bench: Bench, *, port: int | None = None, ready: Callable[[str], None]) -> None:
-    """Serve until interrupted.
+    """Serve the tuning page until the process is interrupted.
 
     Args:
-        bench: what is tuned.
-        port: of 127.0.0.1; None for a free one.
-        ready: told the page's address once the port is taken.
+        bench: the bench that the page shows.
+        port: port of 127.0.0.1; None picks a free one.
+        ready: called with the address of the page as soon as the server runs.
 
     Raises:
         ToolMissing: marimo is not installed.
-        InputError: the port is taken.
+        InputError: the port cannot be used.
         KeyboardInterrupt: at Ctrl-C, after the server has closed.
     """
     try:
@@ -57,11 +57,11 @@ def serve(bench: Bench, *, port: int | None = None, ready: Callable[[str], None]
     except OSError as error:
         door.close()
         raise InputError(
-            f"cannot be used ({error.strerror})", key="--port", value=port, remedy="leave it away for a free one"
+            f"cannot be used ({error.strerror})", key="--port", value=port, remedy="omit it to use a free port"
         ) from None
     _BENCHES.append(bench)
     page = str(Path(__file__).with_name("tuning_page.py"))
-    key = secrets.token_urlsafe(16)  # the page writes files: another site's script must not reach it
+    key = secrets.token_urlsafe(16)  # the page writes files: scripts of other sites must have no access
     app = marimo.create_asgi_app(quiet=True, token=key).with_app(path="", root=page).build()
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1))
     with door:
@@ -71,7 +71,7 @@ def serve(bench: Bench, *, port: int | None = None, ready: Callable[[str], None]
 
 
 async def _run(server: Any, door: socket.socket, ready: Callable[[], None]) -> bool:
-    """Serve until a signal; whether it was Ctrl-C, which marimo would otherwise ask about."""
+    """Serve until the server ends; return whether Ctrl-C ended it. Without this handler marimo would ask the user."""
     stopped = False
 
     def stop(*_: object) -> None:
@@ -81,7 +81,7 @@ async def _run(server: Any, door: socket.socket, ready: Callable[[], None]) -> b
     serving = asyncio.create_task(server.serve(sockets=[door]))
     while not (server.started or serving.done()):
         await asyncio.sleep(0.02)
-    with suppress(NotImplementedError):  # Windows has none
+    with suppress(NotImplementedError):  # not available on Windows
         asyncio.get_running_loop().remove_signal_handler(signal.SIGINT)
     signal.signal(signal.SIGINT, stop)
     ready()

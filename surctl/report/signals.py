@@ -1,4 +1,4 @@
-"""A run over time: clearance, path errors, velocities, yaw rate, thrust, yaw moment."""
+"""Plots of a run over time: clearance, path errors, velocities, yaw rate, thrust and yaw moment."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ __all__ = [
     "spans",
 ]
 
-_UNKNOWN = 50.0  # [m] what the law calls its nearest contact beyond this is "none"
+_UNKNOWN = 50.0  # [m] a larger nearest distance in the telemetry means that the law has no contact
 
 
 def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
-    """The six signals of a run over time.
+    """Plot six signals of a run over time.
 
     Args:
         run: the run.
-        ax: six axes, in the order clearance, path error, velocity, yaw rate, force, moment; None makes them.
+        ax: six axes, in the order clearance, path error, velocity, yaw rate, force, moment; None creates them.
 
     Returns:
         The figure that holds the axes.
@@ -56,12 +56,12 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
     for plot, target in zip(plots, ax, strict=True):
         plot(run, target)
     for target in ax[:-2]:
-        target.set_xlabel("")  # the bottom row's label holds for the columns
+        target.set_xlabel("")  # the label of the bottom row is valid for the whole column
     return ax[0].figure.figure
 
 
 def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
-    """Clearance hull to nearest obstacle or wall [m]: the true one, and the least that the law knows of."""
+    """Plot the clearance from hull to nearest obstacle or wall [m]: the true one, and the one known to the law."""
     ax = _axes(run, ax, title="clearance", unit="m")
     time = run.record.time
     known = run.telemetry("nearest")[:, 0]
@@ -74,7 +74,7 @@ def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
-    """Errors to the reference path [m]: distance in the plane, depth, and y_e of (8) as the law sees it."""
+    """Plot the path errors [m]: distance to the path in the plane, depth error, and y_e of (8) as used by the law."""
     ax = _axes(run, ax, title="path error", unit="m")
     record, scenario = run.record, run.scenario
     curve(ax, record.time, run.telemetry("path_error")[:, 1], label="y_e in the law", k=1, faint=True)
@@ -85,28 +85,28 @@ def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def plot_velocity(run: Run, ax: Axes | None = None) -> Axes:
-    """Ground velocity u, v, w in {B} and horizontal speed [m/s], with the speed cap."""
+    """Plot the ground velocity u, v, w in {B} and the horizontal speed [m/s], with the speed limit."""
     ax = _axes(run, ax, title="velocity in {B}", unit="m/s")
     nu = run.record.nu
     for k, name in enumerate("uvw"):
         curve(ax, run.record.time, nu[:, k], label=name, k=k)
     curve(ax, run.record.time, np.hypot(nu[:, 0], nu[:, 1]), label="√(u² + v²)", k=3)
-    ax.axhline(run.scenario.cap, color=BAD, linewidth=1.0, linestyle="--", label="cap")
+    ax.axhline(run.scenario.cap, color=BAD, linewidth=1.0, linestyle="--", label="speed limit")
     legend_above(ax)
     return ax
 
 
 def plot_yaw_rate(run: Run, ax: Axes | None = None) -> Axes:
-    """Yaw rate r [rad/s]: flown, and wanted by the law."""
+    """Plot the yaw rate r [rad/s] of the robot, and the yaw rate that the law commands."""
     ax = _axes(run, ax, title="yaw rate", unit="rad/s")
-    curve(ax, run.record.time, run.telemetry("nu_reference")[:, 3], label="r wanted", k=1, faint=True)
+    curve(ax, run.record.time, run.telemetry("nu_reference")[:, 3], label="r commanded", k=1, faint=True)
     curve(ax, run.record.time, run.record.nu[:, 3], label="r", k=0)
     legend_above(ax)
     return ax
 
 
 def plot_force(run: Run, ax: Axes | None = None) -> Axes:
-    """Commanded forces F_u, F_v, F_w in {B} [N], with their limits."""
+    """Plot the commanded forces F_u, F_v, F_w in {B} [N], with their limits."""
     ax = _axes(run, ax, title="force", unit="N")
     for k, name in reversed([*enumerate(("F_u", "F_v", "F_w"))]):  # surge on top
         curve(ax, run.record.time, run.record.tau[:, k], label=name, k=k, faint=True)
@@ -116,7 +116,7 @@ def plot_force(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def plot_moment(run: Run, ax: Axes | None = None) -> Axes:
-    """Commanded yaw moment F_r [N m], with its limit."""
+    """Plot the commanded yaw moment F_r [N m], with its limit."""
     ax = _axes(run, ax, title="yaw moment", unit="N m")
     curve(ax, run.record.time, run.record.tau[:, 3], label="F_r", k=0, faint=True)
     _limits(ax, run.vehicle.thrust_limit[3:])
@@ -131,7 +131,7 @@ def _limits(ax: Axes, limits: NDArray[np.float64]) -> None:
 
 
 def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
-    """Axes over the run's time, shaded dark where the law avoids and light while it comes back to the path."""
+    """Return axes over the run's time, shaded dark where the law avoids and light where it returns to the path."""
     if ax is None:
         ax = new_figure(6.0, 3.0).add_subplot()
     dress(ax, x="time [s]", y=f"{title} [{unit}]")
@@ -148,7 +148,7 @@ def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
 
 
 def spans(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Begin and end of each stretch of ticks that are true; a tick lasts until the next one."""
+    """Return start and end time of each interval in which the mask is true; a sample is valid until the next one."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(int)))
     ends = np.append(time, time[-1])
     return [(float(ends[a]), float(ends[b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,4 +1,4 @@
-"""Pictures of ranging: a filtered clearance with its bound and health, errors of filters, and the LMS step."""
+"""Plots of ranging: a filtered range with its bound and health, errors of filters, and errors of LMS step rules."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ __all__ = ["FilterErrors", "LmsTrace", "RangeTrace", "plot_filter_errors", "plot
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RangeTrace:
-    """One sensor over a run.
+    """Readings and filtered range of one sensor over a run.
 
     Attributes:
-        title: what was run.
-        time: (k,) [s].
+        title: title of the plot.
+        time: (k,) times [s].
         range: (k,) filtered range [m].
-        bound: (k,) half-width of what is promised [m].
-        healthy: (k,) 1 or 0.
-        reading_time: (m,) of the firings that arrived [s].
-        reading: (m,) their robust values [m].
-        truth: (k,) [m]; None where it is not known.
+        bound: (k,) half-width of the promised error bound [m].
+        healthy: (k,) 1 if the sensor is healthy, otherwise 0.
+        reading_time: (m,) times of the received readings [s].
+        reading: (m,) robust values of these readings [m].
+        truth: (k,) true range [m]; None if it is not known.
     """
 
     title: str
@@ -40,7 +40,7 @@ class RangeTrace:
 
 @dataclass(frozen=True, kw_only=True)
 class FilterErrors:
-    """Ranging errors of several filters, rms [m], still and closing, with the largest that is allowed."""
+    """Rms ranging errors [m] of several filters at rest and when closing in, with the largest errors allowed."""
 
     names: tuple[str, ...]
     still: tuple[float, ...]
@@ -51,17 +51,17 @@ class FilterErrors:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LmsTrace:
-    """Prediction errors |ℜ| [m] over firings, by name of the step rule; all (k,)."""
+    """Prediction errors |ℜ| [m] over sonar firings, by name of the LMS step rule; each array has the shape (k,)."""
 
     title: str
     errors: dict[str, NDArray[np.float64]]
 
 
 def plot_range_trace(trace: RangeTrace, ax: Axes | None = None) -> Axes:
-    """Range with its bound, readings, truth, and a shade where the sensor is not believed.
+    """Plot the range with its bound, readings and true range; a bar marks where the sensor is not healthy.
 
     Args:
-        trace: the run.
+        trace: the data of the sensor.
         ax: axes to draw in.
     """
     ax = dress(ax or new_axes(8.4, 3.4), title=trace.title, x="time [s]", y="range [m]")
@@ -87,7 +87,7 @@ def plot_range_trace(trace: RangeTrace, ax: Axes | None = None) -> Axes:
 
 
 def plot_filter_errors(data: FilterErrors, ax: Axes | None = None) -> Axes:
-    """Bars of rms errors, still and closing, with the limits as lines; long bars are cut and their length written.
+    """Plot bars of rms errors, at rest and closing in, with limits as lines; long bars are cut and labelled.
 
     Args:
         data: the errors.
@@ -112,7 +112,7 @@ def plot_filter_errors(data: FilterErrors, ax: Axes | None = None) -> Axes:
 
 
 def plot_lms_trace(data: LmsTrace, ax: Axes | None = None) -> Axes:
-    """Prediction errors of the step rules on a logarithmic scale.
+    """Plot the prediction errors of the LMS step rules on a logarithmic scale.
 
     Args:
         data: the errors.

@@ -1,4 +1,4 @@
-"""Pictures of sweeps of any number of axes: parallel coordinates, and bars of Sobol' indices."""
+"""Plots of sweeps over any number of axes: parallel coordinates, and bars of Sobol' indices."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from surctl.tuning import Sensitivity, SweepTable
 __all__ = ["plot_parallel", "plot_sensitivity"]
 
 _SHOWN = ("deviation_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin", "score")
-_LINES = 2000  # drawn at most: more is a solid block
+_LINES = 2000  # largest number of lines drawn: more would merge
 
 
 def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: Axes | None = None) -> Axes:
-    """Parallel coordinates: one line a point over its axes and columns, each scaled to its own range.
+    """Plot parallel coordinates: one line per point over axes and columns, each with its own scale.
 
-    Feasible points are drawn over infeasible ones and the picked one on top. A point that lacks a number in one of the
-    columns is left out there. Of very many points an even share is drawn.
+    Feasible points are drawn over infeasible ones, and the picked point on top. The line of a point is interrupted at a
+    column without a number. If there are very many points, an evenly spaced selection is drawn.
 
     Args:
-        table: any sweep.
-        columns: which columns; by default the usual ones that were measured.
+        table: a sweep of any kind.
+        columns: names of the columns; by default the usual ones that the sweep contains.
         ax: axes to draw in.
 
     Raises:
@@ -78,7 +78,7 @@ def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: A
 
 
 def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
-    """Sobol' indices of first and total order of each axis with their confidence intervals.
+    """Plot the first-order and total Sobol' indices of each axis with their confidence intervals.
 
     Args:
         result: the indices.
@@ -109,7 +109,7 @@ def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
         ax.barh(
             at + offset, heights, 0.34, color="white" if hatch else colour, edgecolor=colour, hatch=hatch, label=label
         )
-        # an interval of a bootstrap need not hold the estimate
+        # a bootstrap interval need not contain the estimate
         errors = np.abs(np.array(intervals).T - heights)
         ax.errorbar(heights, at + offset, xerr=errors, fmt="none", ecolor=INK, elinewidth=1.1, capsize=2.5)
     ax.set_yticks(at, [printable(name) for name in result.axes])
@@ -122,7 +122,7 @@ def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
 
 
 def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Least and largest number of a scale, apart even where all are one."""
+    """Return the least and largest finite value of a scale; the two differ even if all values are equal."""
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0
@@ -137,7 +137,7 @@ def _collection(lines: NDArray[np.float64], colour: str, width: float, strength:
 
 
 def _upright(ax: Axes, titles: Sequence[str], ends: Sequence[tuple[float, float]]) -> None:
-    """One vertical scale a quantity, its ends written on it and its name below."""
+    """Draw one vertical scale per quantity, with its ends written on it and its name below."""
     ax.set_xlim(-0.3, len(titles) - 0.7)
     ax.set_ylim(-0.09, 1.09)
     ax.set_yticks([])
@@ -152,7 +152,7 @@ def _upright(ax: Axes, titles: Sequence[str], ends: Sequence[tuple[float, float]
 
 
 def _lines(text: str) -> str:
-    """A title in lines short enough to stand beside its neighbours."""
+    """Break a title into lines short enough to fit beside its neighbours."""
     words, lines = text.split(), [""]
     for word in words:
         if lines[-1] and len(lines[-1]) + 1 + len(word) > 15:

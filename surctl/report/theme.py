@@ -1,4 +1,4 @@
-"""How every picture looks: colours that a colour-blind reader can tell apart, and axes that touch nothing global."""
+"""The style of all plots: colours that colour-blind readers can distinguish, and axes without global state."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of width × height [in] that belongs to no window."""
+    """Return an empty figure of width × height [in] that belongs to no window."""
     return Figure(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
 
 
 def new_axes(width: float, height: float) -> Axes:
-    """The only axes of a new figure of width × height [in]."""
+    """Return the only axes of a new figure of width × height [in]."""
     return new_figure(width, height).add_subplot()
 
 
 def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
-    """Set title and axis labels (with units), grid, and frame; the texts are never read as formulas."""
+    """Set title, axis labels with units, grid and frame; the texts are never interpreted as formulas."""
     _title(ax, printable(title))
     ax.set_xlabel(printable(x), fontsize=9.5, color=INK, parse_math=False, wrap=_wraps(x))
     ax.set_ylabel(printable(y), fontsize=9.5, color=INK, parse_math=False, wrap=_wraps(y))
@@ -77,7 +77,7 @@ def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
 
 
 def head(figure: Figure, text: str, *, x: float = 0.5, ha: Literal["left", "center"] = "center") -> None:
-    """Set the title of a whole figure; it is never read as a formula."""
+    """Set the title of a whole figure; the text is never interpreted as a formula."""
     said = _broken(printable(text), figure, share=0.85)
     figure.suptitle(
         said, x=x, ha=ha, fontsize=_TITLE, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(said)
@@ -85,26 +85,26 @@ def head(figure: Figure, text: str, *, x: float = 0.5, ha: Literal["left", "cent
 
 
 def _wraps(text: str) -> bool:
-    """Whether a title may be broken into lines: matplotlib measures one with a $ as a formula, whatever it is told."""
+    """Whether matplotlib may break a title into lines: it always measures a title with a $ as a formula."""
     return "$" not in text
 
 
 def _broken(text: str, figure: Figure, *, share: float) -> str:
-    """A title that matplotlib must not break, broken here: a share of the figure, by the usual width of a letter."""
+    """Break a title that matplotlib must not break, for a share of the figure width and a typical letter width."""
     if _wraps(text):
         return text
     return fill(text, width=int(share * 72 * figure.get_size_inches()[0] / (0.75 * _TITLE)))
 
 
 def _title(ax: Axes, text: str, *, pad: float | None = None) -> None:
-    said = _broken(text, ax.figure.figure, share=0.5)  # narrow axes of equal scale begin in the middle
+    said = _broken(text, ax.figure.figure, share=0.5)  # narrow axes of equal scale start in the middle of the figure
     ax.set_title(
         said, loc="left", pad=pad, fontsize=_TITLE, fontweight="bold", color=INK, parse_math=False, wrap=_wraps(said)
     )
 
 
 def curve(ax: Axes, x: NDArray[np.float64], y: NDArray[np.float64], *, label: str, k: int, faint: bool = False) -> None:
-    """A line in the k-th colour and dash, so that colour alone never tells two lines apart; `faint` for noise."""
+    """Plot a line in the k-th colour and dash, so that lines differ not only in colour; `faint` suits noisy signals."""
     colour, dash = CYCLE[k % len(CYCLE)], _DASHES[(k + k // len(CYCLE)) % len(_DASHES)]
     if faint:
         ax.plot(x, finite(y), color=colour, linewidth=0.9, alpha=0.85, label=label)
@@ -113,7 +113,7 @@ def curve(ax: Axes, x: NDArray[np.float64], y: NDArray[np.float64], *, label: st
 
 
 def legend_below(ax: Axes, *, columns: int, handles: Sequence[Artist]) -> None:
-    """A legend under the axes and their labels, where it covers no data."""
+    """Add a legend below the axes and their labels, where it covers no data."""
     figure = ax.figure.figure
     below = ax.transAxes + ScaledTranslation(0.0, -0.5, figure.dpi_scale_trans)  # half an inch for the labels
     ax.legend(
@@ -130,7 +130,7 @@ def legend_below(ax: Axes, *, columns: int, handles: Sequence[Artist]) -> None:
 
 
 def legend_above(ax: Axes, *, columns: int = 6) -> None:
-    """A legend of the labelled lines on top of the axes, where it covers no data, under the title if there is one."""
+    """Add a legend of the labelled lines above the axes, where it covers no data, and below the title."""
     if ax.get_title(loc="left"):
         _title(ax, ax.get_title(loc="left"), pad=22.0)
     ax.legend(
@@ -146,13 +146,13 @@ def legend_above(ax: Axes, *, columns: int = 6) -> None:
 
 
 def finite(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same numbers with infinities as NaN, which a line leaves out."""
+    """Return the values with NaN instead of infinities; a plotted line is interrupted there."""
     array = np.asarray(values, dtype=float)
     return np.where(np.isfinite(array), array, np.nan)
 
 
 def printable(text: str) -> str:
-    """One line of characters that the plots' font has; others become '?'."""
+    """Return the text as one line of characters that the font of the plots has; others become '?'."""
     return "".join(c if ord(c) in _glyphs() else "?" for c in " ".join(text.split()))
 
 

@@ -2,7 +2,7 @@
 # [tool.marimo.display]
 # theme = "system"
 # ///
-"""The tuning page, a marimo app that `surctl tune --page` serves; what it shows is computed in `bench`."""
+"""The tuning page, a marimo app that `surctl tune --page` serves; the module `bench` computes its contents."""
 
 import marimo
 

@@ -26,13 +26,13 @@ __all__ = ["save_margins", "save_regions", "save_verdicts"]
 def save_margins(
     vehicle: Vehicle, gains: Mapping[str, float], folder: Path | str, *, cruise: float | Sequence[float], dt: float
 ) -> list[Path]:
-    r"""Bode plots of the tightest loops with margins marked, Nyquist plots with the disk, disk margins, S and T; paths.
+    r"""Write Bode plots of the tightest loops, Nyquist plots, disk margins, and S and T as PNGs; return the paths.
 
-    Of several cruise speeds [m/s] all are about the largest, but S and T, drawn at each. Nothing is drawn of a loop
-    that is not stable.
+    With several cruise speeds [m/s], S and T are plotted at each and everything else at the largest. Nothing is written
+    for an unstable loop.
 
     Raises:
-        InputError: as `loop_margins`, or the folder cannot be written.
+        InputError: see `loop_margins`; or the folder cannot be written.
 
     Example:
         >>> from surctl.control import load_gains
@@ -70,7 +70,7 @@ def save_margins(
 
 
 def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]:
-    """Of each claim what there is to see: counterexample and slice, boxes of the proof, boxes left open; the paths.
+    """Write PNGs for each claim: counterexample and slice, boxes of the proof, or open boxes; return the paths.
 
     Raises:
         InputError: the folder cannot be written.
@@ -91,10 +91,10 @@ def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]
 
 
 def save_regions(documents: Mapping[str, Mapping[str, Any]], folder: Path | str) -> list[Path]:
-    """Level sets, flow and failures of region certificates by name; the paths.
+    """Write PNGs of level sets, flow and failures for region certificates by name; return the paths.
 
     Raises:
-        InputError: a certificate of another kind, or the folder cannot be written.
+        InputError: a certificate is of another kind, or the folder cannot be written.
 
     Example:
         >>> from surctl.control import load_gains
@@ -120,7 +120,7 @@ def _pictures(verdict: Verdict) -> dict[str, Figure]:
     elif varying >= 2 and verdict.certificate is not None:
         try:
             figures["cells"] = plot_cells(verdict).figure.figure
-        except InputError:  # a certificate of a kind that has no cells
+        except InputError:  # this kind of certificate has no cells
             return figures
     elif varying >= 2 and verdict.open_boxes:
         figures["open"] = plot_open_boxes(verdict).figure.figure

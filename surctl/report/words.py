@@ -18,7 +18,7 @@ __all__ = ["file_size", "gains_argument", "interval", "number", "simulate_comman
 
 
 def number(value: float | None, *, digits: int = 4) -> str:
-    """At most `digits` significant digits; "–" for None and NaN, "∞" and "-∞" for infinities."""
+    """Format a value with at most `digits` significant digits; None and NaN give "–", infinities "∞" or "-∞"."""
     if value is None or math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -27,12 +27,12 @@ def number(value: float | None, *, digits: int = 4) -> str:
 
 
 def interval(lower: float, upper: float) -> str:
-    """From where to where, or the one number that both ends are."""
+    """Format an interval as "a to b", or as one number if both ends are equal."""
     return number(lower) if lower == upper else f"{number(lower)} to {number(upper)}"
 
 
 def file_size(path: Path) -> str:
-    """Size on disk; "–" when the file is not there."""
+    """Format the size of a file on disk [byte]; "–" if the file does not exist."""
     try:
         return f"{path.stat().st_size:,}".replace(",", "\u202f")
     except OSError:
@@ -40,7 +40,7 @@ def file_size(path: Path) -> str:
 
 
 def gains_argument(gains: Gains, gains_file: str) -> str | None:
-    """What `--gains` takes to get these gains: the file named, or the one they were read from if unchanged."""
+    """Return the `--gains` argument for these gains: `gains_file`, or their unchanged source; None if neither fits."""
     try:
         for source in filter(None, (gains_file, gains.source)):
             if load_gains(source).values == gains.values:
@@ -51,7 +51,7 @@ def gains_argument(gains: Gains, gains_file: str) -> str | None:
 
 
 def simulate_command(run: Run, gains: str | None) -> str | None:
-    """The command that repeats the run and draws it; None when no command line says it all."""
+    """Return the command that repeats and plots the run; None if no command line reproduces it completely."""
     vehicle = _vehicle_argument(run.vehicle)
     law = run.law.name.removeprefix("surctl_")
     if gains is None or vehicle is None:
@@ -70,7 +70,7 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
 def verify_command(
     claim: str, gains: str | None, vehicle: Vehicle, speeds: tuple[float, float] | None = None
 ) -> str | None:
-    """The command that decides the claim again: for this vehicle, and at this cruise speed and cap [m/s]."""
+    """Return the command that decides the claim again, for the vehicle and for (cruise speed, speed limit) [m/s]."""
     robot = _vehicle_argument(vehicle)
     if gains is None or robot is None:
         return None
@@ -81,7 +81,7 @@ def verify_command(
 
 
 def _vehicle_argument(vehicle: Vehicle) -> str | None:
-    """The file that holds exactly this vehicle."""
+    """Return the name of the file that contains exactly this vehicle; None if there is no such file."""
     try:
         same = bool(vehicle.source) and load_vehicle(vehicle.source).parameters == vehicle.parameters
     except InputError:
@@ -90,6 +90,6 @@ def _vehicle_argument(vehicle: Vehicle) -> str | None:
 
 
 def _short(source: str, library: Path) -> str:
-    """The bare name of a built-in file; another file's path as it is."""
+    """Return the bare name of a built-in file, or the unchanged path of any other file."""
     path = Path(source)
     return path.stem if path.parent == library else source

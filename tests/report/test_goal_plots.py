@@ -78,8 +78,8 @@ def test_a_late_arrival_is_shaded_along_the_time(tuning):
 
 
 def test_a_goal_about_the_nominal_plant_shows_no_other(tuning):
-    flown = tuning.request.flown
-    off = replace(flown[0], plant={"plant.m11": 46.0}, seed=2)  # the least lucky seed
-    odd = replace(tuning, request=replace(tuning.request, conditions=(off, *flown)))
+    runs = tuning.request.conditions
+    off = replace(runs[0], plant={"plant.m11": 46.0}, seed=2)  # the least lucky seed
+    odd = replace(tuning, request=replace(tuning.request, conditions=(off, *runs)))
     assert goal_view(odd, Goal("near", "deviation_m", "m", 0.3)).label == off.label
-    assert goal_view(odd, Goal("near", "deviation_m", "m", 0.3, plants="nominal")).label in {c.label for c in flown}
+    assert goal_view(odd, Goal("near", "deviation_m", "m", 0.3, plants="nominal")).label in {c.label for c in runs}

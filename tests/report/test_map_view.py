@@ -109,7 +109,7 @@ def test_several_maps_share_a_title_and_a_legend() -> None:
 
 
 def test_what_has_no_map_is_refused() -> None:
-    with pytest.raises(InputError, match="keeps no map"):
+    with pytest.raises(InputError, match="has no map"):
         map_view(_run("truth"), 0)
     run = _run()
     for tick in (-1, len(run.record.time) - 1):

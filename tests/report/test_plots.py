@@ -219,7 +219,7 @@ def test_the_heat_map_cuts_a_grid_of_three_axes_at_the_picked_value() -> None:
     ax = plot_heat_map(table, "score", over=("vehicle.m11", "lookahead"))
     np.testing.assert_array_equal(ax.images[0].get_array(), score[:, 0, :])
     assert {p.get_xy() for p in ax.patches if isinstance(p, Rectangle)} == {(1.5, 0.5)}
-    for over, word in ((("k_v", "k_v"), "twice"), (("kv", "lookahead"), "'k_v'")):
+    for over, word in ((("k_v", "k_v"), "both axes"), (("kv", "lookahead"), "'k_v'")):
         with pytest.raises(InputError, match=word):
             plot_heat_map(table, "score", over=over)
 

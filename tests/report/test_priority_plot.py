@@ -51,16 +51,17 @@ def test_who_gave_up_what_to_which_row() -> None:
     told = " ".join(one.text for one in explain(run))
     assert blamed and all(f"`{row}`" in told for row in blamed)
     words = relaxation_text(found)
-    assert words.startswith(f"velocity gave up at most {found.to_rows[:, 0].max():.2g} m/s to contact_0")
+    assert words.startswith(f"velocity gave up at most {found.to_rows[:, 0].max():.2g} m/s because of contact_0")
     assert "depth gave up" not in words
 
 
 def test_the_printed_stack_loses_to_levels_above_and_a_textbook_law_nothing() -> None:
     paper = priority_timeline(flight("paper", "nsb"))
     assert paper.rows == () and paper.eventful
-    assert "velocity gave up at most" in relaxation_text(paper) and "to the levels above it" in relaxation_text(paper)
+    words = relaxation_text(paper)
+    assert "velocity gave up at most" in words and "because of the levels above it" in words
     quiet = priority_timeline(flight("apf", "nsb"))
-    assert not quiet.eventful and relaxation_text(quiet) == "no level gave anything up"
+    assert not quiet.eventful and relaxation_text(quiet) == "no level gave up anything"
 
 
 def test_a_tick_that_the_law_refused_is_left_out() -> None:
@@ -84,7 +85,7 @@ def test_the_picture_has_a_lane_a_level_and_bars_where_rows_hold_back() -> None:
     drawn = [path.get_extents() for bars in rows.collections for path in bars.get_paths()]
     begins = found.time[np.argmax(found.binding.any(axis=1) | (found.missed > NOTICEABLE).any(axis=1))]
     assert min(box.x0 for box in drawn) == pytest.approx(begins)
-    assert [ax.texts[0].get_text() for ax in levels if ax.texts] == ["gave nothing up"] * 2
+    assert [ax.texts[0].get_text() for ax in levels if ax.texts] == ["no residual"] * 2
 
 
 def test_only_the_rows_that_matter_longest_are_drawn() -> None:
@@ -98,7 +99,8 @@ def test_only_the_rows_that_matter_longest_are_drawn() -> None:
     rows = plot_priority(flight(), found).axes[-1]
     assert [label.get_text() for label in rows.get_yticklabels()] == [f"r{k}" for k in range(8)]
     assert rows.texts[-1].get_text() == "4 more rows"
-    assert relaxation_text(found) == "a gave up at most 1 m/s to r0, r1, r2, r3 and 8 more rows, in 12 s"
+    some = "r0, r1, r2, r3 and 8 more rows"
+    assert relaxation_text(found) == f"a gave up at most 1 m/s because of {some}, for 12 s in total"
 
 
 def test_explained_runs_are_drawn_as_well(tmp_path: Path) -> None:

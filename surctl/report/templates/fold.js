@@ -1,5 +1,5 @@
 "use strict";
-/* Folded sections open for paper, and where a link leads into one. Without a script the reader opens them by hand. */
+/* Opens folded sections before printing, and when a link points into one. Without scripts the reader opens them. */
 (() => {
   const all = () => [...document.querySelectorAll("details:not([open])")];
   let opened = [];

@@ -1,6 +1,6 @@
 "use strict";
-/* Plays the run of each element [data-player]: its frames stand beside it as JSON. No script, no harm: the still
-   picture is there. */
+/* Plays the run of each element [data-player], which contains the frames as JSON. Without scripts the page shows the
+   still picture. */
 (() => {
   const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -120,7 +120,7 @@
       play.textContent = "Pause";
       const step = () => {
         let passed = (performance.now() - begun) / 1000;
-        if (calm.matches) passed = Math.floor(passed); /* whole seconds instead of a movement */
+        if (calm.matches) passed = Math.floor(passed); /* show whole seconds instead of a motion */
         show(from + passed * fast);
         if (now >= end) stop(); else clock = requestAnimationFrame(step);
       };
