@@ -123,7 +123,7 @@ class Bench:
         return over_speeds(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, columns=columns)
 
     def bode(self, gains: Gains, loop: str | None = None) -> Figure:
-        """Plot the Bode diagram of one loop at all speeds; without a name, of all eight at the scenario's cruise speed."""
+        """Plot the Bode diagram of one loop at all speeds, or, without a name, of all eight at the scenario's speed."""
         figure = new_figure(6.4, 5.2)
         upper, lower = figure.subplots(2, 1, sharex=True)
         if loop is None:
