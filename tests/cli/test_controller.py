@@ -151,12 +151,12 @@ def test_ctrl_c_ends_a_flight_in_one_line(bundle: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--controller", "tcp://127.0.0.1:9"), "nobody listens there"),
-        (("--controller", "tcp://[::1]:9"), "nobody listens there"),
+        (("--controller", "tcp://127.0.0.1:9"), "no controller listens there"),
+        (("--controller", "tcp://[::1]:9"), "no controller listens there"),
         (("--controller", "udp://127.0.0.1:9"), "is not the address of a controller"),
-        (("--controller", "qemu:cortex-m99"), "is no emulated processor"),
-        (("--controller", "tcp://127.0.0.1:9", "--link-loss", "2"), "is no chance"),
-        (("--controller", "tcp://127.0.0.1:9", "--link-delay", "-1"), "is no time"),
+        (("--controller", "qemu:cortex-m99"), "is not an emulated processor"),
+        (("--controller", "tcp://127.0.0.1:9", "--link-loss", "2"), "is not a probability"),
+        (("--controller", "tcp://127.0.0.1:9", "--link-delay", "-1"), "is not a valid time"),
         (("--link-loss", "0.1"), "needs --controller"),
         (("--controller", "tcp://127.0.0.1:9", "--monte-carlo"), "applies only to single runs"),
         (("--controller", "tcp://127.0.0.1:9", "--from", "run.toml"), "applies only to single runs"),
