@@ -19,7 +19,7 @@ __all__ = ["VERSION", "Identity", "Line", "LineDown", "Reply", "connect"]
 Vector = NDArray[np.float64]
 
 VERSION = 1
-"""Version of the messages; a controller with another version is refused, and the error names both versions."""
+"""Version of the messages; `Line` refuses a controller with another version, with an error that says so."""
 
 _MAGIC = b"SURL"
 _HEAD = struct.Struct("<4sHHII")
@@ -167,7 +167,7 @@ class Line:
         except TimeoutError:
             raise LineDown(f"{self.name} was silent for {self.patience:g} s") from None
         except OSError as error:
-            raise LineDown(f"{self.name} hung up ({error.strerror})") from None
+            raise LineDown(f"{self.name} closed the connection ({error.strerror})") from None
 
     def _received(self, count: int, deadline: float) -> bytes:
         parts = []
@@ -181,7 +181,7 @@ class Line:
             except TimeoutError:
                 continue
             if not part:
-                raise LineDown(f"{self.name} hung up")
+                raise LineDown(f"{self.name} closed the connection")
             parts.append(part)
             count -= len(part)
         return b"".join(parts)

@@ -19,7 +19,7 @@ Triple = tuple[ArrayLike, ArrayLike, ArrayLike]
 
 @dataclass(frozen=True)
 class Records:
-    """A recorded run, row by row.
+    """State, inputs and gains of each step of a recorded run.
 
     Attributes:
         X: state before each step (T, nx).

@@ -93,7 +93,7 @@ def test_a_scenario_flies_through_a_process_and_the_line_may_be_bad(bundle: Path
 
 
 def test_a_controller_that_dies_or_falls_silent_is_reported(bundle: Path, tmp_path: Path) -> None:
-    for then, told in (("kill", "hung up"), ("wait", "was silent for 3 s")):
+    for then, told in (("kill", "closed the connection"), ("wait", "was silent for 3 s")):
         with controller(bundle) as (process, port):
 
             def end(robot: socket.socket, process: subprocess.Popen[str] = process, then: str = then) -> None:

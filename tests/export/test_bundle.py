@@ -212,7 +212,7 @@ def test_mistakes_are_named() -> None:
         build_bundle(law, {"limit": np.array([np.nan])})
     with pytest.raises(InputError, match=r"'a-b'.*not a C identifier"):
         build_bundle(law, {}, name="a-b")
-    with pytest.raises(InputError, match=r"sil_main.*taken"):
+    with pytest.raises(InputError, match=r"sil_main.*already the name of a file"):
         build_bundle(law, {}, name="sil_main")
     with pytest.raises(InputError, match=r"dt = 0.0.*positive"):
         build_bundle(replace(law, dt=0.0), {})

@@ -173,7 +173,7 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
         with connect(where) as opened:
             opened.start(opened.request().id)
             opened.step(3, law.inputs.pack())
-            with pytest.raises(LineDown, match="later step already"):
+            with pytest.raises(LineDown, match="already received this step"):
                 opened.step(3, law.inputs.pack())
             opened.step(4, law.inputs.pack())
 
@@ -190,7 +190,7 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
         (HEAD.pack(b"SURL", 1, 7, 0, 4) + struct.pack("<I", 77), "refuses, with code 77"),
         (HEAD.pack(b"SURL", 1, 2, 0, 84) + bytes(84), "that is not possible"),
         (HEAD.pack(b"SURL", 1, 2, 0, 84) + bytes(3), "was silent"),
-        (None, "hung up"),
+        (None, "closed the connection"),
     ],
 )
 def test_whatever_is_at_the_other_end_is_told_in_one_line(sent: bytes | None, told: str) -> None:
@@ -281,12 +281,12 @@ class Echo(Line):
     def start(self, identity: str) -> None:
         pass
 
-    def ask(self) -> Identity:
+    def request(self) -> Identity:
         return WHO
 
     def step(self, sequence: int, inputs: Vector) -> Reply:
         if sequence >= self.ends_at:
-            raise LineDown(f"{self.name} hung up")
+            raise LineDown(f"{self.name} closed the connection")
         return Reply(0, np.full(4, float(sequence)), LAW.initial_state(), np.zeros(LAW.outputs.size - 4), b"")
 
 
@@ -380,7 +380,7 @@ def test_a_flight_through_a_process_is_the_flight_in_python_and_a_killed_one_coa
         run = mission.fly(killed, seconds=5.0)
         report = linked.report()
         assert run.metrics.stopped_because == LINK_LOST and not run.metrics.reached
-        assert report.gone_s == 2.0 and "hung up" in report.gone_because
+        assert report.gone_s == 2.0 and "closed the connection" in report.gone_because
         assert (report.answered, report.failsafe, report.differing) == (40, 60, 0)
         assert not run.record.tau[40:].any() and set(run.record.status[40:]) == {GONE}
         speed = np.hypot(run.record.nu[:, 0], run.record.nu[:, 1])
