@@ -34,7 +34,7 @@ def trial_steps(
     seed: int = 0,
     within: Envelope | None = None,
 ) -> Records:
-    """Return up to `count` steps (at most `MOST_NUMBERS` numbers), changed from rows of the runs in eight kinds in turn.
+    """Return up to `count` steps (at most `MOST_NUMBERS` numbers) that vary rows of the runs in eight kinds in turn.
 
     The kinds: (0) as recorded; (1) and (2) at rows where something switches, with all numbers or about one number moved
     to the next float up or down; (3) and (6) slightly perturbed; (4) widely perturbed; (5) some numbers replaced by 0,
