@@ -1,4 +1,4 @@
-"""The controller as a C99 bundle, and the proof by running it that C and Python agree."""
+"""Export of a control law as a C99 bundle, and checks by execution that C and Python compute the same numbers."""
 
 from surctl.export.bundle import Bundle, ExportedFile, build_bundle, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds

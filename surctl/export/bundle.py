@@ -34,14 +34,14 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Bundle:
-    """Everything that ships, as text; building it twice gives the same bytes.
+    """The exported files of a controller, as text; two builds of one law give the same bytes.
 
     Attributes:
         name: prefix of files and C symbols.
         id: SHA-256 of what the controller computes (see `law_id`).
         files: text by file name, in the order of writing; the manifest is last.
-        real: precision of every number in it.
-        envelope: what its guard lets in.
+        real: precision of every number in the C.
+        envelope: ranges and rates that its guard accepts.
     """
 
     name: str
@@ -52,12 +52,12 @@ class Bundle:
 
     @property
     def selftest(self) -> str:
-        """The C file that a program may leave out."""
+        """Name of the C file with the self-test, which a program may leave out."""
         return f"{self.name}_selftest.c"
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """The controller's C files, without the self-test's."""
+        """Names of the controller's C files, without the self-test."""
         begins = (f"{self.name}.", f"{self.name}_")
         others = {self.selftest, *(f"{file}.c" for file in FILES)}
         return tuple(
@@ -66,7 +66,7 @@ class Bundle:
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """The one for others, and the one that the controller's files share."""
+        """Names of the public header, and of the header that only the controller's C files include."""
         return (f"{self.name}.h", f"{self.name}_internal.h")
 
 
@@ -87,19 +87,19 @@ def build_bundle(
     envelope: Envelope | None = None,
     origin: Origin | None = None,
 ) -> Bundle:
-    """The bundle of a law with tuned gains.
+    """Return the C bundle of a control law with tuned gains.
 
     Args:
         law: the control law.
-        gains: values by gain port; what is not named takes the port's default.
+        gains: values by gain port; a port that is not named keeps its default.
         name: prefix of files and C symbols instead of the law's own name.
-        real: "float32" for a processor whose floating-point unit is single; every number is a float then.
-        envelope: what the guard lets in; None for any finite number.
-        origin: vehicle and certificates that go with it.
+        real: "float32" for a processor with a single-precision unit; every number in the C is then a float.
+        envelope: ranges that the guard accepts; None accepts any finite number.
+        origin: vehicle and certificates to record in the bundle.
 
     Raises:
-        InputError: a name that C cannot use, an unknown or non-finite gain, a law unlike its layouts, a certificate
-            of another controller; in float32 also a law that uses the mathematical library.
+        InputError: a name is not a valid C identifier, a gain is unknown or not finite, the law does not fit its
+            layouts, a certificate is about another controller, or a float32 law uses the mathematical library.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -115,9 +115,9 @@ def build_bundle(
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:
         raise InputError(
-            f"uses {', '.join(sorted(law.block.libm))} of the mathematical library, whose floats differ by machine",
+            f"uses {', '.join(sorted(law.block.libm))} of the mathematical library, whose floats depend on the machine",
             key=f"{prefix}.block",
-            remedy="write it with exact operations (surctl.ir.without_libm)",
+            remedy="replace these functions by exact operations (surctl.ir.without_libm)",
         )
     p = gain_vector(law.gains, gains)
     within = (envelope or anywhere(law)).fitted(law, real)
@@ -133,7 +133,7 @@ def build_bundle(
 
 
 def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:
-    """Flat gain vector (np,); InputError for an unknown gain, a wrong size or a non-finite value."""
+    """Return the flat gain vector (np,); InputError for an unknown gain, a wrong size or a non-finite value."""
     p = layout.pack(gains)
     for port in layout:
         if not np.all(np.isfinite(p[layout.slice(port.name)])):
@@ -142,9 +142,10 @@ def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vec
 
 
 def law_id(law: Exportable, gains: Vector, *, real: Real = "float64") -> str:
-    """SHA-256 of the instruction list, period, precision, gains and initial state, all to the last bit.
+    """Return the SHA-256 of the instruction list, period, precision, gains and initial state, all to the last bit.
 
-    Of hashes of its parts, so that whoever has these can tell which part another controller does not share.
+    The instruction list, the gains and the initial state enter by their own hashes. A comparison of these hashes shows
+    in which part two controllers differ.
     """
     parts = (numbers_sha256(numbers.tolist()) for numbers in (gains, law.initial_state()))
     lines = [law.block.digest(), float(law.dt).hex(), real, *parts]
@@ -171,7 +172,7 @@ def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Env
 
 
 def manifest_with(table: Mapping[str, object], files: Mapping[str, str], *, proof: Mapping[str, object]) -> str:
-    """Text of a manifest with these files' hashes, and what came of the proof."""
+    """Return the text of a manifest with the hashes of these files and the outcome of the proof."""
     full = {**table, "proof": proof, "sha256": {file: _sha256(text) for file, text in files.items()}}
     return json.dumps(full, indent=2, sort_keys=True) + "\n"
 
@@ -181,10 +182,10 @@ def _sha256(text: str) -> str:
 
 
 def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
-    """Write the bundle; the folder holds all of its files or none that is half-written.
+    """Write the files of the bundle to a folder; no file is ever half-written.
 
-    The files are first written to a sibling folder. A new `directory` appears by one rename; in one that
-    exists each file is replaced by a rename, the manifest last, and other files are left alone.
+    All files are first written to a sibling folder. If `directory` does not exist, that folder is renamed to it. If it
+    exists, each file is replaced by a rename, the manifest last, and other files stay unchanged.
 
     Raises:
         InputError: the folder cannot be written.

@@ -1,4 +1,4 @@
-"""The same bytes from every compiler and processor, or the first step that differs."""
+"""Check that the exported C gives the same bytes as Python with every compiler and on every processor."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ __all__ = [
 ]
 
 STEPS = 100_000
-"""Single steps that are tried beside the flights."""
+"""Default number of single steps that a check tries in addition to the recorded runs."""
 
-_AT_ONCE = 4  # targets; each holds its answers in memory
+_AT_ONCE = 4  # targets that are checked in parallel; each keeps its results in memory
 
 
 @dataclass(frozen=True)
 class Instructions:
-    """Instructions of one step on an emulated processor, over all steps that were tried."""
+    """Number of instructions per step on an emulated processor, over all accepted steps."""
 
     least: int
     mean: float
@@ -54,19 +54,19 @@ class Instructions:
 
 @dataclass(frozen=True)
 class BuildReport:
-    """What one build answered.
+    """Result of the check of one target.
 
     Attributes:
-        target: its name.
+        target: name of the target.
         compiler: the compiler's version line.
-        steps: steps tried.
-        differing: those whose bytes are not those of Python.
-        first: the first of them, None if there is none.
-        code_bytes: code and constants of the controller, None when unknown.
-        runtime_bytes: the same without the self-test.
-        stack_bytes: stack below a step, on emulated processors.
-        instructions: of a step, on emulated processors.
-        failure: why it could not be built or run, None if it was.
+        steps: number of steps that were compared.
+        differing: number of steps whose bytes differ from Python's.
+        first: index of the first differing step, None if there is none.
+        code_bytes: size of the controller's code and constants, None if unknown.
+        runtime_bytes: size of code and constants without the self-test, None if unknown.
+        stack_bytes: stack that one step uses, on emulated processors only.
+        instructions: number of instructions per step, on emulated processors only.
+        failure: why the target could not be built or run, None if it ran.
     """
 
     target: str
@@ -82,11 +82,11 @@ class BuildReport:
 
     @property
     def same(self) -> bool:
-        """Whether every byte is the same."""
+        """Whether the target ran and every byte equals Python's."""
         return self.failure is None and self.steps > 0 and self.differing == 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the report as plain data for JSON."""
         counted = self.instructions
         return {
             "target": self.target,
@@ -103,7 +103,7 @@ class BuildReport:
         }
 
     def line(self) -> str:
-        """One line for people."""
+        """Return the report as one line of text."""
         if self.failure is not None:
             return f"  {self.target:12} FAILED: {self.failure}"
         verdict = "same bytes" if self.same else f"{self.differing} steps DIFFER, first {self.first}"
@@ -120,14 +120,14 @@ class BuildReport:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Every build against Python.
+    """Result of the check of all targets against Python.
 
     Attributes:
-        real: precision.
-        simulated: steps of closed loops among those tried.
-        tried: single steps beside them.
-        builds: one a target.
-        untried: targets whose tools are missing, with these.
+        real: precision of the bundle.
+        simulated: number of compared steps that come from recorded closed-loop runs.
+        tried: number of single steps that were compared in addition.
+        builds: one report per target.
+        untried: targets that were not tried, with their missing tools.
     """
 
     real: str
@@ -138,11 +138,11 @@ class CheckReport:
 
     @property
     def passed(self) -> bool:
-        """Whether at least one build was tried, and every one gave the bytes of Python."""
+        """Whether at least one build was tried, and every build gave the same bytes as Python."""
         return bool(self.builds) and all(build.same for build in self.builds)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the report as plain data for JSON."""
         return {
             "passed": self.passed,
             "real": self.real,
@@ -153,7 +153,7 @@ class CheckReport:
         }
 
     def summary(self) -> str:
-        """A table for people."""
+        """Return the reports of all targets as a text table."""
         head = (
             f"check in {self.real}: {self.simulated} steps of closed loops, {self.tried} single steps, against Python"
         )
@@ -171,22 +171,22 @@ def check_builds(
     untried: Mapping[str, tuple[str, ...]] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> CheckReport:
-    """Build the bundle for each target, and compare what it answers with the law's replay in Python, byte by byte.
+    """Build the bundle for each target, and compare its results byte by byte with the law evaluated in Python.
 
-    The recorded inputs are fed in their order, the controller carrying its own state, as it does on the robot; then
-    single steps around, at the switches of, and far from these flights (`trial_steps`). Python replays each step from
-    the state that `controller` came to: if all steps agree, so do the chains, by induction from the first.
+    First, each build receives the recorded inputs in order and carries its own state, as on the robot. Then it runs
+    single steps: near the recorded runs, at their switches, and far from them (`trial_steps`). Python computes each
+    step from the state that `controller` reached before it. If all steps agree, the whole runs agree, by induction.
 
     Args:
         controller: the bundle, compiled on this machine.
-        runs: recorded closed loops of its law.
-        targets: where to try it.
-        steps: single steps, at most.
-        untried: targets that lack tools, for the report.
-        progress: is given one line before each piece of work.
+        runs: recorded closed-loop runs of its law.
+        targets: compilers and processors to try.
+        steps: largest number of single steps.
+        untried: targets whose tools are missing, for the report.
+        progress: called with one line of text before each piece of work.
 
     Raises:
-        InputError: no run, or one that does not fit the law; a law that uses the mathematical library.
+        InputError: there is no run, a run does not fit the law, or the law uses the mathematical library.
 
     Example:
         >>> from pathlib import Path
@@ -227,7 +227,7 @@ def check_builds(
         with tempfile.TemporaryDirectory(prefix="surctl-check-") as scratch:
             return _tried(controller, target, Path(scratch), stream, want, accepted)
 
-    # compilers and emulators are processes: they keep as many cores busy
+    # compilers and emulators are separate processes, so threads are enough to use all cores
     with ThreadPoolExecutor(min(_AT_ONCE, os.cpu_count() or 1)) as pool:
         reports = list(pool.map(tried, targets))
     return CheckReport(law.real, at, len(alone), tuple(reports), dict(untried or {}))
@@ -264,13 +264,13 @@ def _tried(
         int(wrong[0]) if len(wrong) else None,
         controller.code_bytes,
         code_bytes(code[:-1], target.size_tool),
-        None if target.machine is None else step_stack(bundle, code),  # of no interest where memory is plenty
+        None if target.machine is None else step_stack(bundle, code),  # not measured where memory is plentiful
         instructions(counts, accepted),
     )
 
 
 def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[np.bool_]:
-    """Rows (T,) with the same bytes; a number that both refused may be any NaN, as IEEE 754 leaves its bits open."""
+    """Whether each row (T,) has the same bytes; any two NaN are equal, because IEEE 754 leaves their bits open."""
     equal = have == want
     rows: NDArray[np.bool_] = equal.all(axis=1)
     for k in np.flatnonzero(~rows):
@@ -281,21 +281,21 @@ def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]
 
 
 def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None, list[Path]]:
-    """The bundle compiled for a target, where its instruction counts come to lie (a line a step), and its objects.
+    """Compile the bundle for a target; return the controller, the file of its instruction counts, and its objects.
 
-    The last object is the self-test's.
+    The file gets one line per step; it is None if instructions are not counted. The last object is the self-test's.
 
     Args:
         host: the law and its bundle.
-        target: where it is to run.
-        folder: scratch.
+        target: compiler and processor.
+        folder: scratch folder.
 
     Raises:
-        SurctlError: a compiler refuses.
+        SurctlError: the compiler reports an error.
     """
     law, bundle = host.law, host.bundle
     write_bundle(bundle, folder / "bundle")
-    # where memory is little, the compiler tells the frames, too: nothing of the code changes
+    # for a small processor, the compiler also reports its stack frames; the code stays the same
     stack_flags = () if target.machine is None else ("-fstack-usage",)
     code = compile_controller(bundle, folder / "bundle", flags=(*target.flags, *stack_flags), compiler=target.compiler)
     size = code_bytes(code, target.size_tool)
@@ -312,7 +312,7 @@ def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controlle
 
 
 def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, ...]:
-    """Options of the emulator that count instructions; none where they cannot be counted."""
+    """Options that make the emulator count instructions; empty if the counter cannot be built."""
     if shutil.which("arm-none-eabi-nm") is None:
         return ()
     source = Path(str(files("surctl.export").joinpath("templates", "count_steps.c")))
@@ -329,7 +329,7 @@ def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, 
 
 
 def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructions | None:
-    """Over the steps that were carried out: a refused one is shorter."""
+    """Return the counts over the accepted steps (a refused step is shorter), None if there are none."""
     if counts is None or not counts.exists() or not accepted.any():
         return None
     per_step = np.array([int(line) for line in counts.read_text(encoding="ascii").split()])
@@ -340,10 +340,10 @@ def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructio
 
 
 def step_stack(bundle: Bundle, code: Sequence[Path]) -> int | None:
-    """Bytes of stack below a step, itself included, of objects that were compiled with `-fstack-usage`."""
+    """Return the bytes of stack of one step with all its calls, from objects compiled with `-fstack-usage`."""
     text = "\n".join(bundle.files[file] for file in (*bundle.headers, *bundle.sources, bundle.selftest))
     try:
-        told = "".join(file.with_suffix(".su").read_text(encoding="utf-8") for file in code)
-        return stack_from_report(told, text, f"{bundle.name}_step")
+        reports = "".join(file.with_suffix(".su").read_text(encoding="utf-8") for file in code)
+        return stack_from_report(reports, text, f"{bundle.name}_step")
     except (SurctlError, FileNotFoundError):
         return None

@@ -1,4 +1,4 @@
-"""A law as the target needs it: polynomials and tolerances for its precision, and gains as constants if wanted."""
+"""A law rewritten for its target: polynomials and tolerances for its precision, and optionally constant gains."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ClosedForm(Around):
-    """A law without senses, rewritten for a target.
+    """A law without perception, rewritten for a target.
 
     Attributes:
-        law: what it was.
+        law: the original law.
         block: (x, u, p) → (tau, x_next, status, telemetry); an instruction list for a law in closed form.
         gains: layout of p; empty if its numbers became constants.
-        constants: those numbers (np,) as the law's own gains pack them, None if they stayed inputs.
+        constants: gains that became constants (np,), in the order of the law's gains; None if they stayed inputs.
     """
 
     law: Law
@@ -47,7 +47,7 @@ class ClosedForm(Around):
         return self.law.initial_state()
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
+        """One guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
         if all(np.isfinite(v).all() for v in (x, u, p)):
             parts = [np.asarray(part, dtype=np.float64) for part in replay(self.block, x, u, p)]
             if all(np.isfinite(part).all() for part in parts):
@@ -56,18 +56,18 @@ class ClosedForm(Around):
 
 
 def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = None) -> Exportable:
-    """The law with what its target needs; the law itself where nothing is to be done.
+    """Return the law rewritten for a target, or the law itself if nothing has to change.
 
-    One that is no closed form gets the solver's tolerances for that precision, see `in_real`.
+    A law that is not in closed form gets the solver tolerances of the precision, see `in_real`.
 
     Args:
         law: the law.
-        real: precision; in float32 sin, cos and atan2 are shorter polynomials, as exact as floats are.
-        constants: gains (np,) that become constants of the code; what follows from them is computed once. None leaves
-            them inputs.
+        real: precision; in float32, shorter polynomials of float accuracy compute sin, cos and atan2.
+        constants: gains (np,) that become constants of the code; values that follow from them are computed at export.
+            None leaves the gains as inputs.
 
     Raises:
-        InputError: constants for a law that senses, or gains of another size.
+        InputError: constants are given for a law with perception, or their number is not np.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -83,7 +83,9 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
     closed = law.mode == "nsb" and law.perception is None
     if law.perception is not None and constants is not None:
         raise InputError(
-            "are for laws that sense nothing", key="constant-gains", remedy="take --sensing truth, or leave them inputs"
+            "are only for laws without perception",
+            key="constant-gains",
+            remedy="set --sensing truth, or omit this option",
         )
     if not closed:
         single = in_real(law, real)
@@ -99,14 +101,14 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
 
 
 def _without_gains(block: Block, constants: Vector) -> Block:
-    """The law's block with these numbers as its third input, which has no entry any more."""
+    """The law's block with these constants in place of its third input, which is then empty."""
     x, u, p = block.inputs
     folded = _with_constant_input(block, 2, constants)
     return replace(folded, inputs=(x, u, (p[0], 0)))
 
 
 def _with_constant_input(block: Block, at: int, constants: Vector) -> Block:
-    """A block without one of its inputs, whose numbers are these; what loops read of it becomes an array of its own."""
+    """A block in which constants replace one input; if a loop reads this input, the constants become an array."""
     name = block.inputs[at][0]
     left = tuple(entry for k, entry in enumerate(block.inputs) if k != at)
     if isinstance(block, Program):

@@ -1,4 +1,4 @@
-"""What the export needs to know of a law: its layouts, its instruction list, and one guarded step."""
+"""Interface that a law needs for export: its layouts, its instruction list, and one guarded step."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ STATUS: tuple[tuple[str, int, str], ...] = (
     ("OK", 0, "thrust is valid"),
     ("SATURATED", 1, "bit: a thrust limit was reached"),
     ("SWITCHED", 2, "bit: the passing side changed in this step"),
-    ("DEGRADED", 4, "bit: no course kept every bound, the least violation was taken"),
-    ("TRAPPED", 8, "bit: a dead end: it gave up, stands, and gives way to what moves; until reset"),
+    ("DEGRADED", 4, "bit: no course satisfies every limit; the least violation was chosen"),
+    ("TRAPPED", 8, "bit: dead end; the robot stays and only evades moving obstacles, until a reset"),
     ("NULL", -1, "a pointer was NULL; thrust is zero, state is unchanged"),
     ("NONFINITE", -2, "a number was not finite; thrust is zero, state is unchanged"),
-    ("RANGE", -3, "a number out of its range, or further from the last one than it can move; thrust is zero"),
+    ("RANGE", -3, "a number is out of its range, or changed more than it can; thrust is zero, state is unchanged"),
     ("STALE", -4, "the sample is not newer than the last accepted one; thrust is zero, state is unchanged"),
-    ("ITER", -5, "the law says that an iteration of it did not end; thrust is zero, state is unchanged"),
+    ("ITER", -5, "the law reports an unfinished iteration; thrust is zero, state is unchanged"),
 )
-"""(name, code, meaning) of what a step returns: positive codes are bits, negative ones mean fail-safe."""
+"""(name, code, meaning) of each status of a step: positive codes are bits, a negative code is a refused step."""
 
 FILES = ("sil_main", "link", "controller", "target_start", "target_link", "fmu", "proof")
-"""Names of the bundle's other C files."""
+"""Names of the bundle's C files, without ending, that are not part of the controller."""
 _HEADERS_OF_C = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
     "stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype"
@@ -69,7 +69,7 @@ class Exportable(Protocol):
 
     @property
     def name(self) -> str:
-        """C identifier."""
+        """Name of the law, a C identifier."""
 
     @property
     def dt(self) -> float:
@@ -99,18 +99,18 @@ class Exportable(Protocol):
         """State before the first step (nx,)."""
 
     def step(self, x: Vector, u: Vector, p: Vector) -> Step:
-        """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
+        """One guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
 
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """A law around another one: name, period and layouts are those of the inner one."""
+    """Base of a law that wraps another law, with the same name, period and layouts."""
 
     law: Exportable
 
     @property
     def name(self) -> str:
-        """C identifier."""
+        """Name of the law, a C identifier."""
         return self.law.name
 
     @property
@@ -135,21 +135,21 @@ class Around:
 
 
 def thrust(law: Exportable) -> Port:
-    """The port of the thrust: the first of the outputs."""
+    """Return the port of the thrust, which is the first output."""
     return law.outputs.ports[0]
 
 
 def telemetry_ports(law: Exportable) -> tuple[Port, ...]:
-    """The outputs after the thrust."""
+    """Return the output ports after the thrust."""
     return law.outputs.ports[1:]
 
 
 def checked_name(law: Exportable, name: str | None = None) -> str:
-    """The bundle's name, after every name that reaches C passed the identifier check.
+    """Check every name that the C text uses, and return the bundle's name.
 
     Raises:
-        InputError: a name is no C identifier or meets that of another file, the outputs do not begin with `tau`, the
-            period is not positive, or the block's sizes are not those of the layouts.
+        InputError: a name is not a C identifier or collides with another file's, the first output is not `tau`, the
+            period is not positive, or the block's sizes differ from the layouts'.
     """
     chosen = identifier(law.name if name is None else name)
     _check_files(chosen)
@@ -165,24 +165,29 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
 
 
 def _check_files(name: str) -> None:
-    """InputError where the bundle's files or macros would be those of something else, on any file system."""
+    """Raise InputError if a file or macro of the bundle would collide with another one, on any file system."""
     small = name.lower()
     if small in FILES:
-        raise InputError("is taken by a file of the bundle", key="name", value=name, remedy="choose another")
+        raise InputError(
+            "is already the name of a file of the bundle", key="name", value=name, remedy="choose another name"
+        )
     if small in _HEADERS:
         raise InputError(
             f"is the name of a system header, which {small}.h would hide",
             key="name",
             value=name,
-            remedy="choose another",
+            remedy="choose another name",
         )
     if small.endswith("_link"):
         raise InputError(
-            "has the include guard of another bundle's link.h", key="name", value=name, remedy="end it otherwise"
+            "gives its header the include guard of another bundle's link.h",
+            key="name",
+            value=name,
+            remedy="choose a name that does not end in _link",
         )
     if name != small:
         raise InputError(
-            f"has capitals: the macros are those of {small}, and so are the files where case does not count",
+            f"has capital letters: its macros, and on some file systems its files, are those of {small}",
             key="name",
             value=name,
             remedy=f"write {small}",
@@ -196,7 +201,7 @@ def _check_sizes(law: Exportable, name: str) -> None:
     want += [n_tau, law.state.size, 1, law.outputs.size - n_tau]
     if have != want:
         raise InputError(
-            f"has vectors of {have} entries, its layouts say {want}",
+            f"has vectors of {have} entries, but its layouts have {want}",
             key=f"{name}.block",
             remedy="the order is x, u, p, then tau, x_next, status, telemetry",
         )

@@ -1,4 +1,4 @@
-"""A law without loops as C that reads and writes the caller's structs where they are: nothing is copied."""
+"""C text of a law without loops, which reads and writes the caller's structs directly, without copies."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
 
 
 def direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
-    """`<name>_law(state, gains, input, next, status, output)`.
+    """Return the C function `<name>_law(state, gains, input, next, status, output)`.
 
-    Reads state->x, *gains and *input; writes next, *status and *output, none of which it reads.
+    The function reads state->x, *gains and *input. It writes next, *status and *output, and never reads these.
     """
     members = [
         [f"state->x[{k}]" for k in range(law.state.size)],
@@ -37,7 +37,7 @@ def direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
     ]
     kind = C_TYPE[real]
     body = folded_lines(block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True)
-    # told by the text: an entry of the state that stays as it is is an instruction that nothing reads
+    # searched in the text, because the instruction list also reads state entries that do not change
     used = "\n".join(body)
     head = [
         f"void {name}_law(const {name}_state_t *state, const {name}_gains_t *gains,",
@@ -57,14 +57,14 @@ def direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
 
 
 def changing(block: Program) -> list[int]:
-    """Entries of the state that a step may change."""
+    """Return the indices of the state entries that a step may change."""
     refs = block.output_refs[1]
     moved = [(k, block.instructions[ref]) for k, ref in enumerate(refs)]
     return [k for k, i in moved if i.op != "input" or i.args != (0, k)]
 
 
 def results(law: Exportable, block: Program) -> list[str]:
-    """Left sides of the results that may fail to be a number: no constant, no input as it is, no truth value."""
+    """Return the C names of results that may be NaN or infinite: not constants, copied inputs or truth values."""
     left = [
         [f"output->{member}" for member, _ in entries([thrust(law)])],
         [f"state->next[{k}]" for k in range(law.state.size)],

@@ -1,4 +1,4 @@
-"""The exported controller on an emulated processor, at the other end of a line: processor in the loop."""
+"""Processor in the loop: the exported controller runs on an emulated processor, behind a connection."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from surctl.ir import compile_program
 
 __all__ = ["EmulatedLine", "emulated", "emulated_target"]
 
-_PATIENCE = 60.0  # s; a busy machine emulates slowly
-_PARTING = 5.0  # s in which the emulator may end by itself
+_PATIENCE = 60.0  # s; emulation is slow on a busy machine
+_PARTING = 5.0  # s in which the emulator may end by itself before it is killed
 
 
 @dataclass
 class EmulatedLine(Line):
-    """A line to a controller in QEMU, which ends with it."""
+    """Connection to a controller in QEMU; closing the connection ends the emulator."""
 
     emulator: subprocess.Popen[bytes] | None = None
 
     def close(self) -> None:
-        """Hang up: the program sees the end of its line, and ends."""
+        """Close the connection, and wait until the emulated program ends."""
         super().close()
         if self.emulator is None:
             return
@@ -38,11 +38,11 @@ class EmulatedLine(Line):
 
 
 def emulated_target(name: str) -> Target:
-    """The emulated processor of that name, e.g. cortex-m4f.
+    """Return the emulated processor of that name, e.g. cortex-m4f.
 
     Raises:
-        InputError: it is none.
-        ToolMissing: QEMU or the cross compiler is not here.
+        InputError: no emulated processor has that name.
+        ToolMissing: QEMU or the cross compiler is not installed.
 
     Example:
         >>> from surctl.export import emulated_target
@@ -53,7 +53,7 @@ def emulated_target(name: str) -> Target:
     known = [target for target in TARGETS.values() if target.machine is not None]
     if name not in [target.name for target in known]:
         raise InputError(
-            "is no emulated processor",
+            "is not an emulated processor",
             key="controller",
             value=f"qemu:{name}",
             remedy="known: " + ", ".join(f"qemu:{target.name}" for target in known),
@@ -63,15 +63,15 @@ def emulated_target(name: str) -> Target:
 
 
 def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
-    """Compile the bundle for the processor, and start it in QEMU with its console as the line.
+    """Compile the bundle for an emulated processor, start it in QEMU, and connect to its console.
 
     Args:
         bundle: the controller.
         target: an emulated processor.
-        folder: where to compile; the program has to stay there.
+        folder: folder for source and program; keep it while the emulator runs.
 
     Raises:
-        SurctlError: the compiler refuses.
+        SurctlError: the compiler reports an error.
 
     Example:
         >>> from pathlib import Path
@@ -80,7 +80,7 @@ def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
         >>> law = build_law("closed_form")
         >>> bundle = build_bundle(law, {}, real="float32")
         >>> with emulated(bundle, emulated_target("cortex-m4f"), Path("board")) as line:
-        ...     line.ask().id == bundle.id, line.identity.real, line.identity.inputs
+        ...     line.request().id == bundle.id, line.identity.real, line.identity.inputs
         (True, 'float32', 14)
     """
     write_bundle(bundle, folder)
@@ -90,7 +90,7 @@ def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
     )
     mine, theirs = socket.socketpair()
     with theirs:
-        # a session of its own: ctrl-C is for whoever flies, who then hangs up
+        # a session of its own: Ctrl-C stops only the simulation, which then closes the connection
         emulator = subprocess.Popen(
             target.board(str(program)),
             stdin=theirs.fileno(),

@@ -1,4 +1,4 @@
-"""What the guard of an exported law lets in: a box for every number, and how fast measured ones may move."""
+"""Ranges of all numbers that the guard of an exported law accepts, and largest rates of measured inputs."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Vector = NDArray[np.float64]
 NULL, NONFINITE, RANGE, STALE, ITER = -1, -2, -3, -4, -5
 
 LONGEST_GAP = 1000
-"""Missed samples that count, at most."""
+"""Largest number of samples over which the allowed change of an input grows."""
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How far an input may be from its last accepted value.
+    """Largest allowed change of an input since its last accepted value.
 
     Attributes:
-        entry: of the flat input.
-        per_second: largest speed [unit/s].
-        at_once: how far noise alone may take it [unit].
-        turn: an angle [rad]: whole turns are no jump.
+        entry: index in the flat input vector.
+        per_second: largest rate of change [unit/s].
+        at_once: additional change that noise may cause [unit].
+        turn: True for an angle [rad], whose whole turns do not count as a change.
     """
 
     entry: int
@@ -41,19 +41,21 @@ class Rate:
     turn: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what could never hold."""
+        """Raise InputError for a negative or non-finite rate."""
         if not (np.isfinite([self.per_second, self.at_once]).all() and min(self.per_second, self.at_once) >= 0):
-            raise InputError("is no speed", key=f"rate of input {self.entry}", value=(self.per_second, self.at_once))
+            raise InputError(
+                "is not a valid rate", key=f"rate of input {self.entry}", value=(self.per_second, self.at_once)
+            )
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Bounds of the numbers that a step is given.
+    """Bounds of all numbers that enter a step.
 
     Attributes:
-        state, inputs, gains: (n, 2) least and largest, ±inf for any finite number.
-        rates: of inputs.
-        reasons: where they come from, by what is bounded; told in the header.
+        state, inputs, gains: (n, 2) smallest and largest accepted value; ±inf accepts any finite number.
+        rates: largest rates of inputs.
+        reasons: source of the bounds by bounded quantity, printed in the header.
     """
 
     state: Vector
@@ -63,27 +65,27 @@ class Envelope:
     reasons: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse an empty box."""
+        """Raise InputError for an empty range, or for a rate of an input that does not exist."""
         for name in ("state", "inputs", "gains"):
             box = getattr(self, name)
             if box.ndim != 2 or box.shape[1] != 2 or not (box[:, 0] <= box[:, 1]).all():
-                raise InputError("is no box (n, 2) of least and largest numbers", key=f"envelope.{name}")
+                raise InputError("is not an array (n, 2) of smallest and largest values", key=f"envelope.{name}")
         if any(not 0 <= rate.entry < len(self.inputs) for rate in self.rates):
-            raise InputError("a rate is of no input", key="envelope.rates")
+            raise InputError("has a rate of an input that does not exist", key="envelope.rates")
 
     def fitted(self, law: Exportable, real: Real) -> Envelope:
-        """The same with bounds that are numbers of that precision; InputError unless it is of the law's sizes."""
+        """Return the envelope with bounds rounded to that precision; InputError if its sizes are not the law's."""
         largest, parts = float(np.finfo(real).max), []
         for name in ("state", "inputs", "gains"):
             box, size = getattr(self, name), getattr(law, name).size
             if len(box) != size:
-                raise InputError(f"has {len(box)} entries, the law has {size}", key=f"envelope.{name}")
+                raise InputError(f"has {len(box)} entries, but the law has {size}", key=f"envelope.{name}")
             parts.append(np.clip(box, -largest, largest).astype(real).astype(np.float64))
         state, inputs, gains = parts
         return Envelope(state, inputs, gains, self.rates, self.reasons)
 
     def refusals(self, records: Records) -> NDArray[np.int64]:
-        """(T,) 0 for a row whose numbers are all within, else `NONFINITE` or `RANGE`."""
+        """Return the status (T,) of each row: 0 if all its numbers are in range, else `NONFINITE` or `RANGE`."""
         rows = np.hstack([records.X, records.U, records.P])
         box = np.vstack([self.state, self.inputs, self.gains])
         with np.errstate(invalid="ignore"):
@@ -91,7 +93,7 @@ class Envelope:
         return np.where(inside, 0, np.where(np.isfinite(rows).all(axis=1), RANGE, NONFINITE))
 
     def jumped(self, u: Vector, before: Vector, gap: int, *, dt: float, real: Real) -> bool:
-        """Whether an input moved further in `gap` samples than it can; every operation rounded to `real`."""
+        """Whether an input changed more in `gap` samples than its rate allows; operations are rounded to `real`."""
         number = np.dtype(real).type
         turn, count = number(2.0 * np.pi), number(min(gap, LONGEST_GAP))
         for rate in self.rates:
@@ -112,15 +114,15 @@ class Envelope:
         real: Real,
         counts: NDArray[np.int64] | None = None,
     ) -> Rows:
-        """What each row answers once the jumps from one accepted row to the next are looked at.
+        """Return the rows with status `RANGE` where an input jumped since the last accepted row.
 
         Args:
-            rows: answers without that.
-            records: the rows.
-            load: (T,) rows that begin anew.
+            rows: results without the check for jumps.
+            records: state, inputs and gains of each row.
+            load: (T,) whether a row starts a new run.
             dt: control period [s].
-            real: precision.
-            counts: (T,) number of each row's sample; None: one sample a row.
+            real: precision of the check.
+            counts: (T,) sample number of each row; None means one sample per row.
         """
         counts = np.arange(len(records)) if counts is None else counts
         if not self.rates:
@@ -140,7 +142,7 @@ class Envelope:
 
 
 def anywhere(law: Exportable) -> Envelope:
-    """Any finite numbers, at any speed."""
+    """Return an envelope that accepts any finite number, without limits on rates."""
     state, inputs, gains = (
         np.tile([-np.inf, np.inf], (layout.size, 1)) for layout in (law.state, law.inputs, law.gains)
     )

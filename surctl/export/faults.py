@@ -1,4 +1,4 @@
-"""Bad inputs at every entry of the law: both lives must answer with zero thrust and a negative status."""
+"""Invalid inputs at every entry of the law: Python and C must both return zero thrust and a negative status."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["Fault", "fault_cases", "fault_failures"]
 Vector = NDArray[np.float64]
 
 _BAD = (np.nan, np.inf, -np.inf)
-_AFTER = (  # of a good step, as the SIL program knows them
+_AFTER = (  # cases after a valid step, in the order of the SIL program
     ("the same sample again", STALE),
     ("an older sample", STALE),
     *((f"{what} = NULL", NULL) for what in ("state", "gains", "input", "output")),
@@ -29,13 +29,13 @@ _AFTER = (  # of a good step, as the SIL program knows them
 
 
 class Fault(NamedTuple):
-    """One bad input.
+    """One invalid input of a step.
 
     Attributes:
-        label: such as "u.clearance[2] = nan".
-        at: entry of (state, input, gains) end to end; beyond them what happens after a good step.
-        value: what is put there.
-        status: what has to come of it, None where Python says.
+        label: description such as "u.clearance[2] = nan".
+        at: index in (state, input, gains) end to end; larger indices are the cases after a valid step.
+        value: invalid number to put there.
+        status: required status, None if Python computes it.
     """
 
     label: str
@@ -45,10 +45,9 @@ class Fault(NamedTuple):
 
 
 def fault_cases(law: Exportable, within: Envelope | None = None, *, real: Real = "float64") -> list[Fault]:
-    """Each entry of state, input and gains in turn NaN, +inf and −inf; just below and above its range, if it has one.
+    """Return the invalid inputs: each entry of state, input and gains NaN, ±inf, and just outside its range.
 
-    Then, after a good step: a repeated and an older sample, no state, gains, input or output, and every watched input
-    further away than it can have moved.
+    The last cases come after a valid step: a repeated sample, an older one, and NULL for state, gains, input or output.
     """
     within = within or anywhere(law).fitted(law, real)
     layouts = (("x", law.state), ("u", law.inputs), ("p", law.gains))
@@ -67,7 +66,7 @@ def fault_cases(law: Exportable, within: Envelope | None = None, *, real: Real =
 
 
 def _jumps(law: Exportable, within: Envelope, u: Vector) -> Iterator[Fault]:
-    """Every watched input further away than it can have moved, within its range if there is room."""
+    """Cases in which an input changes by more than its rate allows, in either direction, within its range."""
     first = law.state.size + law.inputs.size + law.gains.size + len(_AFTER)
     members = [member for member, _ in entries(law.inputs)]
     for rate in within.rates:
@@ -81,9 +80,9 @@ def _jumps(law: Exportable, within: Envelope, u: Vector) -> Iterator[Fault]:
 
 
 def fault_failures(law: Exportable, controller: Controller, records: Records) -> tuple[int, tuple[str, ...]]:
-    """(number of cases, the failed ones), all on the record in the middle, where something moves.
+    """Return (number of cases, labels of the failed ones); all cases use the record in the middle of the run.
 
-    A case passes with a negative status, zero thrust and an untouched state in both Python and C, and the
+    A case passes with a negative status, zero thrust and an unchanged state in both Python and C, and the
     same status in both.
     """
     real = controller.bundle.real
@@ -106,7 +105,7 @@ def fault_failures(law: Exportable, controller: Controller, records: Records) ->
 
 
 def _in_python(law: Exportable, within: Envelope, record: Vector, fault: Fault) -> tuple[int, bool]:
-    """(status, whether it is refused with zero thrust and the state as it was)."""
+    """(status, whether the step is refused with zero thrust and an unchanged state) of a case in Python."""
     if fault.status is not None:
         return fault.status, True
     faulty, ends = record.copy(), np.cumsum([law.state.size, law.inputs.size])

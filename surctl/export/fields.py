@@ -1,4 +1,4 @@
-"""How C reaches the numbers of a layout: declarators, members, loops over them."""
+"""C text that accesses the numbers of a layout: declarators, members, and loops over them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ __all__ = ["entries", "field", "starts", "transfers"]
 
 
 def starts(layout: Layout) -> list[tuple[Port, int]]:
-    """Ports that hold numbers, with their first entries in the flat vector."""
+    """Return the ports that are not empty, with the index of their first entry in the flat vector."""
     return [(port, layout.slice(port.name).start) for port in layout if port.size]
 
 
 def field(port: Port) -> str:
-    """C declarator: a scalar for one entry, else an array of the port's shape, rows first."""
+    """Return the C declarator of a port: a scalar for one entry, else an array of the port's shape, row by row."""
     return port.name if port.size == 1 else port.name + "".join(f"[{n}]" for n in port.shape)
 
 
 def entries(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, int]]:
-    """(C member access, flat index) of every number, in layout order, counted from `base`."""
+    """Return (C member access, flat index) of every number in layout order; the index starts at `base`."""
     members: list[str] = []
     for port in ports:
         if port.size == 1:
@@ -34,11 +34,11 @@ def entries(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, in
 
 
 def transfers(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, str, str]]:
-    """How to go through every number of the ports in layout order, a port an item.
+    """Return C loops over every number of the ports in layout order, one item per port.
 
     Returns:
-        Loop headers (empty for a single number; they leave one brace open), C member access, and flat index in C,
-        counted from `base`.
+        (loop header, C member access, C text of the flat index) of each port. The header is empty for a single number,
+        and otherwise leaves one brace open. The index starts at `base`.
     """
     items, at = [], base
     for port in ports:

@@ -1,7 +1,7 @@
-"""The exported controller as a functional mock-up unit: FMI 2.0, co-simulation, from the same C.
+"""Export of a controller as a functional mock-up unit (FMI 2.0, co-simulation), built from the same C files.
 
-Standard: FMI 2.0.4 (Modelica Association, 2022). No library packages plain C without an interpreter inside, so the
-description and the few functions are written here; fmpy's checks are the referee in the tests.
+Standard: FMI 2.0.4 (Modelica Association, 2022). Libraries that build such units put an interpreter inside, so this
+module writes the model description and the C functions itself. The tests validate the units with fmpy.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ Vector = NDArray[np.float64]
 
 _PLATFORMS = {("Linux", "x86_64"): ("linux64", ".so"), ("Darwin", "x86_64"): ("darwin64", ".dylib")}
 _REPRODUCIBLE = ("-shared", "-fPIC", "-fvisibility=hidden", "-s")
-_DATE = (1980, 1, 1, 0, 0, 0)  # a fixed one: the same bundle gives the same bytes on any day
+_DATE = (1980, 1, 1, 0, 0, 0)  # fixed date: the same bundle gives the same bytes on every day
 
 
 def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | str) -> ExportedFile:
-    """Compile the bundle as an FMU for this machine, sources inside, and write `<name>.fmu`.
+    """Compile the bundle for this machine, and write it with its C sources as the FMU `<name>.fmu`.
 
-    Inputs and outputs are the fields of the C structs, gains are tunable parameters, `status` is an integer output;
-    every communication step is one step of the controller. The state stays inside.
+    Inputs and outputs are the fields of the C structs, gains are tunable parameters, and `status` is an integer output.
+    Every communication step is one step of the controller. The controller's state is not visible from outside.
 
     Args:
-        law: the law.
-        bundle: its export.
+        law: the control law.
+        bundle: the bundle that was exported from this law.
         gains: tuned gains (np,), as in the bundle.
-        directory: where to write; made if it is not there.
+        directory: output folder; it is created if it does not exist.
 
     Returns:
-        The file; it appears as a whole or not at all.
+        The written file; an incomplete file never appears.
 
     Raises:
-        ToolMissing: there is no compiler.
-        InputError: a machine that FMI 2.0 has no name for, or a folder that cannot be written.
+        ToolMissing: there is no C compiler.
+        InputError: FMI 2.0 has no name for this machine, or the folder cannot be written.
 
     Example:
         >>> from zipfile import ZipFile
@@ -73,7 +73,7 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
             "has no name in FMI 2.0",
             key="target",
             value=" ".join(machine),
-            remedy="export c99, and compile the sources of an FMU made on Linux there",
+            remedy="export c99 here, or export the FMU on Linux and compile its sources for this machine",
         )
     place, ending = _PLATFORMS[machine]
     name = bundle.name
@@ -99,7 +99,7 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
     target, staged = folder / name, folder / f".{name}.{os.getpid()}.tmp"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # not deflated: other versions of zlib write other bytes
+        # uncompressed, because versions of zlib write different bytes
         with zipfile.ZipFile(staged, "w", zipfile.ZIP_STORED) as archive:
             for member, data in members.items():
                 entry = zipfile.ZipInfo(member, _DATE)
@@ -118,7 +118,7 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
 
 
 def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str]) -> bytes:
-    """modelDescription.xml."""
+    """Content of modelDescription.xml."""
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -181,7 +181,7 @@ def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequen
 
 
 def _members(layout: Layout) -> Iterator[tuple[str, str]]:
-    """(name, what it is) of every number: indices count from 1, as FMI's names do."""
+    """(name, description) of every number; indices in names start at 1, as FMI requires."""
     for port in layout:
         said = f"[{port.unit}] {port.meaning}"
         if port.size == 1:

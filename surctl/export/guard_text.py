@@ -1,4 +1,4 @@
-"""C text of the guard: every number in its box, and no jump from the last accepted input."""
+"""C text of the guard, which checks the range of every number and jumps since the last accepted input."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Vector = NDArray[np.float64]
 
 ANY_NUMBER = "any finite number"
 
-_FEW = 4  # numbers up to which each has a line
+_FEW = 4  # up to this many numbers, each gets its own line
 _REFUSE = "return 0;"
 
 
 def range_text(box: Vector) -> str:
-    """For people: "0 to 1", or a list where entries differ; (n, 2)."""
+    """Return ranges (n, 2) as text such as "0 to 1", or as a list if they differ."""
     texts = [_interval_text(low, high) for low, high in box]
     if len(set(texts)) == 1:
         return texts[0]
@@ -42,13 +42,13 @@ def _interval_text(low: float, high: float) -> str:
 
 
 def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], real: Real) -> list[str]:
-    """Lines that return 0 from the function they stand in unless every number is in its box; NaN is in none.
+    """Return C lines that leave their function with 0 unless every number is in its range (NaN is in none).
 
     Args:
-        layout: of the numbers.
-        box: (n, 2).
-        member: C text of a number from (its member access, its flat index).
-        real: precision.
+        layout: layout of the numbers.
+        box: smallest and largest accepted values (n, 2).
+        member: returns the C text of a number for (member access, flat index).
+        real: precision of the numbers.
     """
     lines: list[str] = []
     for port in layout:
@@ -59,7 +59,7 @@ def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], re
 
 
 def flat_lines(layout: Layout, box: Vector, array: str, real: Real) -> list[str]:
-    """As `box_lines`, of numbers that stand in one array: a loop goes through ports that share their bounds."""
+    """Return the lines of `box_lines` for numbers in one array; ports with the same bounds share a loop."""
     lines: list[str] = []
     ports = [(port, layout.slice(port.name)) for port in layout if port.size]
 
@@ -107,13 +107,13 @@ def _bound(value: float, real: Real) -> str:
     name = "DBL_MAX" if real == "float64" else "FLT_MAX"
     if abs(value) >= largest:
         return name if value > 0 else f"-{name}"
-    # the shortest decimal that is this number: for readers, and for checkers that do not read hexadecimal
+    # the shortest decimal with exactly this value, for readers and for analysers that cannot read hexadecimal
     short = np.format_float_positional(np.dtype(real).type(value), trim="0")
     return short + ("f" if real == "float32" else "")
 
 
 def number_calls(layout: Layout, struct: str) -> list[str]:
-    """Calls that say whether each port of a struct holds finite numbers only; of the state whether x does."""
+    """Return C calls that test each port of a struct, or all of x in the state, for finite numbers."""
     if struct == "state":
         return [f"numbers(state->x, {layout.size}U)"] if layout.size else []
     calls = []
@@ -125,7 +125,7 @@ def number_calls(layout: Layout, struct: str) -> list[str]:
 
 
 def jump_lines(layout: Layout, envelope: Envelope, dt: float, real: Real) -> list[str]:
-    """Lines that return 1 when an input is further from `state->last` than `count` samples can take it."""
+    """Return C lines that return 1 if an input differs from `state->last` by more than `count` samples allow."""
     size, floor = ("fabs", "floor") if real == "float64" else ("fabsf", "floorf")
     lines = []
     for rate, first, members in _alike(layout, envelope):
@@ -139,7 +139,7 @@ def jump_lines(layout: Layout, envelope: Envelope, dt: float, real: Real) -> lis
 
 
 def keep_lines(layout: Layout, envelope: Envelope) -> list[str]:
-    """Lines that put the watched inputs into `state->last`."""
+    """Return C lines that store the inputs with a largest rate in `state->last`."""
     lines = []
     for _, first, members in _alike(layout, envelope):
         if len(members) >= _LOOP:
@@ -152,11 +152,11 @@ def keep_lines(layout: Layout, envelope: Envelope) -> list[str]:
     return lines
 
 
-_LOOP = 4  # watched inputs alike, from which on a loop is shorter
+_LOOP = 4  # from this many inputs with equal rates on, a loop is shorter
 
 
 def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str]]]:
-    """Rates with how the inputs are reached, those of one kind that follow one another together."""
+    """Groups of successive inputs with equal rates: (rate, index of the first in `last`, C member accesses)."""
     members = [member for member, _ in entries(layout)]
     groups: list[tuple[Rate, int, list[str]]] = []
     for k, rate in enumerate(envelope.rates):
@@ -171,7 +171,7 @@ def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str
 
 
 def _each(members: list[str], first: int) -> list[tuple[str, str]]:
-    """(loop header, statement that takes the difference, @ for its beginning) of a group."""
+    """(loop header, C text of the difference) of a group; `@` marks where the assignment begins."""
     if len(members) < _LOOP:
         return [("", f"@{member} - state->last[{first + k}];") for k, member in enumerate(members)]
     stem, at = members[0].rstrip("]").rsplit("[", 1)

@@ -1,4 +1,4 @@
-"""The line to a controller that is a process of its own: its messages, as the bundle's README has them."""
+"""Connection to an exported controller in another process; the bundle's README describes the messages."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ __all__ = ["VERSION", "Identity", "Line", "LineDown", "Reply", "connect"]
 Vector = NDArray[np.float64]
 
 VERSION = 1
-"""Of the messages; a controller that speaks another one is refused by name."""
+"""Version of the messages; `Line` refuses a controller with another version, with an error that says so."""
 
 _MAGIC = b"SURL"
 _HEAD = struct.Struct("<4sHHII")
 _REQUEST, _IDENTITY, _START, _STARTED, _STEP, _STEPPED, _REFUSED = range(1, 8)
 _SIZES = struct.Struct("<64s5I")
-_GLANCE = 0.25  # s: a Ctrl-C between two system calls wakes neither, and is seen at the next one
-_MOST = 1_000_000  # numbers of a kind that a controller may say it has
+_GLANCE = 0.25  # s: longest wait in one system call, so that Ctrl-C takes effect soon
+_MOST = 1_000_000  # largest count of inputs, states or other numbers that a controller may report
 _REFUSALS = {
-    1: "takes what it is sent for no message of this link",
+    1: "received bytes that are not a message of this link",
     2: f"does not speak version {VERSION} of the link",
     3: "does not know this kind of message",
-    4: "takes inputs of another size",
+    4: "expects another number of inputs",
     5: "runs another controller",
     6: "has not been started",
-    7: "has had a later step already",
+    7: "already received this step or a later one",
 }
 
 
 class LineDown(SurctlError):
-    """The line ended, kept silent for too long, or carries something else; the text says which."""
+    """Error of the connection: it ended, was silent for too long, or carried an invalid message."""
 
 
 class Identity(NamedTuple):
-    """What a controller says of itself.
+    """Identity and sizes that a controller reports.
 
     Attributes:
-        id: hash of what it computes.
+        id: hash of what the controller computes, see `law_id`.
         real: "float64" or "float32".
-        inputs, thrusts, states, telemetry: counts of numbers.
+        inputs, thrusts, states, telemetry: number of values of each kind.
     """
 
     id: str
@@ -60,14 +60,14 @@ class Identity(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """One step, and the bytes that said it.
+    """Result of one step, with the bytes that were received.
 
     Attributes:
-        status: code of the step.
-        tau: (n_tau,) [N, N m].
-        state: after the step (nx,).
-        telemetry: (k,).
-        raw: thrust, state and telemetry as they came.
+        status: status code of the step.
+        tau: thrust (n_tau,) [N, N m].
+        state: state after the step (nx,).
+        telemetry: telemetry (k,).
+        raw: received bytes of thrust, state and telemetry.
     """
 
     status: int
@@ -79,12 +79,13 @@ class Reply(NamedTuple):
 
 @dataclass
 class Line:
-    """One end of the line; `close` it, or use it as a context.
+    """Connection to one controller; call `close` at the end, or use it in a `with` statement.
 
     Attributes:
-        wire: a connected stream.
-        name: of the other end, for messages.
-        patience: longest silence that is waited for [s].
+        wire: a connected stream socket.
+        name: name of the controller in error messages.
+        patience: longest wait for a reply [s].
+        identity: what the controller reported of itself; None before `request`.
     """
 
     wire: socket.socket
@@ -99,39 +100,39 @@ class Line:
         self.close()
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self.wire.close()
 
     def request(self) -> Identity:
-        """Who is at the other end.
+        """Request the identity and the sizes of the controller.
 
         Raises:
-            LineDown: nobody that speaks this link.
+            LineDown: the other end is not such a controller, or the connection is down.
         """
         body = self._exchange(_REQUEST, 0, b"", _IDENTITY, _SIZES.size)
         name, width, *counts = _SIZES.unpack(body)
         if width not in (4, 8) or any(count > _MOST for count in counts) or not name.isalnum():
-            raise LineDown(f"{self.name} says of itself what cannot be")
+            raise LineDown(f"{self.name} reports an identity or a size that is not possible")
         self.identity = Identity(name.decode("ascii"), "float64" if width == 8 else "float32", *counts)
         return self.identity
 
     def start(self, identity: str) -> None:
-        """Set the initial state and the tuned gains.
+        """Make the controller set its initial state and its tuned gains.
 
         Raises:
-            LineDown: it is another controller, or the line is down.
+            LineDown: the controller has another identity, or the connection is down.
         """
         self._exchange(_START, 0, identity.encode("ascii"), _STARTED, 0)
 
     def step(self, sequence: int, inputs: Vector) -> Reply:
-        """One step; `request` comes first, and `start`.
+        """Run one step of the controller; call `request` and `start` before the first step.
 
         Args:
-            sequence: above that of every step since the start, from 1.
-            inputs: u (nu,), rounded to the controller's precision.
+            sequence: number of the step, at least 1 and larger than that of every step since `start`.
+            inputs: u (nu,); it is rounded to the controller's precision.
 
         Raises:
-            LineDown: no answer.
+            LineDown: there is no valid reply.
         """
         who = self.identity
         assert who is not None
@@ -145,26 +146,28 @@ class Line:
         return Reply(struct.unpack_from("<i", body)[0], tau, state, telemetry, body[4:])
 
     def _exchange(self, kind: int, sequence: int, body: bytes, expected: int, length: int) -> bytes:
-        """Send one message, and the payload of the answer, which must be of that kind and length."""
+        """Send one message; return the payload of the reply, which must have the expected kind and length."""
         deadline = time.monotonic() + self.patience
         try:
             self.wire.settimeout(self.patience)
             self.wire.sendall(_HEAD.pack(_MAGIC, VERSION, kind, sequence, len(body)) + body)
             magic, version, got, echoed, size = _HEAD.unpack(self._received(_HEAD.size, deadline))
             if magic != _MAGIC:
-                raise LineDown(f"{self.name} is no controller of this kind: its answer is no message of the link")
+                raise LineDown(f"{self.name} is not a controller of this kind: its reply is not a message of the link")
             if version != VERSION:
-                raise LineDown(f"{self.name} speaks version {version} of the link, this is version {VERSION}")
+                raise LineDown(
+                    f"{self.name} speaks version {version} of the link, but this program speaks version {VERSION}"
+                )
             if got == _REFUSED and size == 4:
                 (why,) = struct.unpack("<I", self._received(4, deadline))
                 raise LineDown(f"{self.name} {_REFUSALS.get(why, f'refuses, with code {why}')}")
             if (got, echoed, size) != (expected, sequence, length):
-                raise LineDown(f"{self.name} answers something else than it was asked")
+                raise LineDown(f"{self.name} sent a reply that does not fit the request")
             return self._received(length, deadline)
         except TimeoutError:
             raise LineDown(f"{self.name} was silent for {self.patience:g} s") from None
         except OSError as error:
-            raise LineDown(f"{self.name} hung up ({error.strerror})") from None
+            raise LineDown(f"{self.name} closed the connection ({error.strerror})") from None
 
     def _received(self, count: int, deadline: float) -> bytes:
         parts = []
@@ -178,17 +181,17 @@ class Line:
             except TimeoutError:
                 continue
             if not part:
-                raise LineDown(f"{self.name} hung up")
+                raise LineDown(f"{self.name} closed the connection")
             parts.append(part)
             count -= len(part)
         return b"".join(parts)
 
 
 def connect(address: str, *, patience: float = 5.0) -> Line:
-    """A line to tcp://HOST:PORT; HOST is a name, an IPv4 address, or an IPv6 address in brackets.
+    """Connect to a controller at tcp://HOST:PORT; HOST is a name, an IPv4 address, or an IPv6 address in brackets.
 
     Raises:
-        InputError: no such address, or nobody listens there.
+        InputError: the address is not valid, or no controller listens there.
 
     Example:
         >>> from pathlib import Path
@@ -197,11 +200,12 @@ def connect(address: str, *, patience: float = 5.0) -> Line:
         >>> from surctl.export import build_bundle, connect, write_bundle
         >>> from surctl.ir import compile_program
         >>> law, folder = build_law("closed_form"), Path("closed_form")
-        >>> _ = write_bundle(build_bundle(law, {}), folder)
+        >>> bundle = build_bundle(law, {})
+        >>> _ = write_bundle(bundle, folder)
         >>> code = [folder / name for name in ("controller.c", "link.c", *bundle.sources)]
         >>> controller = Popen([compile_program(code, folder / "controller"), "0"], stdout=PIPE, text=True)  # any port
         >>> with connect(controller.stdout.readline().split()[-1]) as line:
-        ...     line.ask().real, line.identity.inputs == law.inputs.size
+        ...     line.request().real, line.identity.inputs == law.inputs.size
         ('float64', True)
         >>> _ = controller.kill(), controller.communicate()
     """
@@ -209,12 +213,12 @@ def connect(address: str, *, patience: float = 5.0) -> Line:
     try:
         wire = socket.create_connection((host, port), timeout=patience)
     except (OSError, UnicodeError) as error:
-        why = "no answer" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
+        why = "no reply" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
         raise InputError(
-            f"nobody listens there ({why})",
+            f"no controller listens there ({why})",
             key="controller",
             value=address,
-            remedy="start the exported one: make controller && ./controller PORT",
+            remedy="start the exported controller: make controller && ./controller PORT",
         ) from None
     wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return Line(wire, address, patience)
@@ -229,7 +233,7 @@ def _host_and_port(address: str) -> tuple[str, int]:
     rest = parts.path or parts.query or parts.fragment or parts.username or parts.password
     if parts.scheme != "tcp" or not parts.hostname or not port or rest:
         raise InputError(
-            "is no address of a controller",
+            "is not the address of a controller",
             key="controller",
             value=address,
             remedy="use tcp://HOST:PORT, e.g. tcp://127.0.0.1:5555 or tcp://[::1]:5555",

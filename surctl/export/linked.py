@@ -1,8 +1,8 @@
-"""A law that runs in another process: what the robot does with its answers, with late ones, and without any.
+"""Simulation of a robot whose control law runs in another process, with lost and delayed messages.
 
-The robot gives its thrusters the newest command that it has, as long as that is young enough; then zero, which is the
-fail-safe thrust. Loss and delay on the line are played here, by a seed, counted in whole control periods: the process
-at the other end always gets and gives its messages at once, and simulated time does not run meanwhile.
+The robot applies the newest command that it received until this command is too old; then it applies zero thrust
+(fail-safe). Losses and delays are simulated in this module, from a seed and in whole control periods. The other process
+receives and sends its messages at once, and simulated time stops meanwhile.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ __all__ = ["LinkFaults", "LinkReport", "LinkedLaw"]
 
 Vector = NDArray[np.float64]
 
-_STREAM = 1 << 62  # the noise streams of the line, away from those of the runs
+_STREAM = 1 << 62  # first noise stream of the connections, far from the streams of the runs
 
 
 @dataclass(frozen=True)
 class LinkFaults:
-    """What is wrong with the line, and how long a command is believed.
+    """Simulated faults of the connection, and the largest age of a command that the robot applies.
 
     Attributes:
-        loss: chance that a message is lost, each way by itself, in [0, 1].
-        delay: from a question to the arrival of its answer [s], in whole periods, up.
-        deadline: age of a command after which the thrusters are given zero [s].
-        seed: of the losses.
+        loss: probability in [0, 1] that a message is lost, independent in each direction.
+        delay: time from a request to the arrival of its reply [s], rounded up to whole control periods.
+        deadline: age of a command beyond which the robot applies zero thrust [s].
+        seed: seed of the random losses.
     """
 
     loss: float = 0.0
@@ -51,30 +51,30 @@ class LinkFaults:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Raise InputError for a share that is none, or a time below 0."""
+        """Raise InputError for a loss outside [0, 1] or a time outside [0, 3600] s."""
         if not 0.0 <= self.loss <= 1.0:
-            raise InputError("is no chance", key="link-loss", value=self.loss, remedy="use 0 to 1")
+            raise InputError("is not a probability", key="link-loss", value=self.loss, remedy="use 0 to 1")
         for key in ("delay", "deadline"):
             value = getattr(self, key)
             if not 0.0 <= value <= 3600.0:
-                raise InputError("is no time", key=f"link-{key}", value=value, remedy="give seconds, at least 0")
+                raise InputError("is not a valid time", key=f"link-{key}", value=value, remedy="give 0 to 3600 s")
 
 
 @dataclass(frozen=True)
 class LinkReport:
-    """How the line did over one run.
+    """Statistics of the connection over one run.
 
     Attributes:
-        name, id, real: of the controller.
-        steps: control periods.
-        answered: steps that the controller carried out.
-        lost: messages lost, to and from it.
-        failsafe: periods flown with the fail-safe thrust for want of a command.
-        gone_s: simulated time from which on the controller was gone, None if it never was.
-        gone_because: why it is taken for gone.
-        round_trip_ms: mean and longest, of this machine's clock.
-        differing: answered steps whose bytes are not those of the law in Python.
-        first: the first of them.
+        name, id, real: name, hash and precision of the controller.
+        steps: number of control periods.
+        answered: number of steps that the controller computed.
+        lost: number of lost messages, to and from the controller.
+        failsafe: number of control periods with fail-safe thrust, because no valid command was available.
+        gone_s: simulated time at which the connection ended [s], None if it did not.
+        gone_because: reason why the connection ended.
+        round_trip_ms: mean and largest time from request to reply [ms] on this machine's clock.
+        differing: number of computed steps whose bytes differ from the law in Python.
+        first: index of the first differing step, None if there is none.
     """
 
     name: str
@@ -91,7 +91,7 @@ class LinkReport:
     first: int | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return the report as plain data for JSON."""
         return {
             "controller": self.name,
             "id": self.id,
@@ -109,13 +109,13 @@ class LinkReport:
         }
 
     def line(self) -> str:
-        """One line for people."""
+        """Return the report as one line of text."""
         verdict = "all as in Python to the last bit"
         if self.differing:
             verdict = f"{self.differing} DIFFER from Python, first step {self.first}"
         parts = [f"{self.name} in {self.real}: {self.answered} of {self.steps} steps answered, {verdict}"]
         if any(self.lost):
-            parts.append(f"{self.lost[0]} questions and {self.lost[1]} answers lost")
+            parts.append(f"{self.lost[0]} requests and {self.lost[1]} replies lost")
         if self.failsafe:
             parts.append(f"{self.failsafe} periods with fail-safe thrust")
         if self.gone_s is not None:
@@ -131,14 +131,14 @@ class _Command(NamedTuple):
 
 @dataclass
 class LinkedLaw:
-    """Steps a law over a line, as `surctl.simulation.simulate` wants its stepper.
+    """Stepper for `surctl.simulation.simulate` that runs the law in another process.
 
     Attributes:
-        law: the law in Python, the one that was exported.
-        p: the gains that are flown, as they were exported (np,).
-        line: to the controller.
-        faults: of the line.
-        envelope: what the controller's guard lets in; None: any finite number.
+        law: the exported law in Python.
+        p: gains of the run, as exported (np,).
+        line: connection to the controller.
+        faults: simulated faults of the connection.
+        envelope: ranges that the controller's guard accepts; None accepts any finite number.
     """
 
     law: Exportable
@@ -148,10 +148,10 @@ class LinkedLaw:
     envelope: Envelope | None = None
 
     def __post_init__(self) -> None:
-        """Shake hands.
+        """Check the identity of the controller, and start it.
 
         Raises:
-            InputError: the other end is another controller, or speaks no such link.
+            InputError: the other end is another controller, or not a controller of this link.
         """
         try:
             who = self.line.request()
@@ -160,7 +160,7 @@ class LinkedLaw:
             self.identity = law_id(self.shipped, self.gains, real=self.real)
             if who.id != self.identity:
                 raise InputError(
-                    f"runs controller {who.id[:12]} in {who.real}, these options make {self.identity[:12]}",
+                    f"runs controller {who.id[:12]} in {who.real}, but these options give {self.identity[:12]}",
                     key="controller",
                     value=self.line.name,
                     remedy="export it with the same scenario, vehicle, gains, law, sensing and --real",
@@ -171,7 +171,7 @@ class LinkedLaw:
                 str(reason).removeprefix(self.line.name).strip(),
                 key="controller",
                 value=self.line.name,
-                remedy="start the bundle's own: make controller && ./controller PORT",
+                remedy="start the controller of the bundle: make controller && ./controller PORT",
             ) from None
         self._noise = NoiseStream(_STREAM + self.faults.seed)
         self._late = int(np.ceil(self.faults.delay / self.law.dt - 1e-9))
@@ -188,7 +188,7 @@ class LinkedLaw:
         self._telemetry = np.zeros(self.law.outputs.size - thrust(self.law).size)
 
     def _shipped(self, identity: str) -> tuple[Exportable, Vector]:
-        """The law as it was exported, and its gains: those with constants if the controller has that id."""
+        """The exported law and its gains; the variant with constant gains if the controller has its id."""
         if not isinstance(self.law, Law):
             return self.law, self.p
         if self.law.perception is None:
@@ -198,7 +198,7 @@ class LinkedLaw:
         return closed_form(self.law, real=self.real), self.p
 
     def __call__(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """What the thrusters get in this period, the controller's state and its newest telemetry; x is its own."""
+        """Return thrust, controller state and newest telemetry of this period; the controller keeps its own x and p."""
         if self._gone is None:
             self._request(u)
         while self._pending and self._pending[0].arrives <= self._period:
@@ -214,7 +214,7 @@ class LinkedLaw:
         )
 
     def _request(self, u: Vector) -> None:
-        """One exchange, with what the line does to it."""
+        """Exchange one request and reply, with the simulated losses and delay."""
         to, back = (number < self.faults.loss for number in self._noise.uniforms(2))
         if to:
             self._lost[0] += 1
@@ -235,9 +235,9 @@ class LinkedLaw:
         self._pending.append(_Command(self._period + self._late, self._period, reply))
 
     def report(self) -> LinkReport:
-        """How the line did; every answer is compared with the law in Python, stepped from the same state.
+        """Return the statistics of the connection; every reply is compared with a Python step from the same state.
 
-        All steps alike, the chains are alike, by induction from the initial state.
+        If all steps agree, the whole run agrees, by induction from the initial state.
         """
         gone = (None, "") if self._gone is None else self._gone
         trips = (float(np.mean(self._times)), float(np.max(self._times))) if self._times else (0.0, 0.0)
@@ -249,7 +249,7 @@ class LinkedLaw:
         )  # fmt: skip
 
     def _differing(self) -> NDArray[np.intp]:
-        """Which of the answers are not, byte by byte, those of Python; a NaN may have any bits."""
+        """Indices of the replies that differ from Python in some byte; a NaN may have any bits."""
         if not self._log:
             return np.zeros(0, dtype=np.intp)
         X, U = (np.array([row[k] for row in self._log]) for k in (0, 1))

@@ -1,4 +1,4 @@
-"""Wrong versions of the exported C, to see that the checks notice: a sign, a gain, an operator, a guard taken out."""
+"""Wrong versions of the exported C (sign, gain, operator or guard), to test that the checks detect them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from surctl.export.targets import TARGETS
 __all__ = ["Mutant", "caught_by", "mutants"]
 
 _TRIALS = 40_000
-_LEAST = 2e-3  # gains below are floors of quotients: one per cent of them is nothing
+_LEAST = 2e-3  # smaller constants only keep divisors from zero: a change of 1 % has no effect
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Mutant:
 
     Attributes:
         kind: sign, operator, gain, guard or memory.
-        file: C file.
-        line: of it, from 1.
-        old, new: what was changed there.
+        file: name of the changed C file.
+        line: number of the changed line, from 1.
+        old, new: text before and after the change.
         bundle: the changed bundle.
     """
 
@@ -48,7 +48,7 @@ class Mutant:
 
 
 def mutants(bundle: Bundle, *, each: int = 6) -> tuple[Mutant, ...]:
-    """Up to `each` mutants of each kind, spread evenly over the text; the same for the same bundle."""
+    """Return up to `each` mutants of each kind, spread evenly over the text; equal bundles give equal mutants."""
     by_kind: dict[str, list[Mutant]] = {}
     for mutant in _all(bundle):
         by_kind.setdefault(mutant.kind, []).append(mutant)
@@ -110,24 +110,24 @@ def _tail(bundle: Bundle) -> str:
     return "" if bundle.real == "float64" else "f"
 
 
-def _mutant(bundle: Bundle, file: str, lines: list[str], kind: str, at: int, found: re.Match[str], new: str) -> Mutant:
-    changed = lines[at][: found.start()] + new + lines[at][found.end() :]
+def _mutant(bundle: Bundle, file: str, lines: list[str], kind: str, at: int, match: re.Match[str], new: str) -> Mutant:
+    changed = lines[at][: match.start()] + new + lines[at][match.end() :]
     text = "\n".join([*lines[:at], changed, *lines[at + 1 :]])
     files = MappingProxyType({**bundle.files, file: text})
-    return Mutant(kind, file, at + 1, found.group(0), new, replace(bundle, files=files))
+    return Mutant(kind, file, at + 1, match.group(0), new, replace(bundle, files=files))
 
 
 def caught_by(
     law: Exportable, mutant: Mutant, recording: Records, folder: Path, *, limit: NDArray[np.float64] | None = None
 ) -> str | None:
-    """Which check notices the mutant first: "compiler", "SIL", "single steps" or "proof"; None if nothing does.
+    """Return the check that detects the mutant first: "compiler", "SIL", "single steps" or "proof"; None if none does.
 
     Args:
-        law: what the bundle was made of.
+        law: the exported law.
         mutant: the changed bundle.
-        recording: a recorded run.
-        folder: scratch, of this mutant alone.
-        limit: largest thrust (n_tau,), for the proof; None leaves it out.
+        recording: a recorded run of the law.
+        folder: scratch folder for this mutant only.
+        limit: largest thrust (n_tau,) [N, N m] for the proof; None skips the proof.
     """
     try:
         controller = build_controller(law, mutant.bundle, folder)
@@ -135,7 +135,7 @@ def caught_by(
         return "compiler"
     try:
         (report,) = compare_runs(controller, [recording])
-    except SurctlError:  # it crashes, or ends early
+    except SurctlError:  # the program crashes, or ends early
         return "SIL"
     if not report.conclusive:
         return "SIL"

@@ -1,4 +1,4 @@
-"""The guard's ranges from what is known of a flight: site, vehicle and sensors."""
+"""Ranges of the guard, derived from the site, the vehicle and the sensors of a mission."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ __all__ = ["operating_envelope"]
 
 Vector = NDArray[np.float64]
 
-_SLACK = 1.0  # [m] outside the site at which a position is still believed
-_TURNS = 1000.0  # [rad] of heading, any number of turns within it
-_OBSTACLE = 2.0  # [m/s]
-_SAFETY = 2.0  # times the speed that the thrust holds
-_WATER = 0.5  # [m/s], [rad/s] that current and waves may add
+_SLACK = 1.0  # [m] distance outside the site up to which a position is accepted
+_TURNS = 1000.0  # [rad] largest heading, which may include whole turns
+_OBSTACLE = 2.0  # [m/s] largest speed of an obstacle
+_SAFETY = 2.0  # factor on the speed that the thrust sustains
+_WATER = 0.5  # [m/s], [rad/s] speed that current and waves may add
 _NOISE = (0.1, 0.1)  # [m], [rad] by which two measurements of one pose may differ
 _SURPRISE = 0.3  # [m/s], [rad/s] by which a measured velocity may jump at once
 
 
 def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Layout) -> Envelope:
-    """Ranges of every state and input that the site, the vehicle or a sensor bounds; any finite number otherwise.
+    """Return the ranges of states and inputs; those that nothing bounds may be any finite number.
 
     Args:
-        law: what is exported.
-        mission: its site, path and sensors.
-        vehicle: what flies; its thrust and drag say how fast it can be.
-        gains: those that are inputs of what is exported: any finite numbers.
+        law: the law to export.
+        mission: scenario; its site, path and sensors bound positions, progress and ranges.
+        vehicle: vehicle model; its thrust and drag bound the speed.
+        gains: layout of the gains that remain inputs of the exported law; they may be any finite numbers.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -79,20 +79,20 @@ def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Lay
         _rates(law.inputs, fast),
         {
             "ranges of position": f"site {mission.name}, {length:g} x {width:g} x {deep:g} m, and {_SLACK:g} m around",
-            "ranges of velocity": f"{_SAFETY:g} times what thrust holds of {vehicle.name}, {_WATER:g} for the water",
-            "jumps": "those velocities, and the noise of two measurements",
+            "ranges of velocity": f"{_SAFETY:g} times the largest speed of {vehicle.name}, and {_WATER:g} for currents",
+            "jumps": "largest velocities, and the noise of two measurements",
         },
     )
 
 
 def _steady(vehicle: Vehicle) -> Vector:
-    """Speed (4,) [m/s, rad/s] at which drag takes all of the thrust of an axis."""
+    """Speed (4,) [m/s, rad/s] at which drag equals the largest thrust of each axis."""
     linear, quadratic, most = vehicle.linear_drag, vehicle.quadratic_drag, vehicle.thrust_limit
     return np.asarray(2 * most / (linear + np.sqrt(linear**2 + 4 * quadratic * most)), dtype=float)
 
 
 def _integral(vehicle: Vehicle, fast: Vector) -> Vector:
-    """Bound (4,) of the velocity loops' integral: beyond it the thrust is at its limit, and the integral stands."""
+    """Bound (4,) of the velocity loops' integral: beyond it the thrust saturates, and the integral stays constant."""
     drag = vehicle.linear_drag * fast + vehicle.quadratic_drag * fast**2
     return np.asarray((vehicle.thrust_limit + drag) / vehicle.mass + 100.0 * fast, dtype=float)
 
@@ -106,7 +106,7 @@ def _box(layout: Layout, known: Mapping[str, list[tuple[float, float]]]) -> Vect
 
 
 def _rates(inputs: Layout, fast: Vector) -> tuple[Rate, ...]:
-    """Of pose and velocity, where they are told as they are now."""
+    """Largest rates of pose and velocity, if the law has their current values as inputs."""
     rates: list[Rate] = []
     if "eta" in inputs:
         first = inputs.slice("eta").start

@@ -1,4 +1,4 @@
-"""What a bundle was made of, for its manifest: vehicle, gains, law, the claims about them, and certificates."""
+"""Origin of a bundle, as its manifest records it: law, gains, vehicle, claims about them, and certificates."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _AVOIDANCE: Mapping[str, AvoidanceForm] = {
     "clearance-printed": "printed",
     "clearance-corrected": "corrected",
 }
-"""Claims about a form of (20): law `paper` alone is made of it."""
+"""Form of the avoidance law (20) that each of these claims is about; only law `paper` uses (20)."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Origin:
     """Where an exported controller comes from.
 
     Attributes:
-        vehicle: what it believes it flies.
-        ground_truth: the same law without senses, which the certificates are about.
-        certificates: by file name in the bundle.
+        vehicle: vehicle model that the controller is designed for.
+        ground_truth: the same law without perception; the certificates are about this law.
+        certificates: certificates by their file name in the bundle.
     """
 
     vehicle: Vehicle
@@ -65,7 +65,7 @@ class Origin:
 
 
 def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str, Any]] | None = None) -> Origin:
-    """The origin of a law that flies a vehicle.
+    """Return the origin of a law that controls a vehicle.
 
     Example:
         >>> import json
@@ -97,10 +97,10 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
 
 
 def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
-    """Certificates by the file name that they get in a bundle.
+    """Read certificates, and return them by the file name that they get in a bundle.
 
     Raises:
-        InputError: a file that is none, one that the checker rejects, or two of one name.
+        InputError: a file is not a certificate, the checker rejects it, or two files have the same name.
 
     Example:
         >>> import json
@@ -130,7 +130,7 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
 
 
 def manifest_entries(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]:
-    """Entries of the manifest: gains, law, and where known vehicle and claims."""
+    """Return the manifest's entries for law and gains and, if the origin is known, for vehicle and claims."""
     own = law.block.digest()
     digest = own if origin is None else origin.ground_truth.block.digest()
     rows = [{"name": port.name, "values": p[law.gains.slice(port.name)].tolist()} for port in law.gains]
@@ -157,7 +157,7 @@ def manifest_entries(law: Exportable, p: Vector, origin: Origin | None) -> dict[
 
 
 def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
-    """Raise InputError, naming what differs, unless every certificate is about the controller of the manifest."""
+    """Raise InputError with the differences if a certificate is not about the controller of the manifest."""
     read_back = read_manifest(manifest)
     speeds = [f"--{name} {read_back.gains[name][0]:g}" for name in ("cruise", "cap") if name in read_back.gains]
     command = " ".join(["surctl verify", *speeds, "--gains FILE --vehicle FILE"])
@@ -167,21 +167,21 @@ def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
             raise InputError(
                 f"is not about this controller: {'; '.join(comparison.differs)}",
                 key=name.removeprefix("certificate-"),
-                remedy=f"prove it for these speeds, gains and this vehicle: {command}",
+                remedy=f"prove the claim for these speeds, these gains and this vehicle: {command}",
             )
 
 
 def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: Vector) -> list[Path]:
-    """Those of the certificates that are about a law with these parameters, and would travel with its export.
+    """Return the certificates that are about a law with these parameters, and so can be exported with it.
 
     Args:
         paths: certificate files.
-        law: told true positions, or with senses.
-        vehicle: what it flies.
+        law: the law, with or without perception.
+        vehicle: the vehicle that the law controls.
         p: parameters of the law, as `law_numbers` gives them.
 
     Raises:
-        InputError: as `load_certificates`.
+        InputError: see `load_certificates`.
 
     Example:
         >>> import json
@@ -202,12 +202,12 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
     origin = origin_of(law, vehicle)
     entries = manifest_entries(law, p, origin)
     frame = {"name": "", "id": "", "dt_s": law.dt, "real": "float64", "sha256": {}}
-    manifest = replace(read_manifest(frame | entries), wrong=())  # what is not exported yet has no id
+    manifest = replace(read_manifest(frame | entries), wrong=())  # a law that is not exported yet has no id
     return [path for path in paths if all(compare(d, manifest).belongs for d in load_certificates([path]).values())]
 
 
 def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]:
-    """Hashes of the library's claims about parts of this law, for these gains, at the cruise speed and cap it has."""
+    """Hashes of the library's claims about parts of this law, for its gains, cruise speed and speed cap."""
     values = {row["name"]: row["values"][0] for row in rows if len(row["values"]) == 1}
     if "cruise" in values:
         values["speed"] = values["cruise"]
@@ -224,7 +224,7 @@ def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]
 
 
 def _has_part(law: Law, claim: str) -> bool:
-    """Whether what a claim of the library is about is a part of the law."""
+    """Whether the law contains the part that a claim of the library is about."""
     if claim in _AVOIDANCE:
         return law.name == "surctl_paper" and law.avoidance == _AVOIDANCE[claim]
     if claim.startswith("braking-"):
@@ -233,7 +233,7 @@ def _has_part(law: Law, claim: str) -> bool:
 
 
 def _stated(claim: Claim) -> dict[str, Any]:
-    """What a certificate of that claim states."""
+    """The statement of a claim, as its certificate contains it."""
     left, right, *constraints = (text_of(part) for part in statement_of(claim).parts)
     ranges = [
         {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)} for v in claim.variables

@@ -1,4 +1,4 @@
-"""A law as a target of another precision computes it: every operation rounded to `real`, in NumPy."""
+"""Python reference of the exported C: NumPy rounds every operation of a law to the target's precision."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Vector = NDArray[np.float64]
 
 REALS: tuple[Real, ...] = ("float64", "float32")
 
-_IN_MEMORY = 20_000_000  # intermediate numbers that are in memory at once
+_IN_MEMORY = 20_000_000  # largest number of intermediate results in memory at once
 _NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64, "float32": np.float32}
 
 
 @dataclass(frozen=True, eq=False)
 class _Same(Around):
-    """A law around another one whose gains and instructions it has."""
+    """Base of a law that wraps another law, with the same gains and instructions."""
 
     @property
     def gains(self) -> Layout:
@@ -41,10 +41,10 @@ class _Same(Around):
 
 @dataclass(frozen=True, eq=False)
 class Rounded(_Same):
-    """An exportable law replayed instruction by instruction, every number rounded to `real`.
+    """An exportable law evaluated instruction by instruction, with every number rounded to `real`.
 
-    The reference semantics of the exported C in that precision: IEEE 754 defines each operation to the last bit.
-    All vectors are arrays of doubles, which hold floats for float32.
+    It is the reference for the exported C in that precision, because IEEE 754 defines each operation to the last bit.
+    All vectors are arrays of doubles; for float32 their values are floats.
 
     Attributes:
         law: the law; its block must not use the mathematical library, whose last bits no standard defines.
@@ -58,12 +58,12 @@ class Rounded(_Same):
         return rounded(self.law.initial_state(), self.real)
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """One guarded step: anything non-finite gives tau = 0, x_next = x, status NONFINITE."""
+        """One guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
         rows = self.steps(*(np.atleast_2d(v) for v in (x, u, p)))
         return LawStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
     def steps(self, X: Vector, U: Vector, P: Vector) -> Rows:
-        """One step from each row of X (T, nx), U (T, nu), P (T, np)."""
+        """Run one step from each row of X (T, nx), U (T, nu), P (T, np)."""
         some = max(1, _IN_MEMORY // max(1, self.law.block.operations))
         parts = [
             self._batch(*(rounded(v[at : at + some], self.real) for v in (X, U, P))) for at in range(0, len(X), some)
@@ -97,11 +97,11 @@ class Rounded(_Same):
 
 @dataclass(frozen=True, eq=False)
 class Guarded(_Same):
-    """A law behind the guard that its C has.
+    """A law behind the same guard as in the exported C.
 
     Attributes:
-        envelope: what the guard lets in, in the law's precision.
-        real: that precision.
+        envelope: ranges that the guard accepts, in the law's precision.
+        real: precision of the law.
     """
 
     envelope: Envelope
@@ -112,10 +112,10 @@ class Guarded(_Same):
         return self.law.initial_state()
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """One step that follows no other: a number outside its box gives tau = 0, x_next = x, a negative status."""
+        """One step without a predecessor; a number out of range gives tau = 0, x_next = x and a negative status."""
         x, u, p = (rounded(np.asarray(v, dtype=float), self.real) for v in (x, u, p))
         refused = int(self.envelope.refusals(Records(*(v[None] for v in (x, u, p))))[0])
-        if refused == RANGE:  # what is not finite the law refuses itself
+        if refused == RANGE:  # the law itself refuses numbers that are not finite
             size = thrust(self.law).size
             return LawStep(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
         step = self.law.step(x, u, p)
@@ -123,20 +123,20 @@ class Guarded(_Same):
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
-    """The law as a target computes it: `Rounded` for float32, behind a guard if there is an envelope."""
+    """Return the law as a target computes it: `Rounded` for float32, and `Guarded` if there is an envelope."""
     inner = law if real == "float64" else Rounded(law)
     return inner if envelope is None else Guarded(inner, envelope, real)
 
 
 def plain(law: Exportable) -> Exportable:
-    """The law itself."""
+    """Return the innermost law, without `Rounded` and `Guarded`."""
     while isinstance(law, _Same):
         law = law.law
     return law
 
 
 def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
-    """One step of the law in Python from each row, none of which follows another."""
+    """Run one step of the law in Python from each row; the rows are independent."""
     if isinstance(law, Guarded):
         return _let_in(law, Records(*(rounded(v, law.real) for v in (X, U, P))))
     if isinstance(law, Rounded):
@@ -160,7 +160,7 @@ def _let_in(law: Guarded, records: Records) -> Rows:
         np.array(records.X, dtype=float),
         np.zeros((len(records), law.outputs.size - size)),
     )
-    index = np.flatnonzero(status != RANGE)  # what is not finite the law refuses itself
+    index = np.flatnonzero(status != RANGE)  # the law itself refuses numbers that are not finite
     if index.size:
         for mine, fresh in zip(
             out, evaluated(law.law, records.X[index], records.U[index], records.P[index]), strict=True
@@ -172,9 +172,9 @@ def _let_in(law: Guarded, records: Records) -> Rows:
 def replayed(
     law: Exportable, records: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
 ) -> Rows:
-    """As `evaluated`, but each row follows the one before unless `load` (T,) is set there: nothing may have jumped.
+    """Run `evaluated`, then refuse jumps: each row follows the row before it unless `load` (T,) is set.
 
-    `counts` (T,) numbers the rows' samples, for those that some are missing of.
+    `counts` (T,) are the sample numbers of the rows; None means that no sample is missing.
     """
     rows = evaluated(law, records.X, records.U, records.P)
     if not isinstance(law, Guarded):
@@ -183,6 +183,6 @@ def replayed(
 
 
 def rounded(values: Vector, real: Real = "float32") -> Vector:
-    """The nearest numbers of that precision, as doubles."""
+    """Return the nearest numbers of that precision, stored as doubles."""
     with np.errstate(over="ignore"):
         return np.asarray(values, dtype=_NUMPY[real]).astype(np.float64)

@@ -26,18 +26,18 @@ __all__ = ["Controller", "FaultResults", "build_controller", "code_bytes", "comp
 
 Vector = NDArray[np.float64]
 
-_TIMEOUT = 600.0  # s, for any run of the compiled program
-_STEP = 0.05  # s more for each step: a law with sonars, its floating point emulated, on an emulated processor
+_TIMEOUT = 600.0  # s, time limit of any run of the compiled program
+_STEP = 0.05  # s more per step: enough for a law with sonars and software floating point in the emulator
 
 
 @dataclass(frozen=True)
 class FaultResults:
-    """What the compiled controller returned to one faulty number after the other.
+    """Results of the compiled controller for each invalid number.
 
     Attributes:
-        status: (K,).
-        tau: (K, n_tau) [N, N m].
-        changed: numbers of the state that the step changed (K,).
+        status: status codes (K,).
+        tau: thrust (K, n_tau) [N, N m].
+        changed: number of state entries that each step changed (K,).
     """
 
     status: NDArray[np.int64]
@@ -51,8 +51,8 @@ class Controller:
 
     Attributes:
         law: the law in Python, in the bundle's precision.
-        bundle: what was compiled.
-        command: what runs it.
+        bundle: the bundle that was compiled.
+        command: command that runs the program.
         code_bytes: size of the controller's code and constants, None without the `size` tool.
     """
 
@@ -62,12 +62,12 @@ class Controller:
     code_bytes: int | None
 
     def run(self, records: Records, *, load: NDArray[np.bool_]) -> Rows:
-        """Step through the records; where `load` (T,) is set, the state is taken from the record."""
+        """Run one step per record; where `load` (T,) is set, the state comes from the record."""
         return self.parsed(self.output(self.stream(records, load=load), len(records)), len(records))
 
     def stream(self, records: Records, *, load: NDArray[np.bool_]) -> bytes:
-        """The records as the program of this precision reads them, whatever it was compiled for."""
-        fresh = np.ones(len(records), dtype=bool)  # gains that are those of the row before are not sent again
+        """Return the records as bytes for the program; they depend on its precision but not on its target."""
+        fresh = np.ones(len(records), dtype=bool)  # gains equal to those of the row before are not sent again
         fresh[1:] = (records.P[1:] != records.P[:-1]).any(axis=1)
         parts: list[NDArray[np.float64]] = []
         for k, (with_state, with_gains) in enumerate(zip(load, fresh, strict=True)):
@@ -77,18 +77,18 @@ class Controller:
             return np.concatenate(parts).astype(self._dtype).tobytes()
 
     def output(self, stream: bytes, count: int) -> bytes:
-        """The program's answer to the records of a stream."""
+        """Run the program; return the bytes that it writes for the records of a stream."""
         return self._output([], stream, count, sum(self._widths))
 
     def parsed(self, raw: bytes, count: int) -> Rows:
-        """The rows that the bytes hold."""
+        """Return the rows that bytes of the program contain."""
         rows = self._rows(raw, count, sum(self._widths))
         status, tau, state, telemetry = np.split(rows, np.cumsum(self._widths)[:-1], axis=1)
         return Rows(status[:, 0].astype(np.int64), tau, state, telemetry)
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of one row of an answer."""
+        """Number of bytes in one row of results."""
         return sum(self._widths) * self._dtype.itemsize
 
     @property
@@ -101,7 +101,7 @@ class Controller:
         return np.dtype(self.bundle.real)
 
     def run_faults(self, record: Vector, at: Vector, values: Vector) -> FaultResults:
-        """A step from `record` (state, input, gains end to end) for each entry `at` (K,), with `values` (K,) there."""
+        """Run a step from `record` (state, input, gains end to end) for each entry `at` (K,) set to `values` (K,)."""
         numbers = np.concatenate([record, np.column_stack([at, values]).ravel()])
         n_tau = thrust(self.law).size
         with np.errstate(over="ignore"):
@@ -111,7 +111,7 @@ class Controller:
         return FaultResults(status, rows[:, 1 : 1 + n_tau], changed)
 
     def _output(self, options: list[str], sent: bytes, count: int, width: int) -> bytes:
-        """The program's answer: `count` rows of `width` numbers."""
+        """Run the program; return the bytes of `count` rows of `width` numbers."""
         raw = _run([*self.command, *options], sent, count)
         if len(raw) != self._dtype.itemsize * count * width:
             raise SurctlError(f"{Path(self.command[0]).name} returned {len(raw)} bytes for {count} records")
@@ -121,7 +121,7 @@ class Controller:
         return np.frombuffer(raw, dtype=self._dtype).astype(np.float64).reshape(count, width)
 
     def self_test(self) -> bool:
-        """Whether the built-in vectors pass."""
+        """Run the built-in self-test; return whether it passes."""
         # captured: the caller's stdout may have to hold one JSON object and nothing else
         command = [*self.command, "--selftest"]
         done = subprocess.run(command, capture_output=True, check=False, timeout=_TIMEOUT)
@@ -133,7 +133,7 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
 
     Raises:
         ToolMissing: there is no compiler.
-        SurctlError: the compiler refuses the bundle.
+        SurctlError: the compiler reports an error.
         InputError: the folder cannot be written.
 
     Example:
@@ -158,16 +158,16 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
 def compile_controller(
     bundle: Bundle, folder: Path, *, flags: Sequence[str] = (), compiler: str | None = None
 ) -> list[Path]:
-    """Objects beside the controller's files, in the order of `bundle.sources`; the self-test's is the last.
+    """Compile the controller's files; return the objects in the order of `bundle.sources`, then the self-test's.
 
     Args:
         bundle: the controller, written to `folder`.
-        folder: where its files are.
-        flags: more flags.
+        folder: folder with its files.
+        flags: additional compiler flags.
         compiler: see `compile_program`.
 
     Raises:
-        SurctlError: the compiler refuses.
+        SurctlError: the compiler reports an error.
     """
 
     def compiled(file: str) -> Path:
@@ -192,7 +192,7 @@ def _run(command: list[str], data: bytes, steps: int) -> bytes:
 
 
 def code_bytes(code: Sequence[Path], tool: str = "size") -> int | None:
-    """Sum of the `text` column (code and constants) of the `size` tool, or of its namesake for another processor."""
+    """Return the bytes of code and constants in object files, as reported by `size` or its variant for a target."""
     if which(tool) is None:
         return None
     done = subprocess.run([tool, *map(str, code)], capture_output=True, text=True, check=False, timeout=_TIMEOUT)

@@ -1,12 +1,13 @@
-"""No run-time error, by abstract interpretation: Frama-C's Eva over everything that the guard lets in.
+"""Proof by abstract interpretation (Frama-C's Eva) that the exported C has no run-time error.
 
-The program that is analysed (`proof.c`) puts any number of its range into every state, input and gain, any last
-accepted input and any sample into the guard, and calls the step once. 0 alarms mean: nothing uninitialised is read, no
-array is left, no conversion overflows, and each thrust is a number within its limit, for every such step; and of a law
-in closed form whose memory is bounded: no NaN or infinity is ever made, nothing is divided by zero.
-A law that searches (loops over rows whose bounds may be infinite) or remembers numbers of any size is not asked the
-latter: IEEE 754 says what it does with them, and what leaves it is looked at.
-Ranges are those of the guard, so what flies is what was proved: anything else is refused before the law sees it.
+The analysed program (`proof.c`) sets every state, input, gain and last accepted input to any number of its range, sets
+any sample, and calls the step once. If Eva reports no alarm, then in every such step no uninitialised value is read, no
+array index is out of bounds, no conversion overflows, and each thrust is a number within its limit. For a law in closed
+form with bounded memory, Eva also shows that no NaN or infinity is computed and nothing is divided by zero.
+This last part is not proved for a law that loops over rows with possibly infinite bounds, or whose state is unbounded.
+IEEE 754 defines its operations on such numbers, and the exported step checks every result of the law.
+The ranges are those of the guard, which refuses all other numbers before the law reads them. The proof therefore covers
+every step on the robot.
 """
 
 from __future__ import annotations
@@ -45,25 +46,25 @@ Vector = NDArray[np.float64]
 _TOOL = "frama-c"
 _OPTIONS = ("-eva", "-eva-no-show-progress", "-eva-msg-key=-final-states", "-main", "proof")
 _BOUNDED = ("-eva-precision", "3", "-warn-special-float", "non-finite")
-# Precision 0: there is nothing to gain from more, and more does not end. Loops over rows are unrolled, or Eva takes
-# the rows that a first loop filled for rows that a second finds empty.
+# Precision 0: a higher one gains nothing and does not finish. Loops over rows are unrolled; otherwise Eva assumes that
+# rows which one loop filled may be empty in the next loop.
 _UNBOUNDED = ("-eva-precision", "0", "-warn-special-float", "none", "-eva-auto-loop-unroll")
 _LEAST_UNROLLED = 24
-_INSIDE = "every number inside finite, no divisor zero"
-_OUTSIDE = "what overflows inside, or is no number, is refused before it leaves"
+_INSIDE = "every intermediate number is finite, no divisor is zero"
+_OUTSIDE = "a result that overflows or is not a number is refused"
 _PROVED = ("Valid", "Considered valid", "Dead")
-_OF_SHOWING = ("assigns clause", "from clause")  # of the function that prints; the C has no contracts
-_ANY = 1e38  # bounds beyond that are none
-_LIMIT = 3600.0  # s; a law with sonars takes thirteen minutes
+_OF_SHOWING = ("assigns clause", "from clause")  # of Eva's printing function; the exported C has no contracts
+_ANY = 1e38  # a larger bound means no bound
+_LIMIT = 3600.0  # s, time limit; a law with sonars takes 13 minutes
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """What could not be proved.
+    """A property that could not be proved.
 
     Attributes:
-        file, line: where it stands.
-        kind: such as "division_by_zero", or "user assertion" for a thrust beyond its limit.
+        file, line: place of the property in the C text.
+        kind: kind of the property, such as "division_by_zero", or "user assertion" for a thrust beyond its limit.
         text: the property, in ACSL.
     """
 
@@ -78,13 +79,13 @@ class ProofReport:
     """Outcome of one analysis.
 
     Attributes:
-        alarms: what could not be proved, in order of place.
-        properties: number of properties that the analysis looked at.
-        seconds: it took.
+        alarms: properties that could not be proved, in order of file and line.
+        properties: number of properties that were analysed.
+        seconds: duration of the analysis [s].
         tool: the analyser's version.
-        log: what it printed.
-        source: the program that was analysed.
-        inside: whether it also holds inside the law that every number is finite and no divisor is zero.
+        log: output of the analyser.
+        source: text of the analysed program.
+        inside: whether the proof also covers that every intermediate number is finite and no divisor is zero.
     """
 
     alarms: tuple[Alarm, ...]
@@ -97,23 +98,23 @@ class ProofReport:
 
     @property
     def proved(self) -> bool:
-        """Whether nothing was left open."""
+        """Whether every property was proved, and the guard accepts some step."""
         return not self.alarms and self.properties > 0 and self.accepts
 
     @property
     def accepts(self) -> bool:
-        """Whether the law was analysed at all: a guard that refuses everything would prove anything."""
+        """Whether the guard accepts some step; if it refused every step, the law would not be analysed."""
         match = re.search(r"show_each_status: (.*)", self.log)
         return match is not None and any(not number.startswith("-") for number in re.findall(r"-?\d+", match.group(1)))
 
     @property
     def claim(self) -> str:
-        """What holds if it is proved."""
-        common = "nothing uninitialised read, no array left, no conversion overflows, each thrust within its limit"
+        """The statement that holds if every property is proved."""
+        common = "no uninitialised read, no index out of bounds, no conversion overflow, each thrust within its limit"
         return f"{common}; {_INSIDE if self.inside else _OUTSIDE}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON, without the time, which no two runs share."""
+        """Return the report as plain data for JSON, without the duration, which differs between runs."""
         return {
             "status": "proved" if self.proved else "open",
             "tool": self.tool,
@@ -123,25 +124,25 @@ class ProofReport:
         }
 
     def summary(self) -> str:
-        """Lines for people."""
+        """Return the report as lines of text."""
         verdict = "proved" if self.proved else f"OPEN, {len(self.alarms)} alarms"
-        verdict += "" if self.accepts else ", and no step that the guard accepts"
+        verdict += "" if self.accepts else ", and the guard accepts no step"
         spent = f"{self.properties} properties, {self.seconds:.1f} s, {self.tool}"
         head = f"proof of no run-time error and of thrust limits: {verdict}; {spent}"
         return "\n".join([head, f"  {self.claim}", *(f"  {a.file}:{a.line}: {a.kind}: {a.text}" for a in self.alarms)])
 
 
 def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
-    """Analyse the bundle's C.
+    """Analyse the bundle's C with Frama-C, and return the report.
 
     Args:
-        law: what it was made of.
+        law: the exported law.
         bundle: the bundle; the ranges are those of its guard.
         limit: largest thrust (n_tau,) of each axis, both signs [N, N m].
 
     Raises:
-        ToolMissing: there is no Frama-C.
-        SurctlError: it refuses the program, or does not end in time.
+        ToolMissing: Frama-C is not installed.
+        SurctlError: Frama-C reports an error, or does not finish in time.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -188,11 +189,11 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
 
 
 def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
-    """How to analyse it: see the head of this file."""
+    """Options of Eva; the docstring of this module explains the two cases."""
     within = bundle.envelope or anywhere(law)
     if (np.abs(within.state) < _ANY).all() and isinstance(law.block, Program):
         return _BOUNDED
-    turns = [loop.count for loop in _loops(law.block) if loop.until is None]  # others fill nothing
+    turns = [loop.count for loop in _loops(law.block) if loop.until is None]  # loops with `until` fill no rows
     return (*_UNBOUNDED, str(max(_LEAST_UNROLLED, *turns, 0)))
 
 
@@ -208,7 +209,7 @@ def _run(folder: Path, options: Sequence[str], sources: Sequence[str]) -> str:
         done = subprocess.run(
             command,
             cwd=folder,
-            env={**os.environ, "PWD": str(folder)},  # it believes PWD, not where it is
+            env={**os.environ, "PWD": str(folder)},  # Frama-C uses PWD instead of the actual working directory
             capture_output=True,
             text=True,
             check=False,
@@ -225,7 +226,7 @@ def _first_error(log: str) -> str:
 
 
 def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
-    """proof.c."""
+    """Text of proof.c."""
     name, real = bundle.name, bundle.real
     within = bundle.envelope or anywhere(law).fitted(law, real)
     lines = [f"state.x[{k}] = {_any(bounds, real)};" for k, bounds in enumerate(within.state)]
@@ -246,7 +247,7 @@ def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
     ]
     return "\n".join(
         [
-            f"/* What is analysed: one step of {name}, from every state, input and gain that its guard lets in. */",
+            f"/* The analysed program: one step of {name} for every state, input and gain that its guard accepts. */",
             f'#include "{name}.h"',
             '#include "__fc_builtin.h"',
             "",
@@ -269,7 +270,7 @@ def _any(bounds: Vector, real: Real) -> str:
 
 
 def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
-    """The bundle with the program that was analysed, the log, and the outcome in the manifest.
+    """Return the bundle with the analysed program, the analyser's log, and the outcome in the manifest.
 
     Example:
         >>> import json
@@ -294,10 +295,10 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
 
 
 def gain_box(law: Exportable, values: Vector, ranges: Mapping[str, tuple[float, float]]) -> Vector:
-    """(np, 2) box of the gains that is to be proved: the ranges that a gain file states, else the values themselves.
+    """Return the ranges (np, 2) of the gains in the proof: the range in a gain file, or else the value itself.
 
     Raises:
-        InputError: a value outside its range, by name.
+        InputError: a value is outside its range.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -316,7 +317,7 @@ def gain_box(law: Exportable, values: Vector, ranges: Mapping[str, tuple[float, 
             part = law.gains.slice(name)
             if not ((low <= box[part]) & (box[part] <= high)).all():
                 raise InputError(
-                    f"is outside the range that is to be proved, {low:g} to {high:g}",
+                    f"is outside the range of the proof, {low:g} to {high:g}",
                     key=name,
                     value=float(values[part][0]),
                     remedy="widen its range in the gain file, or change the value",

@@ -19,7 +19,7 @@ Triple = tuple[ArrayLike, ArrayLike, ArrayLike]
 
 @dataclass(frozen=True)
 class Records:
-    """A recorded run, row by row.
+    """State, inputs and gains of each step of a recorded run.
 
     Attributes:
         X: state before each step (T, nx).
@@ -37,10 +37,10 @@ class Records:
 
 
 def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
-    """Records of the law's sizes from a list of (x, u, p), or from `Records` whose P may be one vector (np,).
+    """Return `Records` that fit the law, from a list of (x, u, p) or from `Records` whose P may be one vector (np,).
 
     Raises:
-        InputError: no step, or arrays that do not fit the law's layouts.
+        InputError: there is no step, or an array does not fit the law's layouts.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -51,7 +51,7 @@ def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)
         >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
-        >>> records = as_records(law, recording)  # one vector of gains becomes a row a step
+        >>> records = as_records(law, recording)  # one vector of gains becomes one row per step
         >>> recording.P.shape, records.P.shape == (len(recording.X), law.gains.size)
         ((70,), True)
     """
@@ -76,5 +76,5 @@ def _stack(rows: list[ArrayLike]) -> Vector:
 def _sized(array: ArrayLike, steps: int, size: int, key: str) -> Vector:
     rows = np.asarray(array, dtype=float)
     if rows.shape != (steps, size):
-        raise InputError(f"has shape {rows.shape}, expected {(steps, size)}", key=key, remedy="one row a step")
+        raise InputError(f"has shape {rows.shape}, expected {(steps, size)}", key=key, remedy="give one row per step")
     return rows

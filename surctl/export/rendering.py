@@ -1,4 +1,4 @@
-"""Fill the templates: C text of layouts, values and the law's block."""
+"""Fill in the templates of the exported files with the layouts, values and C text of a law."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ def render_files(
     tests: SelfTest,
     real: Real = "float64",
 ) -> dict[str, str]:
-    """Text of every file but the manifest, by file name.
+    """Return the text of every file except the manifest, by file name.
 
     Args:
-        law: the law, its names already checked.
+        law: the law, whose names are already checked.
         gains: tuned gains (np,).
-        within: what the guard lets in, in this precision.
+        within: ranges that the guard accepts, in this precision.
         name: prefix of files and symbols.
         identity: the law's id.
         tests: vectors of the built-in self-test.
         real: precision of every number.
     """
-    made = law.block
+    block = law.block
     parts = (
-        direct_law(law, made, name, real)
-        if isinstance(made, Program)
-        else emit_parts(made, symbol=f"{name}_law", real=real)
+        direct_law(law, block, name, real)
+        if isinstance(block, Program)
+        else emit_parts(block, symbol=f"{name}_law", real=real)
     )
     values = _values(law, gains, within, name, identity, tests, real) | {"prototypes": parts.prototypes}
     of_law = _law_files(name, parts)
@@ -81,24 +81,24 @@ def render_files(
 
 _PARTS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
-        "": ("law", "the law"),
-        "senses": ("map", "the map of what stands around the robot, and what the law is told"),
-        "feel": ("sensing", "own motion, what each sonar hears, and what moves, as the law remembers them"),
-        "pre": ("guidance", "what the law wants and what limits it, before priorities decide"),
-        "projected_tick": ("priorities", "what is done of all that is wanted within the limits"),
+        "": ("law", "the control law"),
+        "perception": ("map", "the map of obstacles around the robot, and the inputs of the decision"),
+        "measure": ("sensing", "memory of own motion, sonar echoes and moving obstacles"),
+        "pre": ("guidance", "desired velocities of the tasks, and limits of the velocity"),
+        "projected_step": ("priorities", "solution of the tasks in order of priority within the limits"),
     }
 )
-"""Name and contents of the file that begins with a large function of the built-in laws; others are named after it."""
+"""File name and contents for large functions of the built-in laws; other files are named after their function."""
 
 
 def _law_files(name: str, parts: Parts) -> list[tuple[str, str, str]]:
-    """(file, what is in it, text) of each part of the law."""
+    """(file name, contents, text) of each part of the law."""
     named = {part: _PARTS.get(part, (f"law_{part}", f"{part}, a part of the law")) for part in parts.files}
     return [(f"{name}_{named[part][0]}.c", named[part][1], text) for part, text in parts.files.items()]
 
 
 def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str:
-    """Text of the C around the bundle that makes it a functional mock-up unit."""
+    """Return the C text that turns the bundle into a functional mock-up unit."""
     values = {
         "name": name,
         "id": identity,
@@ -130,7 +130,7 @@ def _environment() -> Environment:
 
 
 def _words(real: Real) -> dict[str, Any]:
-    """What C calls things in that precision."""
+    """Names of C types, constants and functions in that precision."""
     double = real == "float64"
     return {
         "real": C_TYPE[real],
@@ -143,7 +143,7 @@ def _words(real: Real) -> dict[str, Any]:
 def _values(
     law: Exportable, gains: Vector, within: Envelope, name: str, identity: str, tests: SelfTest, real: Real
 ) -> dict[str, Any]:
-    """What the templates know."""
+    """Values of the templates' variables."""
     n_tau = thrust(law).size
     literal = partial(c_literal, real=real)
     return {
@@ -196,15 +196,15 @@ def _values(
 
 def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:
     return [
-        ("state", "what the controller remembers between steps; owned by the caller", law.state.ports),
-        ("input", "what it is told in each step", law.inputs.ports),
-        ("gains", "tuned constants", law.gains.ports),
-        ("output", "what it commands, then what it reports", law.outputs.ports),
+        ("state", "state of the controller between steps; owned by the caller", law.state.ports),
+        ("input", "inputs of each step", law.inputs.ports),
+        ("gains", "gains and other parameters", law.gains.ports),
+        ("output", "commands, then telemetry", law.outputs.ports),
     ]
 
 
 def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
-    """What the templates know of the guard."""
+    """Values of the templates' variables that describe the guard."""
     boxes = ((law.state, within.state), (law.inputs, within.inputs), (law.gains, within.gains))
     ranges = {
         port.name: range_text(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
@@ -232,7 +232,7 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
 
 
 def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
-    """An input, and a number out of its box, for the self-test."""
+    """Index of an input and a number outside its range, for the self-test; None if no input has a range."""
     largest = 1e38
     for at, (_, high) in enumerate(within.inputs):
         if high < largest:
@@ -241,23 +241,23 @@ def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
 
 
 def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
-    """Bytes by what holds them, as far as the routine alone decides it; `width` bytes a number."""
+    """Bytes of RAM by struct or array, without temporaries of the compiler; a number has `width` bytes."""
     other = law.inputs.size + law.gains.size + law.outputs.size
     arrays = 0 if isinstance(law.block, Program) else memory(law.block) - 2 * law.state.size
     held = {"state": 2 * law.state.size + len(within.rates), "structs": other, "arrays": arrays}
-    # beside the numbers: the sample's count in the input; in the state the last one's, and whether there was one
+    # besides these numbers, the input has one counter (the sample), and the state two (last sample, any accepted)
     return {what: width * count + {"state": 8, "structs": 4}.get(what, 0) for what, count in held.items()}
 
 
 def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:
-    """C initialisers {number, how often it stands in a row}; C has no empty arrays: one of a zero for no numbers."""
+    """Return C initialisers {number, how often it repeats}; for no numbers one zero, as C has no empty array."""
     literals = [text(float(v)) for v in values]
     initialisers = [f"{{{number}, {len(list(same))}}}" for number, same in itertools.groupby(literals)]
     return initialisers or ["{0.0, 1}"]
 
 
 def wrapped(items: Sequence[str], width: int = 110) -> list[str]:
-    """The items with commas in between, as many a line as fit."""
+    """Return lines of the items, separated by commas, with as many items per line as fit."""
     lines: list[str] = []
     for item in items:
         if lines and len(lines[-1]) + len(item) + 3 <= width:
@@ -273,7 +273,7 @@ def _rows(table: Vector, real: Real) -> list[str]:
 
 
 def _decimal(value: float, real: Real) -> str:
-    """A number of the self-test; the sign of a zero is not compared. A double has twelve digits, a float all of its."""
+    """Decimal text of a number of the self-test; the sign of a zero is left out, because it is not compared."""
     return repr(value + 0.0) if real == "float64" else f"{np.float32(value + 0.0)!s}f"
 
 
@@ -286,7 +286,7 @@ def _one_line(text: str) -> str:
 
 
 def comment(text: str) -> str:
-    """Text that cannot end, nest or (as a trigraph) escape a C comment."""
+    """Return the text in a form that cannot end, nest or (as a trigraph) escape a C comment."""
     safe = _one_line(text)
     for bad in ("*/", "/*", "??"):
         while bad in safe:
@@ -295,5 +295,5 @@ def comment(text: str) -> str:
 
 
 def cell(text: str) -> str:
-    """Text for one cell of a Markdown table."""
+    """Return the text in a form that fits one cell of a Markdown table."""
     return _one_line(text).replace("|", "\\|")

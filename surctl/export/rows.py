@@ -1,4 +1,4 @@
-"""What steps answer, row by row."""
+"""Results of controller steps, one row per step."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ __all__ = ["Rows"]
 
 
 class Rows(NamedTuple):
-    """Steps, row by row, as a compiled controller answers them.
+    """Results of T steps of a controller, compiled or in Python.
 
     Attributes:
-        status: (T,).
-        tau: (T, n_tau) [N, N m].
+        status: status codes (T,).
+        tau: thrust (T, n_tau) [N, N m].
         state: state after each step (T, nx).
-        telemetry: (T, k).
+        telemetry: telemetry (T, k).
     """
 
     status: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""Software in the loop: the exported C, stepping on its own state, against the law in Python."""
+"""Software in the loop: comparison of the exported C, which carries its own state, with the law in Python."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ __all__ = [
 Vector = NDArray[np.float64]
 
 TOLERANCE = 1e-12
-"""Largest difference, relative or absolute (whichever is the milder), that passes."""
+"""Largest difference that passes: relative for numbers above 1, absolute for others."""
 
 _BLOCK = 256  # rows compared at once
-_JUMP = 1e-9  # a recorded state this far from the law's own next state was set from outside
+_JUMP = 1e-9  # a recorded state that differs more than this from the law's own next state was set from outside
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Difference:
     Attributes:
         absolute: max |C − Python|.
         relative: max |C − Python| / |Python|, over numbers that are not 0 in Python.
-        mixed: max |C − Python| / max(1, |Python|); this one is judged.
-        step: step of the largest mixed difference, None when there is none at all.
+        mixed: max |C − Python| / max(1, |Python|); it is compared with `TOLERANCE`.
+        step: step of the largest mixed difference, None if all numbers are equal.
     """
 
     absolute: float
@@ -64,11 +64,11 @@ class SilReport:
         name: the bundle's name.
         id: the law's id.
         steps: number of steps T.
-        resets: steps at which the record's state is not the law's own, and C was loaded with it.
+        resets: steps at which the recorded state does not follow from the step before, so that C was loaded with it.
         tau, state, telemetry: largest differences.
-        status_mismatches: number of steps with another status.
-        fault_cases: number of bad inputs tried on each side, see `faults`.
-        fault_failures: those that did not give zero thrust, a negative status and an untouched state.
+        status_mismatches: number of steps at which C and Python return different status codes.
+        fault_cases: number of invalid inputs tried in C and in Python, see `faults`.
+        fault_failures: invalid inputs that did not give zero thrust, a negative status and an unchanged state.
         self_test: whether the exported self-test passes.
         compiler: the compiler's version line.
         code_bytes: size of code and constants, None when unknown.
@@ -96,11 +96,11 @@ class SilReport:
 
     @property
     def conclusive(self) -> bool:
-        """Whether it passed over one run that C carried on its own state from the first step to the last."""
+        """Whether the test passed, and C carried its own state from the first step to the last."""
         return self.passed and not self.resets
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; differences are the mixed ones."""
+        """Return the report as plain data for JSON, with the mixed differences."""
         return {
             "passed": self.conclusive,
             "steps": self.steps,
@@ -115,7 +115,7 @@ class SilReport:
         }
 
     def summary(self) -> str:
-        """A few lines for people."""
+        """Return the report as a few lines of text."""
         size = "" if self.code_bytes is None else f", {self.code_bytes} bytes of code and constants"
         resets = f", state loaded anew {len(self.resets)} times" if self.resets else ""
         lines = [
@@ -141,14 +141,14 @@ def software_in_the_loop(
     """Export the law, compile it, and compare it with Python over a recorded run.
 
     C starts from the first recorded state and then steps on its own; only the inputs come from the record.
-    Python is evaluated on each recorded state. Where the record's state is not the next state of the step
-    before (a reset, another run), C is loaded with it; the report counts these.
+    Python is evaluated on each recorded state. If a recorded state does not follow from the step before
+    (a reset, another run), C is loaded with it; the report counts these loads.
 
     Args:
         law: the control law.
         records: (x, u, p) of each step, or `Records`.
-        workdir: folder that keeps the bundle and the program; a temporary one otherwise.
-        real: precision of the bundle; Python is then rounded to it at every operation.
+        workdir: folder for the bundle and the program, which stay there; None uses a temporary folder.
+        real: precision of the bundle; Python rounds every operation to it.
 
     Raises:
         ToolMissing: there is no compiler.
@@ -178,9 +178,9 @@ def software_in_the_loop_runs(
     workdir: Path | str | None = None,
     real: Real = "float64",
 ) -> tuple[SilReport, ...]:
-    """One report a recorded run, all through one compiled bundle (with the gains of the first run's first record).
+    """Return one report per recorded run; all runs use one bundle with the gains of the first run's first record.
 
-    Arguments and errors as `software_in_the_loop`; InputError also when there is no run.
+    Arguments and errors are those of `software_in_the_loop`; it is also an InputError if there is no run.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -207,7 +207,7 @@ def software_in_the_loop_runs(
 def compare_runs(
     controller: Controller, runs: Sequence[Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]]]
 ) -> tuple[SilReport, ...]:
-    """As `software_in_the_loop_runs`, by a controller that is compiled already.
+    """Return the reports of `software_in_the_loop_runs` for a controller that is already compiled.
 
     Raises:
         SurctlError: the program crashes.
@@ -232,7 +232,7 @@ def compare_runs(
 
 
 def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
-    """Gains of the first record: the ones the bundle is built with."""
+    """Gains of the first record by port; the bundle is built with them."""
     if not np.all(np.isfinite(run.P[0])):
         raise InputError("the first record's gains are not finite", key="records.P", remedy="give finite gains")
     return law.gains.unpack(run.P[0])
@@ -246,7 +246,7 @@ def _compare(controller: Controller, run: Records) -> SilReport:
     python = replayed(law, run, load)
     c = controller.run(run, load=load)
     cases, failures = fault_failures(law, controller, run)
-    done = python.status >= 0  # a refused step reports nothing
+    done = python.status >= 0  # a refused step has no telemetry
     return SilReport(
         name=controller.bundle.name,
         id=controller.bundle.id,
@@ -265,9 +265,9 @@ def _compare(controller: Controller, run: Records) -> SilReport:
 
 
 def _on_its_own(controller: Controller, run: Records) -> Records:
-    """The record's inputs, with the states that C comes through: those of a law in double are not those of floats.
+    """The recorded inputs with the states that C reaches; a law in floats does not reach the states of doubles.
 
-    Python steps from each of these states, so that one wrong step of C shows, and with it none the chain is Python's.
+    Python computes each step from these states, so every wrong step of C shows. Without one, the whole runs agree.
     """
     first = np.zeros(len(run), dtype=bool)
     first[0] = True
@@ -276,7 +276,7 @@ def _on_its_own(controller: Controller, run: Records) -> Records:
 
 
 def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
-    """Steps (T,) at which C must be loaded: the first, and each that does not follow from the one before."""
+    """Whether C must be loaded at each step (T,): at the first, and if the state does not follow from the last step."""
     load = np.zeros(len(run), dtype=bool)
     load[0] = True
     for k in range(1, len(run)):
@@ -285,7 +285,7 @@ def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
 
 
 def _difference(mine: Vector, theirs: Vector) -> Difference:
-    """Over all rows, `_BLOCK` at a time: a run of a law with a large state has many numbers."""
+    """Largest differences over all rows, computed in blocks of `_BLOCK` rows to bound the memory."""
     absolute = relative = worst = 0.0
     step = None
     for first in range(0, len(mine) if mine.size else 0, _BLOCK):

@@ -1,4 +1,4 @@
-"""Compilers and processors that the exported C is tried on: this machine's, and emulated microcontrollers."""
+"""Compilers and processors on which the exported C is checked: this machine's, and emulated microcontrollers."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _BOARD = ("-nographic", "-monitor", "none", "-serial", "none", "-semihosting-con
 
 @dataclass(frozen=True)
 class Target:
-    """A way to build the bundle, and to run it.
+    """A compiler with its flags, and the processor that runs the compiled bundle.
 
     Attributes:
-        name: short name, as the command line takes it.
+        name: short name on the command line.
         compiler: command of the compiler.
-        flags: after the usual ones.
-        machine: QEMU's name of the board; None runs it here.
+        flags: compiler flags in addition to the usual ones.
+        machine: QEMU's name of the emulated board; None runs the program on this machine.
     """
 
     name: str
@@ -33,25 +33,25 @@ class Target:
 
     @property
     def tools(self) -> tuple[str, ...]:
-        """Programs that it takes."""
+        """Programs that the target needs."""
         return (self.compiler,) if self.machine is None else (self.compiler, "qemu-system-arm")
 
     @property
     def size_tool(self) -> str:
-        """The `size` of its objects."""
+        """Name of the `size` tool for the target's object files."""
         return "size" if self.machine is None else "arm-none-eabi-size"
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Those of its tools that this machine has not."""
+        """Tools of the target that are not installed."""
         return tuple(tool for tool in self.tools if shutil.which(tool) is None)
 
     def board(self, program: str) -> tuple[str, ...]:
-        """What runs the program on the emulated board."""
+        """Return the command that runs a program on the emulated board."""
         return ("qemu-system-arm", "-M", self.machine or "", *_BOARD, "-kernel", program)
 
     def bare(self, folder: Path) -> tuple[str, ...]:
-        """Flags that link a program for the board, with the bundle's start and memory map in `folder`."""
+        """Return flags that link a program for the board; `folder` has the bundle's start code and memory map."""
         return (*self.flags, "--specs=rdimon.specs", "-nostartfiles", f"-T{folder / 'target.ld'}")
 
 
@@ -77,18 +77,18 @@ _BUILT_IN = (
 )
 
 TARGETS: dict[str, Target] = {target.name: target for target in _BUILT_IN}
-"""By name: gcc and clang at -O0 to -O3 and for this very processor, and QEMU's Cortex-M3, -M4F and -M7."""
+"""Targets by name: gcc and clang with -O0 to -O3 and -march=native, and QEMU's Cortex-M3, -M4F and -M7."""
 
 
 def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, tuple[str, ...]]]:
-    """Targets to try, and those that cannot be tried here with the tools that are missing.
+    """Return the targets to try, and the missing tools of those that cannot be tried on this machine.
 
     Args:
-        names: which; none means all that this machine has the tools for.
+        names: names of targets; if empty, all targets whose tools are installed.
 
     Raises:
-        InputError: an unknown name.
-        ToolMissing: a target that was asked for has not its tools here.
+        InputError: a name is not known.
+        ToolMissing: a tool of a named target is not installed.
 
     Example:
         >>> from surctl.export import chosen_targets
@@ -98,7 +98,7 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
     """
     for name in names:
         if name not in TARGETS:
-            raise InputError("is no target", key="targets", value=name, remedy=nearest(name, TARGETS))
+            raise InputError("is not a known target", key="targets", value=name, remedy=nearest(name, TARGETS))
     chosen = [TARGETS[name] for name in names or TARGETS]
     lacking = {target.name: target.missing for target in chosen if target.missing}
     if names and lacking:

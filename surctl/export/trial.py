@@ -1,4 +1,4 @@
-"""Single steps to try on every build: around recorded flights, at their switches, far from them, and broken."""
+"""Single steps to try on every build: near recorded runs, at their switches, far from them, and with NaN."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = ["MOST_NUMBERS", "trial_steps"]
 Vector = NDArray[np.float64]
 
 MOST_NUMBERS = 20_000_000
-"""Numbers that all the steps together may hold: a law with a large state is tried in fewer steps."""
+"""Largest count of numbers in all steps together; a law with a large state is tried in fewer steps."""
 
 _SMALL, _WIDE = 1e-3, 2.0
 _BROKEN = (np.nan, np.inf, -np.inf)
-_TURNS = 256  # steps that share their gains
+_TURNS = 256  # number of successive steps with the same gains
 
 
 def trial_steps(
@@ -34,20 +34,21 @@ def trial_steps(
     seed: int = 0,
     within: Envelope | None = None,
 ) -> Records:
-    """Up to `count` steps (as many as `MOST_NUMBERS` allows), from rows of the runs, in eight kinds by turns.
+    """Return up to `count` steps (at most `MOST_NUMBERS` numbers) that vary rows of the runs in eight kinds in turn.
 
-    As recorded; every number one step of the precision up or down, at rows where something switches (two kinds: all
-    numbers, one number); shaken a little; shaken widely; some numbers swapped for 0, 1 or their opposite; shaken with
-    gains 10 % off; one number not finite. Gains change every few hundred steps only.
+    The kinds: (0) as recorded; (1) and (2) at rows where something switches, with all numbers or about one number moved
+    to the next float up or down; (3) and (6) slightly perturbed; (4) widely perturbed; (5) some numbers replaced by 0,
+    1 or their negative; (7) one number NaN or infinite. In every second block of 256 steps, the gains change by up to
+    10 %.
 
     Args:
         law: the law.
-        runs: recorded flights of it.
-        count: how many steps.
-        real: precision of the target, whose neighbouring numbers count.
-        seed: of the draws.
-        within: what the guard lets in: what is shaken stays inside, and what is shaken widely is anywhere in it, so
-            that the law is tried and not the guard alone.
+        runs: recorded runs of the law.
+        count: largest number of steps.
+        real: precision of the target, which defines the next float.
+        seed: seed of the random numbers.
+        within: ranges that the guard accepts. Perturbed numbers stay inside, and widely perturbed ones cover the whole
+            ranges, so that the steps test the law and not only the guard.
     """
     rng = np.random.default_rng(seed)
     X = np.concatenate([run.X for run in runs])
@@ -86,7 +87,7 @@ def trial_steps(
 
 
 def _anywhere(rows: Vector, at: NDArray[np.intp], box: Vector, rng: np.random.Generator) -> None:
-    """Numbers of these rows whose range has ends are drawn from it, more often near what they were."""
+    """Replace the bounded numbers of these rows by random ones in their range, more often near the old value."""
     bounded = np.flatnonzero(np.abs(box).max(axis=1) < 1e30)
     low, high = box[bounded].T
     part = np.clip(rows[np.ix_(at, bounded)], low, high)
@@ -95,7 +96,7 @@ def _anywhere(rows: Vector, at: NDArray[np.intp], box: Vector, rng: np.random.Ge
 
 
 def _switches(run: Records) -> NDArray[np.bool_]:
-    """Rows (T,) at whose ends a whole number of the state or the input becomes another: something was decided."""
+    """Whether an integer in the state or input changes after each row (T,), which shows that the law switches."""
     rows = np.hstack([run.X, run.U])
     whole = np.all(rows == np.floor(rows), axis=0)
     flips = (rows[1:, whole] != rows[:-1, whole]).any(axis=1)
@@ -103,7 +104,7 @@ def _switches(run: Records) -> NDArray[np.bool_]:
 
 
 def _shift(rows: Vector, at: NDArray[np.intp], rng: np.random.Generator, real: Real, *, share: float) -> None:
-    """Each number of these rows, or a share of them, to a neighbour in that precision."""
+    """Move each number of these rows, with probability `share`, to the next float of the precision up or down."""
     part = rows[at].astype(np.float64 if real == "float64" else np.float32)
     up = rng.random(part.shape) < 0.5
     near = np.nextafter(part, np.where(up, np.inf, -np.inf).astype(part.dtype))

@@ -1,4 +1,4 @@
-"""Test vectors that travel inside the exported source: a short closed run with perturbed inputs."""
+"""Test vectors inside the exported source: a short run of the law with perturbed inputs."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ Vector = NDArray[np.float64]
 TOLERANCE: Mapping[Real, float] = MappingProxyType({"float64": 1e-9, "float32": 1e-5})
 """Largest difference, relative or absolute, that the exported self-test accepts, by precision.
 
-Doubles are stored with twelve digits; floats exactly, but a processor that computes wider than float may differ.
+Doubles are stored with 12 digits. Floats are stored exactly, but a processor may compute in a wider format.
 """
 
-_SPREADS = (0.0, 0.1, 0.5, 1.0, 1.0, 2.0)  # of each step; the wide ones turn flags on
+_SPREADS = (0.0, 0.1, 0.5, 1.0, 1.0, 2.0)  # perturbation of each step; a wide one also switches flags on
 _GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
 class SelfTest:
-    """A closed run of the law from its initial state.
+    """Inputs and expected results of a run of the law from its initial state.
 
     Attributes:
         inputs: u of each step (T, nu).
@@ -45,11 +45,11 @@ class SelfTest:
 
 
 def self_test_vectors(law: Exportable, gains: Vector, within: Envelope) -> SelfTest:
-    """Run `law` on its default inputs (first step) and on perturbed ones (the rest).
+    """Run `law` on its default inputs in the first step, and on perturbed inputs in the others; return the results.
 
-    The perturbation is a low-discrepancy sequence, from ±0.1 to ±2 times 1 + |default|, so nothing is random; expected
-    values are rounded to 12 digits, so that the last bits of a machine's sine do not reach the bundle, and inputs to 6,
-    to be short. What would be outside the guard's box is moved to its edge: every step is one that is accepted.
+    The perturbation is a low-discrepancy sequence of ±0.1 to ±2 times 1 + |default|, so nothing is random. Expected
+    values are rounded to 12 digits, so that the bundle does not depend on the last bits of a machine's sine. Inputs are
+    rounded to 6 digits to be short, and limited to the guard's ranges, so that every step is accepted.
     """
     default = law.inputs.pack()
     inputs = np.array([_perturbed(default, k, spread) for k, spread in enumerate(_SPREADS)])

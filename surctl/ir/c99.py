@@ -25,7 +25,7 @@ C_TYPE: Mapping[Real, str] = MappingProxyType({"float64": "double", "float32": "
 """The C type for each `Real`."""
 
 WIDTH = 120
-"""Characters of a line."""
+"""Largest number of characters in a line of C text."""
 
 # C99, C11 and C++ keywords (headers are read by C++ too), and words that the standard headers define
 _WORDS = frozenset(
@@ -139,14 +139,14 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
 
 
 def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> list[str]:
-    """Comment and signature of a program's function; `apart`: its outputs are never its inputs, as where none says."""
+    """Return comment and signature of a program's function; `apart` means that no output may alias an input."""
     alias = "" if apart else "; outputs may alias inputs"
-    given, made = ([size for _, size in arrays] for arrays in (program.inputs, program.outputs))
-    return [f"/* {program.operations} operations{alias} */", *signature(f"static void {symbol}", given, made, c_type)]
+    read, written = ([size for _, size in arrays] for arrays in (program.inputs, program.outputs))
+    return [f"/* {program.operations} operations{alias} */", *signature(f"static void {symbol}", read, written, c_type)]
 
 
 def signature(start: str, inputs: Sequence[int], outputs: Sequence[int], c_type: str) -> list[str]:
-    """Lines of a function's head: in0 … and out0 …, each with its number of entries."""
+    """Return the lines of a function's signature: in0 … and out0 …, each with its number of entries."""
     arguments = [f"const {c_type} {_array(f'in{k}', size)}" for k, size in enumerate(inputs)]
     arguments += [f"{c_type} {_array(f'out{k}', size)}" for k, size in enumerate(outputs)]
     return broken(f"{start}(", arguments or ["void"], ")")
@@ -157,7 +157,7 @@ def _array(name: str, size: int) -> str:
 
 
 def broken(start: str, items: Sequence[str], end: str, *, indent: str = "    ") -> list[str]:
-    """`start`, the items with commas in between, and `end`, on as many lines as they need; later ones are indented.
+    """Return lines of `start`, the items separated by commas, and `end`; all lines but the first are indented.
 
     Example:
         >>> from surctl.ir.c99 import broken

@@ -31,12 +31,12 @@ _HELPERS = {
 # Used on processors without a floor instruction, whose library function is long. The bytes equal those of floor, also
 # for the sign of a zero. Comparisons guard the cast against values that no int has; Frama-C can follow them.
 _FLOOR = """#if defined(__GNUC__)
-__attribute__((noinline)) /* or its text stands wherever it is used */
+__attribute__((noinline)) /* inlined, it is repeated at every use */
 #endif
 static float floor_of(float a)
 {
     float whole;
-    if (!(a == a) || (a <= -8388608.0f) || (8388608.0f <= a)) { return a; } /* no number, or no fraction */
+    if (!(a == a) || (a <= -8388608.0f) || (8388608.0f <= a)) { return a; } /* NaN, or no fraction */
     whole = (float)(int)a;
     return (whole == a) ? a : ((whole > a) ? whole - 1.0f : whole);
 }"""
@@ -45,9 +45,9 @@ _CALLS = {"fmin": "min_of", "fmax": "max_of", "sq": "square_of"}
 
 _ATOM, _SIGNED, _TEST, _CHOICE = 9, 8, 5, 2
 _OPERAND = 6  # from here on, an operand of a comparison, a choice or a logical operation needs no parentheses
-_LONGEST = 90  # characters of what is put inside another expression
-_SHORT = 8  # characters of what is as short as a name: it may stand wherever it is used
-_LONG_LITERAL = 12  # characters from which on a constant that is used twice gets a name
+_LONGEST = 90  # largest number of characters of an expression that is inlined
+_SHORT = 8  # up to this many characters, an expression is inlined at more than one use
+_LONG_LITERAL = 12  # a longer constant [characters] that is used twice gets a name
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +60,12 @@ class _Text:
 
 
 def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
-    """What stands before the folded text of these programs: the pragma, and the small functions that they call."""
+    """Return the text that must precede these programs: the pragma and the small functions that they call."""
     return f"{PRAGMA}\n{helpers(programs, real)}"
 
 
 def helpers(programs: Iterable[Program], real: Real = "float64") -> str:
-    """The small functions that these programs call."""
+    """Return the C text of the small functions that these programs call."""
     used = {i.op for program in programs for i in program.instructions}
     kind = C_TYPE[real]
     called = [f"static inline {kind} {text.format(kind)}" for op, text in _HELPERS.items() if op in used]
@@ -138,7 +138,7 @@ def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> 
 
 
 def _statements(each: Sequence[str], indent: str) -> list[str]:
-    """As many a line as fit."""
+    """Lines of the statements, with as many statements per line as fit."""
     lines: list[str] = []
     for text in each:
         if lines and len(lines[-1]) + 1 + len(text) <= WIDTH:

@@ -1,4 +1,4 @@
-"""A block as C99 in several files: what one function alone calls stands with it."""
+"""Writer of a block as C99 in several files: a large function shares its file with functions that only it calls."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from surctl.ir.routine import Block, Gather, Routine
 
 __all__ = ["Parts", "emit_parts"]
 
-_LEAST, _MOST = 16_000, 64_000  # characters of a file of its own, and beyond which a file is parted
+_LEAST, _MOST = 16_000, 64_000  # smallest size of a separate file, and size beyond which a file is split [characters]
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Functions by file.
+    """C text of a block in several files.
 
     Attributes:
-        files: text by the name of the function that the file is about; "" for the last one's.
-        prototypes: heads of the functions that other files call, with their semicolons.
+        files: text by the name of the file's main function; the file of the last function has the name "".
+        prototypes: prototypes of the functions that other files call.
     """
 
     files: Mapping[str, str]
@@ -33,10 +33,10 @@ class Parts:
 
 
 def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
-    """The folded C99 of `emit_block`, cut where a large function and what it alone calls can stand apart.
+    """Return the folded C99 of `emit_block` in files: a large function is moved with the functions that only it calls.
 
-    Only functions that another file calls are seen by the linker; `symbol` begins their names. What each file needs
-    before it is <math.h>, the pragma FP_CONTRACT, and the prototypes.
+    Functions that another file calls have names that begin with `symbol`; all others are static. Before its text, each
+    file needs <math.h>, the pragma FP_CONTRACT and the prototypes.
 
     Args:
         block: program or routine.
@@ -44,7 +44,7 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
         real: type of the numbers.
 
     Raises:
-        InputError: `symbol` is no identifier that C may use.
+        InputError: `symbol` is not a valid C identifier.
 
     Example:
         >>> import casadi as ca
@@ -71,7 +71,7 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
 
 @dataclass(frozen=True)
 class _Node:
-    """A function to be: its block's name, about how long its text is, and the functions that it calls."""
+    """A function to be written: its block's name, the estimated length of its text, and the keys of its callees."""
 
     name: str
     size: int
@@ -79,17 +79,17 @@ class _Node:
 
 
 def _nodes(block: Block) -> dict[str, _Node]:
-    """Functions by `key_of`."""
-    found: dict[str, _Node] = {}
+    """All functions of a block by their key (`key_of`)."""
+    nodes: dict[str, _Node] = {}
     todo = [(block.digest(), block)]
     while todo:
         key, inner = todo.pop()
-        if key in found:
+        if key in nodes:
             continue
         called = _called(inner)
-        found[key] = _Node(inner.name, _size(inner), tuple(called))
+        nodes[key] = _Node(inner.name, _size(inner), tuple(called))
         todo += called.items()
-    return found
+    return nodes
 
 
 def _called(block: Block) -> dict[str, Block]:
@@ -99,7 +99,7 @@ def _called(block: Block) -> dict[str, Block]:
 
 
 def _size(block: Block) -> int:
-    """About how many characters the function has."""
+    """Estimated number of characters of the function's text."""
     if isinstance(block, Routine):
         return 300 + 90 * len(block.steps)
     operations = sum(instruction.op not in LEAVES for instruction in block.instructions)
@@ -107,9 +107,9 @@ def _size(block: Block) -> int:
 
 
 def _parted(nodes: Mapping[str, _Node], root: str) -> dict[str, str]:
-    """File by function, where it is not the root's: the largest that calls others and can stand apart goes first.
+    """File of each function outside the root's file; the largest function that can be separated is moved first.
 
-    One that has the root's name is what the root is about, and stays with it.
+    A function with the root's name does the main work of the root, and stays in the root's file.
     """
     files: dict[str, str] = {}
     rest = set(nodes)

@@ -27,7 +27,7 @@ _APART = """#if defined(__GNUC__)
 #endif
 """
 _HEAD = re.compile(r"^(?:APART )?(void \w+\([^)]*\))\n\{", re.MULTILINE)
-_MADE = re.compile(r"[sftr]\d+|(?:pack|later)\d+|out_[nr]\d+")  # names that nobody gave
+_GENERATED = re.compile(r"[sftr]\d+|(?:pack|later)\d+|out_[nr]\d+")  # generated names
 _TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
 
 
@@ -103,28 +103,28 @@ def run_alone(block: Block) -> set[str]:
 
 @dataclass
 class Part:
-    """Functions that go to one file, callees first, and the programs among them."""
+    """The functions of one file, callees first, and the programs among them."""
 
     functions: list[str] = field(default_factory=list)
     programs: list[Program] = field(default_factory=list)
 
     @property
     def chunks(self) -> list[str]:
-        """The functions, and before them what they need beside `preamble`."""
+        """The functions, preceded by the macro that they need in addition to `preamble`."""
         apart = any("\nAPART " in text for text in self.functions)
         return [*[_APART] * apart, *self.functions]
 
 
 class Writer:
-    """The functions so far, and their names by what they are the text of.
+    """Collects the C functions of a block in files, and the name of each function by its key.
 
     Args:
         symbol: name of the last function.
         real: type of the numbers.
         folded: see `emit_block`.
-        inner: beginning of the other functions' names; that of the last one's if it is empty.
-        files: part by key of a function (`key_of`), where it is not "".
-        shared: keys of the functions that other parts call: their names begin with `symbol`, and they are not static.
+        inner: prefix of the other functions' names; `symbol` if it is empty.
+        files: file of a function by its key (`key_of`); a function without an entry goes to file "".
+        shared: keys of the functions that other files call; they are not static, and have the prefix `symbol`.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class Writer:
                 self._block(inner, last=inner is block)
 
     def _block(self, block: Block, *, last: bool) -> None:
-        """Write it, unless its text is there already."""
+        """Write the function of a block, unless it is already written."""
         key = block.digest()
         if key in self.named:
             return
@@ -168,14 +168,14 @@ class Writer:
         else:
             self._add(key, _routine(block, name, self))
 
-    def _name(self, key: str, wanted: str) -> str:
-        return free_name(f"{self.symbol if key in self.shared else self.inner}_{wanted}", self.named)
+    def _name(self, key: str, name: str) -> str:
+        return free_name(f"{self.symbol if key in self.shared else self.inner}_{name}", self.named)
 
     def _add(self, key: str, text: str, program: Program | None = None) -> None:
         part = self.parts.setdefault(self.files.get(key, ""), Part())
         if key in self.shared:
             text = text.replace("static void ", "void ", 1)
-            self.prototypes += [f"{found};" for found in _HEAD.findall(text)]
+            self.prototypes += [f"{prototype};" for prototype in _HEAD.findall(text)]
         part.functions.append(text)
         part.programs += [] if program is None else [program]
 
@@ -212,7 +212,7 @@ def _feeds(loop: Loop) -> tuple[Feed, ...]:
 
 
 def key_of(step: Call | Loop) -> str:
-    """By which the function that a step calls is told from others: the digest, of lanes also how they are fed."""
+    """Return the key of the function that a step calls: the block's digest and, for lanes, how inputs are fed."""
     if isinstance(step, Call) or step.lanes == 1:
         return step.block.digest()
     loop = step
@@ -221,6 +221,7 @@ def key_of(step: Call | Loop) -> str:
 
 
 def free_name(base: str, named: Mapping[str, str]) -> str:
+    """Return the name as a C identifier, with a number at the end if the name is already used."""
     name, at = base, 2
     while name in named.values():
         name, at = f"{base}_{at}", at + 1
@@ -236,20 +237,21 @@ def _routine(routine: Routine, symbol: str, writer: Writer) -> str:
     local = {name: pointers.get(place, place[0]) for name, place in places.of.items()}
     named = [(f"in{k}", name) for k, (name, _) in enumerate(routine.inputs)]
     named += [(f"out{k}", name) for k, name in enumerate(routine.results)]
-    said = [f"{argument}: {name}" for argument, name in named if identifier(name) and not _MADE.fullmatch(name)]
+    said = [f"{argument}: {name}" for argument, name in named if identifier(name) and not _GENERATED.fullmatch(name)]
     said += [f"out{k} may be in{j}" for k, j in sorted(overlaps)]
     starts, shared = places.pool
     apart = "APART " if writer.folded and shared >= _LARGE and symbol != writer.symbol else ""
-    given, made = ([sizes[name] for name in names] for names in ((n for n, _ in routine.inputs), routine.results))
+    read_sizes = [sizes[name] for name, _ in routine.inputs]
+    written_sizes = [sizes[name] for name in routine.results]
     lines = broken("/* ", said, " */", indent="   ") if said else []
-    lines += [*signature(f"{apart}static void {symbol}", given, made, writer.kind), "{"]
+    lines += [*signature(f"{apart}static void {symbol}", read_sizes, written_sizes, writer.kind), "{"]
     own = [f"{array}[{size}]" for array, size in places.own.items()]
     lines += _declared(writer.kind, [f"pool[{shared}]"] if starts else own)
     lines += _declared(writer.kind, [f"*const {array} = {_at('pool', start)}" for array, start in starts.items()])
     for from_input in (True, False):
         kind = f"const {writer.kind}" if from_input else writer.kind
-        found = [(p, name) for p, name in pointers.items() if p[0].startswith("in") == from_input]
-        lines += _declared(kind, [f"*const {name} = {base} + {start}" for (base, start), name in found])
+        chosen = [(p, name) for p, name in pointers.items() if p[0].startswith("in") == from_input]
+        lines += _declared(kind, [f"*const {name} = {base} + {start}" for (base, start), name in chosen])
     body: list[str] = []
     for step in routine.steps:
         body += (

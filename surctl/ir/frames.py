@@ -83,9 +83,9 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
     r"""Return the stack size as `stack_of` does, from the report of an earlier compilation with `-fstack-usage`.
 
     Args:
-        told: what the compiler wrote beside the object, or beside each object of a program, end to end.
-        text: the C text, with all that it includes of its own.
-        entry: the function.
+        report: text of the compiler's report for one object, or for several objects end to end.
+        text: the C text, including the text of its own headers.
+        entry: name of the function.
 
     Raises:
         InputError: the text has no such function.
@@ -98,7 +98,7 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
         >>> stack_from_report(report, text, "mean")
         128
     """
-    # a function of a header is told by every file that includes it
+    # every file that includes a header reports the functions of the header again
     rows = [line.split("\t") for line in dict.fromkeys(report.splitlines())]
     if any("dynamic" in row[2] and "bounded" not in row[2] for row in rows):
         raise SurctlError("a frame has no fixed size")

@@ -93,7 +93,7 @@ def test_a_scenario_flies_through_a_process_and_the_line_may_be_bad(bundle: Path
 
 
 def test_a_controller_that_dies_or_falls_silent_is_reported(bundle: Path, tmp_path: Path) -> None:
-    for then, told in (("kill", "hung up"), ("wait", "was silent for 3 s")):
+    for then, told in (("kill", "closed the connection"), ("wait", "was silent for 3 s")):
         with controller(bundle) as (process, port):
 
             def end(robot: socket.socket, process: subprocess.Popen[str] = process, then: str = then) -> None:
@@ -151,12 +151,12 @@ def test_ctrl_c_ends_a_flight_in_one_line(bundle: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--controller", "tcp://127.0.0.1:9"), "nobody listens there"),
-        (("--controller", "tcp://[::1]:9"), "nobody listens there"),
+        (("--controller", "tcp://127.0.0.1:9"), "no controller listens there"),
+        (("--controller", "tcp://[::1]:9"), "no controller listens there"),
         (("--controller", "udp://127.0.0.1:9"), "is not the address of a controller"),
-        (("--controller", "qemu:cortex-m99"), "is no emulated processor"),
-        (("--controller", "tcp://127.0.0.1:9", "--link-loss", "2"), "is no chance"),
-        (("--controller", "tcp://127.0.0.1:9", "--link-delay", "-1"), "is no time"),
+        (("--controller", "qemu:cortex-m99"), "is not an emulated processor"),
+        (("--controller", "tcp://127.0.0.1:9", "--link-loss", "2"), "is not a probability"),
+        (("--controller", "tcp://127.0.0.1:9", "--link-delay", "-1"), "is not a valid time"),
         (("--link-loss", "0.1"), "needs --controller"),
         (("--controller", "tcp://127.0.0.1:9", "--monte-carlo"), "applies only to single runs"),
         (("--controller", "tcp://127.0.0.1:9", "--from", "run.toml"), "applies only to single runs"),

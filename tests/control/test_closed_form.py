@@ -51,6 +51,6 @@ def test_what_it_cannot_do_is_named() -> None:
         with pytest.raises(InputError, match="law closed_form uses no sensors") as caught:
             build_law("closed_form", **options)  # type: ignore[arg-type]
         assert word in str(caught.value)
-    with pytest.raises(InputError, match="that sense nothing"):
+    with pytest.raises(InputError, match="without perception"):
         closed_form(replace(build_law("closed_form"), perception=object()), constants=np.zeros(3))  # type: ignore[arg-type]
     assert closed_form(build_law("closed_form")) is build_law("closed_form")

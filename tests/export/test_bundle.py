@@ -212,7 +212,7 @@ def test_mistakes_are_named() -> None:
         build_bundle(law, {"limit": np.array([np.nan])})
     with pytest.raises(InputError, match=r"'a-b'.*not a C identifier"):
         build_bundle(law, {}, name="a-b")
-    with pytest.raises(InputError, match=r"sil_main.*taken"):
+    with pytest.raises(InputError, match=r"sil_main.*already the name of a file"):
         build_bundle(law, {}, name="sil_main")
     with pytest.raises(InputError, match=r"dt = 0.0.*positive"):
         build_bundle(replace(law, dt=0.0), {})
@@ -221,7 +221,7 @@ def test_mistakes_are_named() -> None:
         build_bundle(replace(law, gains=bad_port), {})
     with pytest.raises(InputError, match="first output is not tau"):
         build_bundle(replace(law, outputs=Layout(law.outputs.ports[::-1])), {})
-    with pytest.raises(InputError, match="its layouts say"):
+    with pytest.raises(InputError, match="but its layouts have"):
         build_bundle(replace(law, gains=Layout(GAINS[:1])), {})
 
 
@@ -229,13 +229,13 @@ def test_mistakes_are_named() -> None:
     ("name", "why"),
     [
         *(
-            (name, "taken by a file of the bundle")
+            (name, "already the name of a file of the bundle")
             for name in ("fmu", "link", "controller", "target_start", "proof", "FMU")
         ),
         *((name, "system header") for name in ("math", "stdint", "stdio", "string", "unistd", "netdb", "Math")),
         ("nav_link", "include guard of another bundle"),
-        ("Nav", "has capitals.*write nav"),
-        ("NAV", "has capitals.*write nav"),
+        ("Nav", "has capital letters.*write nav"),
+        ("NAV", "has capital letters.*write nav"),
     ],
 )
 def test_a_name_that_meets_another_file_is_refused(name: str, why: str) -> None:
@@ -289,7 +289,7 @@ def test_the_law_that_senses_is_readable_and_small() -> None:
         "samples[4][5]": "[m] raw ranges of each sonar's last firing, one sonar per row; axes at 0, 90, 180, -90 deg",
         "fresh[4]": "[1] 1 if a firing of the sonar has arrived since the last step, else 0",
     }
-    struct = header[header.index("/* what it is told in each step */") : header.index("} surctl_guarded_input_t;")]
+    struct = header[header.index("/* inputs of each step */") : header.index("} surctl_guarded_input_t;")]
     assert struct.count("double ") == len(fields)
     for field, meaning in fields.items():
         assert f"    double {field}; /* {meaning}" in struct

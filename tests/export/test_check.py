@@ -212,7 +212,7 @@ def rows(records: Records) -> tuple[NDArray[np.float64], ...]:
 
 
 def test_targets_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="is no target") as caught:
+    with pytest.raises(InputError, match="is not a known target") as caught:
         chosen_targets(["cortex-m4"])
     assert "cortex-m4f" in str(caught.value)
     monkeypatch.setattr(shutil, "which", lambda name: None if name == "qemu-system-arm" else f"/bin/{name}")
@@ -227,7 +227,7 @@ def test_names_of_the_bundle_and_the_id_follow_the_precision() -> None:
     double, single = build_bundle(law, {}), build_bundle(law, {}, real="float32")
     assert double.id != single.id and json.loads(single.files["manifest.json"])["real"] == "float32"
     assert isinstance(single, Bundle) and single.real == "float32"
-    with pytest.raises(InputError, match="is taken by a file"):
+    with pytest.raises(InputError, match="is already the name of a file"):
         build_bundle(law, {}, name="target_start")
 
 

@@ -110,13 +110,13 @@ def test_what_the_guard_bounds_comes_from_site_and_vehicle() -> None:
 
 def test_mistakes_are_named() -> None:
     law = stand_in()
-    with pytest.raises(InputError, match="least and largest"):
+    with pytest.raises(InputError, match="smallest and largest"):
         Envelope(np.array([[1.0, 0.0]]), np.zeros((0, 2)), np.zeros((0, 2)))
-    with pytest.raises(InputError, match="of no input"):
+    with pytest.raises(InputError, match="of an input that does not exist"):
         Envelope(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2)), (Rate(0, 1.0, 1.0),))
-    with pytest.raises(InputError, match="is no speed"):
+    with pytest.raises(InputError, match="is not a valid rate"):
         Rate(0, -1.0, 0.0)
-    with pytest.raises(InputError, match="entries, the law has"):
+    with pytest.raises(InputError, match="entries, but the law has"):
         replace(anywhere(law), state=np.zeros((1, 2))).fitted(law, "float64")
 
 

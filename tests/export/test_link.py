@@ -140,7 +140,7 @@ def test_one_bit_of_thrust_state_or_telemetry_is_enough(line: Line, monkeypatch:
 
 def test_another_controller_is_refused_by_both_ends(line: Line) -> None:
     law = exact()
-    with pytest.raises(InputError, match=r"runs controller \w{12} in float32, these options make"):
+    with pytest.raises(InputError, match=r"runs controller \w{12} in float32, but these options give"):
         LinkedLaw(law, 2.0 * law.gains.pack(), line)
     with pytest.raises(LineDown, match="runs another controller"):
         line.start("0" * 64)
@@ -173,7 +173,7 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
         with connect(where) as opened:
             opened.start(opened.request().id)
             opened.step(3, law.inputs.pack())
-            with pytest.raises(LineDown, match="later step already"):
+            with pytest.raises(LineDown, match="already received this step"):
                 opened.step(3, law.inputs.pack())
             opened.step(4, law.inputs.pack())
 
@@ -181,13 +181,16 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
 @pytest.mark.parametrize(
     ("sent", "told"),
     [
-        (b"HTTP/1.1 400 Bad Request\r\n", "is no controller of this kind"),
-        (HEAD.pack(b"SURL", 2, 2, 0, 84) + bytes(84), "speaks version 2 of the link, this is version 1"),
-        (HEAD.pack(b"SURL", 1, 4, 0, 0), "something else than it was asked"),
+        (b"HTTP/1.1 400 Bad Request\r\n", "is not a controller of this kind"),
+        (
+            HEAD.pack(b"SURL", 2, 2, 0, 84) + bytes(84),
+            "speaks version 2 of the link, but this program speaks version 1",
+        ),
+        (HEAD.pack(b"SURL", 1, 4, 0, 0), "a reply that does not fit the request"),
         (HEAD.pack(b"SURL", 1, 7, 0, 4) + struct.pack("<I", 77), "refuses, with code 77"),
-        (HEAD.pack(b"SURL", 1, 2, 0, 84) + bytes(84), "what cannot be"),
+        (HEAD.pack(b"SURL", 1, 2, 0, 84) + bytes(84), "that is not possible"),
         (HEAD.pack(b"SURL", 1, 2, 0, 84) + bytes(3), "was silent"),
-        (None, "hung up"),
+        (None, "closed the connection"),
     ],
 )
 def test_whatever_is_at_the_other_end_is_told_in_one_line(sent: bytes | None, told: str) -> None:
@@ -230,7 +233,7 @@ def test_ctrl_c_is_seen_even_where_it_wakes_no_system_call() -> None:
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1", "tcp://[::1:5", "tcp://a:70000", "http://a:1", "tcp://:5", "x"])
 def test_what_is_no_address(address: str) -> None:
-    with pytest.raises(InputError, match="is no address of a controller"):
+    with pytest.raises(InputError, match="is not the address of a controller"):
         connect(address)
 
 
@@ -238,7 +241,7 @@ def test_nobody_listens() -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         where = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        with pytest.raises(InputError, match=r"nobody listens there .*make controller"):
+        with pytest.raises(InputError, match=r"no controller listens there .*make controller"):
             connect(where)
 
 
@@ -250,7 +253,7 @@ def test_it_listens_on_the_loopback_alone(small: dict[Real, Path]) -> None:
         for words, told in (
             ((port,), "Address already in use"),
             (("0", "0.0.0.0"), "--anywhere"),
-            (("70000",), "no numeric address"),
+            (("70000",), "not a numeric address"),
             ((), "usage"),
         ):
             done = subprocess.run([str(path), *words], capture_output=True, text=True, check=False, timeout=30)
@@ -278,12 +281,12 @@ class Echo(Line):
     def start(self, identity: str) -> None:
         pass
 
-    def ask(self) -> Identity:
+    def request(self) -> Identity:
         return WHO
 
     def step(self, sequence: int, inputs: Vector) -> Reply:
         if sequence >= self.ends_at:
-            raise LineDown(f"{self.name} hung up")
+            raise LineDown(f"{self.name} closed the connection")
         return Reply(0, np.full(4, float(sequence)), LAW.initial_state(), np.zeros(LAW.outputs.size - 4), b"")
 
 
@@ -377,7 +380,7 @@ def test_a_flight_through_a_process_is_the_flight_in_python_and_a_killed_one_coa
         run = mission.fly(killed, seconds=5.0)
         report = linked.report()
         assert run.metrics.stopped_because == LINK_LOST and not run.metrics.reached
-        assert report.gone_s == 2.0 and "hung up" in report.gone_because
+        assert report.gone_s == 2.0 and "closed the connection" in report.gone_because
         assert (report.answered, report.failsafe, report.differing) == (40, 60, 0)
         assert not run.record.tau[40:].any() and set(run.record.status[40:]) == {GONE}
         speed = np.hypot(run.record.nu[:, 0], run.record.nu[:, 1])
@@ -405,5 +408,5 @@ def test_a_closed_loop_flown_by_an_emulated_cortex_m4f_is_the_flight_in_python(
 
 @pytest.mark.parametrize("name", ["cortex-m4", "gcc-O2", ""])
 def test_what_is_no_emulated_processor(name: str) -> None:
-    with pytest.raises(InputError, match=r"is no emulated processor; known: qemu:cortex-m3"):
+    with pytest.raises(InputError, match=r"is not an emulated processor; known: qemu:cortex-m3"):
         emulated_target(name)

@@ -107,7 +107,7 @@ def test_what_it_takes_in_float_and_that_the_readme_counts_all_but_numbers_on_th
     """
     run, controller = flown
     law, files, name = run.law, controller.bundle.files, controller.bundle.name
-    words = "bytes in the state", "in the caller's other structs", "in arrays"
+    words = "bytes in the state", "bytes in the caller's other structs", "bytes in arrays"
     counts = [int(n) for word in words for n in re.findall(rf"(\d+) {word}", files["README.md"])]
     state, structs, arrays = (n // 8 for n in counts)
     assert state == 2 * law.state.size + 1  # two counters of samples

@@ -1,7 +1,7 @@
-/* QEMU plugin: how many instructions each step of the exported controller takes.
+/* QEMU plugin that counts the instructions of each step of the exported controller.
  *
- * A step begins where the processor reaches `from` and ends where it reaches `to`; the counts of all steps are written
- * to `out`, one a line. The declarations are those of QEMU's plugin interface, version 1, as far as they are used.
+ * A step begins where the processor reaches `from` and ends where it reaches `to`; the count of each step is one
+ * line of the file `out`. The declarations are copied from QEMU's plugin interface, version 1.
  */
 #include <inttypes.h>
 #include <stdbool.h>
@@ -30,7 +30,7 @@ __attribute__((visibility("default"))) int qemu_plugin_install(
 
 static uint64_t from, to; /* addresses */
 static uint64_t done; /* instructions before the block that runs */
-static uint64_t block; /* instructions of it */
+static uint64_t block; /* instructions of the block that runs */
 static uint64_t began;
 static bool inside;
 static FILE *out;
@@ -42,7 +42,7 @@ static void enter(unsigned int cpu, void *size)
     block = (uint64_t)(uintptr_t)size;
 }
 
-/* both addresses begin a block: a call leads to them */
+/* both addresses begin a block, because they are called */
 static void begin(unsigned int cpu, void *nothing)
 {
     (void)cpu;
