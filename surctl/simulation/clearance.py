@@ -76,7 +76,7 @@ def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         if clearance < _CLEARANCE:
             where = f"{-clearance:.3f} m inside a wall" if clearance < 0 else f"only {clearance:.3f} m from a wall"
             text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name} (E15)"
-            results.append(Finding("error", "path_m", text))
+            results.append(Finding("error", "path_m", text, clearance))
     return results
 
 
@@ -94,7 +94,7 @@ def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[
                 f"at the {name} the hull of {vehicle.name} is {clearance:.3f} m from obstacle {obstacle.name!r}, which "
                 f"drifts by up to {obstacle.drift_m:g} m: they may touch (E15)"
             )
-        results.append(Finding("error", f"obstacles.{obstacle.name}", text))
+        results.append(Finding("error", f"obstacles.{obstacle.name}", text, clearance))
     return results
 
 

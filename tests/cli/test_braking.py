@@ -38,4 +38,4 @@ def test_the_command_proves_and_the_checker_tells_what_it_rests_on(tmp_path) -> 
     done = surctl("verify", "braking-rule-20", "--out", "proofs", "--json", cwd=tmp_path)
     assert done.status == 0 and done.json["claims"][0]["verdict"] == "proved"
     checked = surctl("check", "proofs/braking-rule-20.json", cwd=tmp_path)
-    assert checked.status == 0 and "    - one obstacle or wall at a time" in checked.out
+    assert checked.status == 0 and "    - there is one obstacle or wall at a time" in checked.out
