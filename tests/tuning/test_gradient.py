@@ -113,5 +113,5 @@ def test_bad_requests_are_named() -> None:
         refine([flown], GAINS, {"k_v": (2.0, 1.0)})
     with pytest.raises(InputError, match="no such surrogate"):
         refine([flown], GAINS, {"k_v": (1.0, 2.0)}, weights={"clearence": 1.0})
-    with pytest.raises(InputError, match="nothing to fly"):
+    with pytest.raises(InputError, match="nothing to simulate"):
         refine([], GAINS, {"k_v": (1.0, 2.0)})

@@ -156,7 +156,7 @@ def test_more_seeds_than_there_are_is_told(monkeypatch):
     from surctl.errors import InputError
 
     install(monkeypatch)
-    with pytest.raises(InputError, match="more seeds than there are"):
+    with pytest.raises(InputError, match="more seeds than are available"):
         tune(request(), runs=1_000_000)
 
 
