@@ -95,7 +95,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     *_, last = parts
     if len(parts) == 1:
         return last
-    lines = [f"margins at {len(parts)} cruise speeds; details for {last.cruise:g} m/s follow:"]
+    lines = [f"margins at {len(parts)} cruise speeds (details for {last.cruise:g} m/s below):"]
     for part in parts:
         word = f"stable, least delay margin {part.delay_s:.2f} s, least disk margin of one loop {part.disk:.2f}"
         lines.append(f"  {part.cruise:g} m/s: " + (f"{word}, largest S {part.peak:.2f}" if part.stable else "UNSTABLE"))

@@ -55,7 +55,7 @@ class Tuning:
 
     @property
     def result(self) -> Round:
-        """The chosen round."""
+        """The round that supplies the tuned gains."""
         return self.rounds[self.chosen]
 
     @property
@@ -205,7 +205,7 @@ def _barren(one: Round) -> bool:
 
 
 def _longer(trials: int, done: Sequence[Round]) -> int:
-    """Number of trials of the next search: doubled if the last round added nothing, so that its search continues."""
+    """Number of trials of the next search: doubled if the last round added no counterexample to it."""
     return 2 * trials if done and _barren(done[-1]) else trials
 
 

@@ -77,7 +77,7 @@ def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progre
 
 
 def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _At | None:
-    """Return the best set of the pool that is far enough from all earlier starts and ends, and add it to them."""
+    """Return the best set of the pool that is far enough from all earlier starts and ends, and record it."""
     merit = pool.merit(start)
     places = np.column_stack([s.unit(pool.sets[s.name]) for s in request.space])
     for k in np.argsort(merit, kind="stable"):
@@ -134,7 +134,7 @@ def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tu
 
 
 def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array, Array], far: float) -> Array:
-    """Return the place within `far` of `place` with the least maximum; `objective`, `constraint`: (values, slopes)."""
+    """Return the place within `far` of `place` that minimises the linearised maximum; pairs are (values, slopes)."""
     from scipy.optimize import linprog
 
     d = len(place)

@@ -256,7 +256,7 @@ def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figure
 def figures(
     goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1
 ) -> dict[str, NDArray[np.float64]]:
-    """Return metric → (n, conditions) for the goals' metrics and the effort; `Goal.columns` names metrics at speeds.
+    """Return metric → (n, conditions) for the goals' metrics and the effort; see `Goal.columns` for goals with speeds.
 
     A value is NaN if the run did not arrive, or if no goal needs the linear metric under that condition.
 

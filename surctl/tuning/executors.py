@@ -97,7 +97,7 @@ def _end_with(sentinel: int) -> None:
 
 @dataclass(frozen=True)
 class DaskExecutor:
-    """Executor on the workers of a Dask scheduler; surctl must be installed there, and each worker has its own cache.
+    """Executor on the workers of a Dask scheduler; surctl must be installed there, and each worker compiles for itself.
 
     The scheduler gives the chunks of a lost worker to another worker. A failed chunk is tried again, at most twice.
 

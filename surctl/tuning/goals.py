@@ -112,7 +112,7 @@ class Goal:
 
     @property
     def columns(self) -> Mapping[str, float | None]:
-        """Columns of figures that the goal bounds, each with its cruise speed [m/s] (None: scenario's own)."""
+        """Columns of figures that the goal bounds, each with its speed [m/s]; None means the scenario's own speed."""
         return {f"{self.metric} at {u!r} m/s": u for u in self.cruise} or {self.metric: None}
 
     def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -183,7 +183,10 @@ def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Functio
 
 @cache
 def _step(law: Law) -> tuple[ca.Function, ca.Function]:
-    """Return (state, data, p, plant) → (next state, [y_e², thrust², distance to go, clearances]), and → branches."""
+    """Return one control step (state, data, p, plant) → (next state, terms), and the tally of its comparisons.
+
+    The terms are y_e², thrust², the distance to the target, and the clearances.
+    """
     state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
     data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
     # plant parameters, current x, y, target x, y, hull radius, gains and biases of the thrust

@@ -24,7 +24,7 @@ MOST_SEED = 2**62 // APART
 
 @dataclass(frozen=True)
 class Counterexample:
-    """A run that misses a goal; for a goal over a mean, one of several runs that represent the mean that misses it.
+    """A run that misses a goal; for a goal over a mean, one of several runs whose mean misses the goal.
 
     Attributes:
         goal: name of the goal.
@@ -143,7 +143,7 @@ def monte_carlo(
 def _chosen(
     goal: Goal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
 ) -> list[int]:
-    """Return indices of runs that refute a goal: the worst of each case, or for a mean some with about that mean."""
+    """Return runs that refute a goal: the worst of each case or, for a mean, runs with about the same mean."""
     # several normalised values may be inf: the figure then decides which run is worse, NaN first
     order = [int(k) for k in np.lexsort((-goal.badness(figure), -normalised))]
     by_case = {case: [k for k in order if cases[k] == case] for case in dict.fromkeys(cases[k] for k in order)}

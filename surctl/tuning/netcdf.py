@@ -25,7 +25,7 @@ __all__ = ["Column", "provenance", "request_of", "write_netcdf"]
 _CACHE = 2**20  # bytes of HDF5's cache for each variable; the default size for all columns would fill the memory
 
 Column = tuple[str, Quantity, list[Callable[[], NDArray[np.float64]]], bool]
-"""Name; unit and meaning; functions that return the values over the points, one or one for each case; if by case."""
+"""A column: name, unit and meaning, functions that return its values (one, or one for each case), and if by case."""
 
 
 def write_netcdf(

@@ -115,7 +115,7 @@ class Pool:
         return np.hstack([graded, np.minimum(self.claims, CAP)])
 
     def score(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n,): the largest soft goal relative to its value at the start or, if missed there, to its limit.
+        """Return (n,): the largest soft goal, relative to its start value or, if the start gains miss it, to its limit.
 
         If the score is below 1, every soft goal is met and better than with the start gains. `start` (m,): normalised
         values with the start gains.
@@ -140,7 +140,7 @@ class Pool:
         return order
 
     def best(self, start: NDArray[np.float64]) -> int:
-        """Return the index of the feasible set with the least score; without one, of the set that misses least."""
+        """Return the index of the feasible set with the least score; if there is none, of the set that misses least."""
         return int(np.argmin(self.merit(start)))
 
     def front(self, start: NDArray[np.float64]) -> list[int]:

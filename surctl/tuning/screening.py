@@ -37,7 +37,7 @@ class Screened:
 
 
 def harder(request: Request, counterexamples: Sequence[Counterexample], claims: Sequence[ClaimPoint] = ()) -> Request:
-    """Return the request with each refuting run as a condition of its goals, and each refuting point of a claim."""
+    """Return the request with refuting runs as conditions of their goals and refuting claim points as constraints."""
     requested = [c for c in request.conditions if c.goals is None]
     known = [c for c in request.conditions if c.goals is not None]
     refuting = merged((*known, *(c.condition(request.cases) for c in counterexamples)))
@@ -45,7 +45,7 @@ def harder(request: Request, counterexamples: Sequence[Counterexample], claims: 
 
 
 def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lambda _: None) -> Screened:
-    """Simulate training runs with the best set, drop all sets that the refuting runs refute, and repeat with the next.
+    """Simulate training runs with the best set, drop all sets that a failed run refutes, and repeat until a set passes.
 
     All gain sets and all rounds of a tuning have the same training runs, which differ from the fresh runs. A goal
     counts for a set only if the set meets it over the runs of the search. The screening ends with a set that no
@@ -91,7 +91,7 @@ def _message(runs: int, failed: int, added: int) -> str:
 
 
 def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> Pool:
-    """Return start gains, best sets and front of a pool, and others, simulated in the runs of the request."""
+    """Return a smaller pool (start gains, best sets, front, and others), simulated in the runs of the request."""
     start = pool.evaluation.normalised[0]
     best = pool.ranked(start)[:_SHORT]
     front = pool.front(start)
@@ -103,7 +103,7 @@ def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> 
 def _withstanding(
     request: Request, pool: Pool, met: NDArray[np.bool_], left: list[int], refuting: Sequence[Counterexample]
 ) -> list[int]:
-    """Return the sets for which no refuting run misses a goal that they met before; one run cannot refute a mean."""
+    """Return the sets that meet, in every refuting run, the goals they met before; one run cannot refute a mean."""
     if not left:
         return []
     place = {g.name: j for j, g in enumerate(request.goals)}

@@ -117,7 +117,7 @@ class OverSpeeds:
     figures: Mapping[str, NDArray[np.float64]]
 
     def worst(self, name: str) -> tuple[float, float]:
-        """Return the worst value of a figure and its speed [m/s]; the least value is worst unless low is better."""
+        """Return a figure's worst value and its speed [m/s]; the least value is worst unless low values are better."""
         place = int(worst_place(self._ill(name)))
         return float(self.figures[name][place]), self.cruise[place]
 

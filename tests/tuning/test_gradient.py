@@ -94,7 +94,7 @@ def test_refining_poor_gains_lowers_the_true_metrics() -> None:
     [
         ({"mode": "projected"}, "mode"),
         ({"sensing": "sonar"}, "sensing"),
-        ({"law": "closed_form"}, "law = .lean.: has no"),
+        ({"law": "closed_form"}, "law = .closed_form.: has no"),
     ],
 )
 def test_what_has_no_gradient_is_refused(change: dict[str, str], key: str) -> None:
@@ -107,7 +107,7 @@ def test_bad_requests_are_named() -> None:
     flown = case("pool-static")
     with pytest.raises(InputError, match="no such gain"):
         prepare(flown, ("k_w",), steps=10)
-    with pytest.raises(InputError, match="ticks"):
+    with pytest.raises(InputError, match="steps"):
         prepare(flown, NAMES, steps=0)
     with pytest.raises(InputError, match="not a range"):
         refine([flown], GAINS, {"k_v": (2.0, 1.0)})
