@@ -234,7 +234,7 @@ kind = "hard"
     ],
 )
 def test_cruise_speeds_of_a_study_are_checked_when_it_is_read(tmp_path, speeds, told):
-    text = Path(load_plan().source).read_text().replace("\n[[flights]]", f"\ncruise_m_per_s = {speeds}\n[[flights]]", 1)
+    text = Path(load_plan().source).read_text().replace("\n[[runs]]", f"\ncruise_m_per_s = {speeds}\n[[runs]]", 1)
     (tmp_path / "s.toml").write_text(text)
     with pytest.raises(InputError, match=told):
         load_plan(str(tmp_path / "s.toml"))
