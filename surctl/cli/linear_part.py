@@ -13,10 +13,10 @@ __all__ = ["LinearPart", "linear_part", "over_speeds"]
 
 
 class LinearPart(NamedTuple):
-    """Linear analysis at one cruise speed: lines to print, data for JSON, and figures that are compared over speeds.
+    """Linear analysis at one cruise speed: lines to print, data for JSON, and figures to compare over speeds.
 
-    `stable` is None if no straight cruise is possible. Then follow the speed [m/s] and, at that speed, the least delay
-    margin [s] and disk margin of one loop and the largest S of all loops together.
+    `stable` is None if no straight cruise is possible. `cruise` is the speed [m/s]. `delay_s` and `disk` are the least
+    delay margin [s] and the least disk margin of one loop; `peak` is the largest S of all loops together.
     """
 
     lines: list[str]
@@ -87,7 +87,7 @@ def linear_part(
 
 
 def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
-    """The linear sides of several cruise speeds, slowest first, as one: the last in full, and how all compare."""
+    """Combine the linear parts of several cruise speeds, slowest first: a comparison, then the last part in full."""
     import numpy as np
 
     from surctl.verification import worst_place, worst_text
@@ -95,9 +95,9 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     *_, last = parts
     if len(parts) == 1:
         return last
-    lines = [f"margins at {len(parts)} cruise speeds, those of {last.cruise:g} m/s in full below:"]
+    lines = [f"margins at {len(parts)} cruise speeds (details for {last.cruise:g} m/s below):"]
     for part in parts:
-        word = f"stable, least delay {part.delay_s:.2f} s, least disk margin of one loop {part.disk:.2f}"
+        word = f"stable, least delay margin {part.delay_s:.2f} s, least disk margin of one loop {part.disk:.2f}"
         lines.append(f"  {part.cruise:g} m/s: " + (f"{word}, largest S {part.peak:.2f}" if part.stable else "UNSTABLE"))
     ill = {  # larger is worse
         "delay_margin_s": np.array([-part.delay_s for part in parts]),
@@ -106,7 +106,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     }
     worst = {name: parts[int(worst_place(each))].cruise for name, each in ill.items()}
     delay, disk, peak = (worst_text(each, [part.cruise for part in parts]) for each in ill.values())
-    lines.append(f"  worst: delay at {delay}, disk margin at {disk}, S at {peak}")
+    lines.append(f"  worst speed: delay margin at {delay}, disk margin at {disk}, S at {peak}")
     speeds = [{"cruise_m_per_s": part.cruise, "stable": part.stable, **part.data} for part in parts]
-    told = {**last.data, "speeds": speeds, "worst_cruise_m_per_s": worst}
-    return last._replace(lines=lines + last.lines, data=told, stable=all(part.stable for part in parts))
+    data = {**last.data, "speeds": speeds, "worst_cruise_m_per_s": worst}
+    return last._replace(lines=lines + last.lines, data=data, stable=all(part.stable for part in parts))

@@ -1,4 +1,4 @@
-"""The option `--cruise` where it takes several speeds."""
+"""The type of the option `--cruise` for commands that accept several speeds."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ __all__ = ["SPEEDS", "Speeds"]
 
 
 class Speeds(click.ParamType[tuple[float, ...]]):
-    """Cruise speeds [m/s] as the axis of a sweep has its values: one, several, or a range with a count."""
+    """Cruise speeds [m/s], written like a sweep axis: one value, several values, or a range with a count."""
 
     name = "V1,V2,...|LOW..HIGH:COUNT"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        """The speeds, slowest first; InputError for anything else."""
+        """Return the speeds, slowest first; InputError if the text has another form."""
         from surctl.errors import InputError
         from surctl.tuning import Span, parse_axis
         from surctl.verification import cruise_speeds
@@ -32,7 +32,7 @@ class Speeds(click.ParamType[tuple[float, ...]]):
                 raise InputError(error.problem, key=key, value=text, remedy=f"write {self.name}") from None
             if not isinstance(axis, Span):
                 return cruise_speeds(axis.values, key=key)
-        raise InputError("is no list of speeds", key=key, value=text, remedy=f"write {self.name}, in m/s")
+        raise InputError("is not a list of speeds", key=key, value=text, remedy=f"write {self.name}, in m/s")
 
 
 SPEEDS = Speeds()

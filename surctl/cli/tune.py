@@ -204,7 +204,7 @@ def tune(
         )
     warning = ""
     if not tuning.accepted:
-        warning = f"HARD GOALS NOT MET ({', '.join(tuning.unmet)}): these gains are the best found, not gains to fly"
+        warning = f"HARD GOALS NOT MET ({', '.join(tuning.unmet)}): best gains found, but do not use them on a vehicle"
     gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning))
     result = tuning_dict(tuning)
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")

@@ -163,9 +163,9 @@ def load_gains(name_or_path: str) -> Gains:
 
 
 def write_gains(gains: Gains, *, warning: str = "") -> str:
-    """Return the text of a gain file; reading it gives the same values, and each range that contains its value.
+    """Return the text of a gain file that reads back with the same values.
 
-    A warning becomes a comment in the first line.
+    A range that does not contain its value is omitted. `warning` becomes a comment in the first line.
 
     Example:
         >>> from pathlib import Path

@@ -52,7 +52,7 @@ class Study:
         deciding: for each run, whether it counts towards the result of the study.
         replayed: the sonar runs that the exported C replayed: runs of the exported law where the hull fits the site.
         linear: linear analysis of the nominal vehicle, and the worst one over the corners of its ranges.
-        over: figures of its loops at the cruise speeds that the plan names; None if it names none.
+        over: figures of the linear loops at the plan's cruise speeds; None if the plan names no cruise speed.
         sil: software-in-the-loop (SIL) reports, one for each replayed run.
     """
 

@@ -40,7 +40,7 @@ def summary(
     Args:
         plan: the plan of the study.
         swept: the sweep of the study.
-        loops: margins at the largest simulated cruise speed, and figures at the cruise speeds that the plan names.
+        loops: margins at the largest simulated cruise speed, and figures at the plan's cruise speeds, or None.
         verdicts: verdicts on the claims of the study.
         runs: runs of the study, each with a flag that says whether it counts towards the result.
         sil: software-in-the-loop (SIL) reports, one for each run that the exported law replayed.

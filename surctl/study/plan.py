@@ -73,9 +73,10 @@ class Leg:
 
 @dataclass(frozen=True)
 class Plan:
-    """A checked and loaded study; its goals are the built-in ones unless it has its own or names a goals file.
+    """A checked and loaded study; its goals are the built-in goals unless it defines goals or names a goals file.
 
-    `cruise` [m/s] holds the speeds at which the linear loops are judged; empty: the largest of the scenarios' speeds.
+    `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
+    the scenarios is used.
     """
 
     name: str

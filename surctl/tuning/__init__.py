@@ -1,4 +1,4 @@
-"""Gains chosen by measurement: sweeps and what a quantity depends on; goals, gradients, and gains tuned to goals."""
+"""Choice of gains by simulation: parameter sweeps, sensitivity indices, goals, exact gradients, and tuning to goals."""
 
 from surctl.tuning.axes import SEED, Axis, Span, parse_axis
 from surctl.tuning.cegis import Tuning, tune

@@ -1,4 +1,4 @@
-"""What a sweep changes: knobs with values, or with a range that a design fills."""
+"""Axes of a sweep: a parameter with listed values (`Axis`), or with a range that a design fills (`Span`)."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from surctl.errors import InputError
 __all__ = ["MOST_POINTS", "SEED", "Axis", "Span", "parse_axis"]
 
 MOST_POINTS = 10_000_000
-"""Points of a sweep at most: they and a column of the table are held in memory."""
+"""Largest number of points of a sweep: the points and one column of the table must fit in memory."""
 
 SEED = "seed"
-"""The axis of this name sets the seed of every run instead of a knob."""
+"""Name of the axis that sets the seed of every run instead of a gain or a plant parameter."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One knob and its values, ascending.
+    """One swept parameter and its values in ascending order.
 
     Raises:
-        InputError: no value, values that are not finite or do not ascend, or seeds that are no whole numbers ≥ 0.
+        InputError: there is no value, a value is not finite, the values do not ascend, or a seed is not a whole
+            number ≥ 0.
     """
 
     name: str
@@ -43,10 +44,11 @@ class Axis:
 
 @dataclass(frozen=True)
 class Span:
-    """One knob and the range low … high that a design fills, evenly or evenly in the logarithm.
+    """One swept parameter and its range low … high; a design fills it evenly or, if `log`, evenly in the logarithm.
 
     Raises:
-        InputError: a bound that is not finite, an empty or reversed range, a logarithm of what is not positive.
+        InputError: a bound is not finite, the range is empty or reversed, or a logarithmic range does not start above
+            0.
     """
 
     name: str
@@ -62,41 +64,41 @@ class Span:
             problem = "is an empty range" if self.low == self.high else "is a reversed range"
             raise InputError(problem, key=key, value=shown, remedy="write LOW..HIGH with LOW below HIGH")
         if self.log and not self.low > 0:
-            raise InputError("has no logarithm", key=key, value=shown, remedy="start above 0 or leave :log away")
+            raise InputError("has no logarithm", key=key, value=shown, remedy="start above 0 or omit :log")
         _check_seeds(self.name, (self.low, self.high))
 
     def axis(self, count: int) -> Axis:
-        """`count` ≥ 2 values over the range, the ends exact."""
+        """Return an axis with `count` ≥ 2 values over the range; its first and last values are exactly low and high."""
         if count < 2:
             raise InputError(
                 "a range needs at least two points", key=f"axis {self.name}", value=count, remedy="write :2 or more"
             )
         if count > MOST_POINTS:
-            remedy = f"at most {MOST_POINTS}"
-            raise InputError("are too many points", key=f"axis {self.name}", value=count, remedy=remedy)
-        # geomspace and linspace both put the given ends in
+            remedy = f"write at most {MOST_POINTS}"
+            raise InputError("too many points", key=f"axis {self.name}", value=count, remedy=remedy)
+        # geomspace and linspace return the two bounds exactly
         values = np.geomspace(self.low, self.high, count) if self.log else np.linspace(self.low, self.high, count)
         return Axis(self.name, tuple(values.tolist()))
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """Values at shares 0 ≤ share < 1 of the range, any shape; for seeds every whole number equally often."""
+        """Return the values at shares 0 ≤ share < 1 of the range, any shape; all whole seeds are equally likely."""
         if self.name == SEED:
             return np.floor(self.low + share * (self.high + 1.0 - self.low))
         if self.log:
             values = np.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
         else:
             values = self.low + share * (self.high - self.low)
-        return np.clip(values, self.low, self.high)  # rounding must not lead out of a knob's bounds
+        return np.clip(values, self.low, self.high)  # rounding must not exceed the parameter's bounds
 
 
 def parse_axis(text: str) -> Axis | Span:
-    """An axis as the command line has it.
+    """Return the axis that a text of the command line describes.
 
-    `k_v=1,1.5,2` gives values; `k_v=0.5..3:9` nine of them from 0.5 to 3, `k_v=0.5..3:9:log` evenly in the logarithm;
-    `k_v=0.5..3` or `k_v=0.5..3:log` is a range for a design to fill.
+    `k_v=1,1.5,2` lists values. `k_v=0.5..3:9` gives nine values from 0.5 to 3, and `k_v=0.5..3:9:log` spaces them
+    evenly in the logarithm. `k_v=0.5..3` and `k_v=0.5..3:log` are ranges that a design fills.
 
     Raises:
-        InputError: the text is none of these, or the values are not good.
+        InputError: the text has none of these forms, or its values are not valid.
 
     Example:
         >>> from surctl.tuning import parse_axis
@@ -128,7 +130,7 @@ def _unreadable(text: str) -> InputError:
         "is not an axis",
         key="axis",
         value=text,
-        remedy="write PARAMETER=V1,V2,... or PARAMETER=LOW..HIGH:COUNT, and :log if so",
+        remedy="write PARAMETER=V1,V2,... or PARAMETER=LOW..HIGH:COUNT, and append :log for logarithmic spacing",
     )
 
 

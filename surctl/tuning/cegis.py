@@ -1,4 +1,4 @@
-"""Tuning by counterexamples: tune, look for runs that refute a goal, make them part of the goal, tune again."""
+"""Tuning by counterexamples: tune, search for runs that refute a goal, add these runs to the goal, and tune again."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from surctl.tuning.start import starting_sets
 
 __all__ = ["Tuning", "tune"]
 
-_WORTH = 0.01  # share of the score that makes another round worth while
-_OTHERS = 8  # sets that a round hands to the next beside its best
+_WORTH = 0.01  # smallest relative improvement of the score for which tuning continues
+_OTHERS = 8  # gain sets that a round passes to the next round besides its best set
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,15 +32,16 @@ class Tuning:
     """A finished tuning.
 
     Attributes:
-        request: what the last search was asked for, with all counterexamples.
-        requested: number of the conditions that were asked for: the rest are counterexamples.
-        hand: one set: the start gains, over all conditions.
-        tuned: one set: the tuned gains, over the same.
-        front: undominated sets in score and thrust, of the last round.
-        rounds: what happened.
-        chosen: index of the round whose gains are the tuned ones: of the rounds that nothing refutes, or of all where
-            each is refuted, the best over all runs that are known in the end.
-        conflict: demands that were not met together; empty when the chosen round is not refuted.
+        request: the request of the last search, extended by the training runs that refuted gain sets of that search.
+        requested: number of conditions in the original request; all further conditions are counterexamples.
+        hand: pool of one gain set, the start gains, simulated under all conditions.
+        tuned: pool of one gain set, the tuned gains, simulated under the same conditions.
+        front: gain sets of the last round that no other set beats in both score and thrust.
+        rounds: the rounds in order.
+        chosen: index of the round that supplies the tuned gains: the best round over all runs known at the end.
+            Refuted or infeasible rounds are considered only if there is no other round.
+        conflict: demands that no gain set was found to meet together; empty if the chosen round is feasible and not
+            refuted.
     """
 
     request: Request
@@ -54,7 +55,7 @@ class Tuning:
 
     @property
     def result(self) -> Round:
-        """The chosen round."""
+        """The round that supplies the tuned gains."""
         return self.rounds[self.chosen]
 
     @property
@@ -63,18 +64,18 @@ class Tuning:
         shares = zip(self.request.goals, self.tuned.evaluation.normalised[0], strict=True)
         points = zip(self.request.claims, self.tuned.claims[0], strict=True)
         hard = {g.name for g in self.request.goals if g.kind == "hard"} | {p.name for p in self.result.claims}
-        found = [g.name for g, share in shares if g.name in hard and not share <= 1]
-        found += [p.name for p, over in points if not over <= 0]
-        return tuple(dict.fromkeys([*found, *(name for name in self.result.refuted if name in hard)]))
+        missed = [g.name for g, share in shares if g.name in hard and not share <= 1]
+        missed += [p.name for p, over in points if not over <= 0]
+        return tuple(dict.fromkeys([*missed, *(name for name in self.result.refuted if name in hard)]))
 
     @property
     def accepted(self) -> bool:
-        """Whether the tuned gains meet every hard goal, and neither fresh runs nor a claim refute one."""
+        """Whether the tuned gains meet every hard goal and every claim, and no fresh run refutes a hard goal."""
         return not self.unmet
 
     @property
     def better(self) -> tuple[bool, ...]:
-        """For each goal, whether the tuned gains do better than the start gains."""
+        """For each goal, whether its normalised value is lower with the tuned gains than with the start gains."""
         less = self.tuned.evaluation.normalised[0] < self.hand.evaluation.normalised[0]
         return tuple(bool(b) for b in less)
 
@@ -89,20 +90,22 @@ def tune(
     folder: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> Tuning:
-    """Tune, and while training runs, fresh runs or claims refute a goal, tune again with the runs that do.
+    """Tune gains; while training runs, fresh runs or claims refute the result, add the counterexamples and tune again.
 
     Args:
         request: goals, runs, start gains and search space.
-        trials: of each search; one that finds nothing that meets the hard goals goes on for as many more, once.
-        rounds: most rounds; at least 1.
-        runs: fresh runs that verify each round, and a tenth of the training runs that sift its sets; 0 for neither.
-        descend: let the first search start from a descent along exact gradients as well (`starting_sets`).
-        folder: keeps trials and rounds: a killed tuning of the same request resumes there.
-        progress: told one line at a time what is going on.
+        trials: number of trials of each search. If a round misses a hard goal but adds no counterexample, its search
+            continues once for as many trials again.
+        rounds: largest number of rounds, at least 1.
+        runs: number of fresh runs that verify each round; ten times as many training runs screen its gain sets first.
+            0 omits both.
+        descend: whether the first search also starts from a descent along exact gradients (`starting_sets`).
+        folder: folder that stores trials and rounds; a killed tuning of the same request resumes from it.
+        progress: function that receives one line of text at each step of the work.
 
     Raises:
-        InputError: nonsensical numbers, one case twice, a value out of bounds, a folder that cannot be used, or as
-            `check_goals`.
+        InputError: a number is too small or too large, two cases have the same name, a value is out of bounds, the
+            folder cannot be used, or `check_goals` finds an error.
 
     Example:
         >>> from surctl.control import load_gains
@@ -116,7 +119,7 @@ def tune(
         (True, 0.99, True)
     """
     _check(request, trials, rounds, runs)
-    request = replace(request, begun="descent" if descend else "")  # its trials are not those of one without
+    request = replace(request, begun="descent" if descend else "")  # a descent changes the trials
     record = Record(folder, f"{request.digest} {trials} {runs}")
     journal = Journal(None if folder is None else folder / "trials.journal")
     done: list[Round] = []
@@ -124,7 +127,7 @@ def tune(
     try:
         for k in range(rounds):
             known = record.round(k)
-            progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs a gain set")
+            progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
             pool = None
             if known is None:
                 pool = _searched(current, done, _longer(trials, done), journal, progress, descend=descend)
@@ -136,7 +139,7 @@ def tune(
             if not _barren(known):
                 current = harder(current, (*known.training, *known.fresh), known.claims)
         final = harder(current, done[-1].training)
-        if pool is None:  # every round was known already
+        if pool is None:  # every round was loaded from the record
             pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress, descend=descend)
             pool = reduced_pool(final, pool, done[-1].gains)
     finally:
@@ -149,19 +152,19 @@ def tune(
     chosen = _chosen(done, candidates, start)
     last, clash = done[chosen], tuple[str, ...]()
     if last.refuted or not last.feasible:
-        progress("looking for the demands that do not hold together")
+        progress("searching for the demands that cannot be met together")
         clash = conflict(harder(final, last.fresh, last.claims), pool, last.refuted, trials=trials, progress=progress)
     front = pool.subset(pool.front(pool.evaluation.normalised[0]))
     return Tuning(final, requested, hand, candidates.subset([chosen]), front, tuple(done), chosen, clash)
 
 
 def _candidates(request: Request, done: Sequence[Round]) -> Pool:
-    """What each round found, over all runs."""
+    """Return the gains of each round as one pool, simulated under all conditions."""
     return request.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
 
 
 def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64]) -> int:
-    """See `Tuning.chosen`; a later round's runs may refute an earlier round's gains."""
+    """Return the index `Tuning.chosen`; runs of a later round may refute the gains of an earlier round."""
     merit = candidates.merit(start)
     sound = [k for k, one in enumerate(done) if candidates.feasible[k] and not one.refuted]
     return min(sound or range(len(done)), key=lambda k: float(merit[k]))
@@ -170,12 +173,12 @@ def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64])
 def _check(request: Request, trials: int, rounds: int, runs: int) -> None:
     names = [case.name for case in request.cases]
     for name in names:
-        if names.count(name) > 1:  # a counterexample knows its case by name
-            raise InputError("is flown twice", key="case", value=name, remedy="give each vehicle a name of its own")
+        if names.count(name) > 1:  # a counterexample identifies its case by name
+            raise InputError("occurs twice", key="case", value=name, remedy="give each vehicle its own name")
     check_goals(request.goals, request.conditions)
     if request.seed > MOST_SEED:
         raise InputError(
-            "leaves no seeds for fresh runs", key="--seed", value=request.seed, remedy=f"at most {MOST_SEED}"
+            "leaves no seeds for fresh runs", key="--seed", value=request.seed, remedy=f"write at most {MOST_SEED}"
         )
     for key, value, least in (("--trials", trials, 1), ("--rounds", rounds, 1), ("--monte-carlo", runs, 0)):
         if value < least:
@@ -183,12 +186,12 @@ def _check(request: Request, trials: int, rounds: int, runs: int) -> None:
     most = APART // 2 // (1 + max(rounds, TRAINING))
     if runs > most:
         raise InputError(
-            "asks for more seeds than there are", key="--monte-carlo", value=runs, remedy=f"at most {most}"
+            "needs more seeds than are available", key="--monte-carlo", value=runs, remedy=f"write at most {most}"
         )
 
 
 def _ended(done: Sequence[Round]) -> bool:
-    """Whether another round could not do better: nothing new was learnt, or it gains next to nothing any more."""
+    """Whether tuning ends: the last round added no counterexample, or it improved the score by less than 1 %."""
     last = done[-1]
     if _barren(last):
         return last.feasible or (len(done) > 1 and _barren(done[-2]))
@@ -197,21 +200,21 @@ def _ended(done: Sequence[Round]) -> bool:
 
 
 def _barren(one: Round) -> bool:
-    """Whether the next round asks for nothing that this one did not."""
+    """Whether a round adds no counterexample to the request of the next round."""
     return not (one.training or one.claims or (one.fresh and one.feasible))
 
 
 def _longer(trials: int, done: Sequence[Round]) -> int:
-    """Trials of the next search: twice as many of the same one where it found nothing that meets the hard goals."""
+    """Number of trials of the next search: doubled if the last round added no counterexample to it."""
     return 2 * trials if done and _barren(done[-1]) else trials
 
 
 def _searched(
     request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress, *, descend: bool
 ) -> Pool:
-    """One search, and where it meets not all hard goals one for these alone.
+    """Search once and, if no gain set meets all hard goals, search again for the hard goals alone.
 
-    It begins where the last round ended, the first one with `starting_sets`.
+    The first round starts from `starting_sets`, a later round from the best gain sets of the round before it.
     """
     first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
     if not done and len(journal.trials(request.digest)) < BATCH:
@@ -220,7 +223,7 @@ def _searched(
     hard = tuple(g for g in request.goals if g.kind == "hard")
     if pool.feasible.any() or len(hard) in (0, len(request.goals)):
         return pool
-    progress("no gain set meets all hard goals: they alone are searched for")
+    progress("no gain set meets all hard goals; searching for the hard goals alone")
     names = {g.name for g in hard}
     conditions = tuple(c for c in request.conditions if c.goals is None or names & set(c.goals))
     alone = replace(request, goals=hard, conditions=conditions)
@@ -231,14 +234,14 @@ def _searched(
 
 
 def _leading(pool: Pool) -> list[dict[str, float]]:
-    """The best sets of a pool, as many as a round hands to the next."""
+    """The best gain sets of a pool, as many as one round passes to the next."""
     return [pool.gains(k) for k in pool.ranked(pool.evaluation.normalised[0])[: 1 + _OTHERS]]
 
 
 def _round(
     request: Request, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
 ) -> tuple[Round, Pool]:
-    """The round that a search ends, and its best sets over the runs known then, the chosen one last."""
+    """Return the round that a search completes, and its best gain sets over all known runs, the chosen set last."""
     left, verified = Screened(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
     if runs:
         left = screen(request, pool, runs=TRAINING * runs, progress=progress)

@@ -1,4 +1,4 @@
-"""Points where a claim failed for some gains: constraints of the next search."""
+"""Points at which a claim failed for some gains; the next search takes them as constraints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["ClaimPoint", "excess", "expected_to_hold", "refuted_claims"]
 
 @dataclass(frozen=True)
 class ClaimPoint:
-    """A point of a claim's domain where it failed by more than `threshold`, in the claim's unit."""
+    """A point of a claim's domain at which the claim failed by more than `threshold`, in the claim's unit."""
 
     name: str
     values: Mapping[str, float]
@@ -25,18 +25,18 @@ class ClaimPoint:
 
 @cache
 def expected_to_hold() -> tuple[str, ...]:
-    """Names of the paper's claims that are expected not to be refuted; those about braking depend on a vehicle too."""
+    """Names of the paper's claims that should not be refuted; claims about braking need a vehicle and are left out."""
     return tuple(claim.name for claim in claims() if claim.paper and claim.expected != "refuted")
 
 
 def refuted_claims(gains: Mapping[str, float], *, seed: int = 0) -> tuple[Verdict, ...]:
-    """Verdicts of the claims that should hold with these gains and do not."""
+    """Return the verdicts of the claims that should hold but are refuted with these gains."""
     return _refuted(tuple(sorted(gains.items())), seed)
 
 
 @lru_cache(maxsize=16)
 def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, ...]:
-    """Searched once for the gains at which several rounds end: a search takes seconds."""
+    """Cached, because several rounds may end at the same gains and the falsifier takes seconds."""
     verdicts = (falsify(claim, seed=seed) for claim in claims(dict(gains), expected_to_hold()))
     return tuple(v for v in verdicts if v.verdict == "refuted")
 
@@ -44,7 +44,7 @@ def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, 
 def excess(
     points: Sequence[ClaimPoint], base: Mapping[str, float], sets: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """(n, points): margin over the claim's threshold for each of n gain sets; -1 where the point left its domain."""
+    """Return (n, points): excess over the threshold for each of n gain sets; -1 if the point is outside the domain."""
     count = len(next(iter(sets.values())))
     table = np.full((count, len(points)), -1.0)
     for k in range(count if points else 0):

@@ -1,4 +1,4 @@
-"""Which demands cannot hold together: a minimal subset, over what was flown and a search for each question."""
+"""Find a minimal subset of demands that no gain set meets together, from known gain sets and further searches."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from surctl.tuning.search import search
 
 __all__ = ["Demand", "conflict", "demands", "minimal_subset"]
 
-_KNOWN_SETS = 64  # gain sets of the pool that every question is asked of first
+_KNOWN_SETS = 64  # gain sets of the pool that are tried before a search
 
 
 @dataclass(frozen=True)
 class Demand:
-    """A goal over some runs: one thing that is asked of the gains.
+    """A goal over some runs that the gains must meet.
 
     Attributes:
-        label: how it is named in the answer.
-        goal: the goal, hard and under a name of its own.
-        conditions: its runs.
+        label: name of the demand in the result.
+        goal: the goal as a hard goal with its own name.
+        conditions: the runs of the demand.
     """
 
     label: str
@@ -31,17 +31,17 @@ class Demand:
 
 
 def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
-    """A subset of 0 … count - 1 that does not hold together while every smaller part of it does.
+    """Return a subset of 0 … count - 1 that cannot be met together, although every smaller part of it can.
 
-    QuickXplain (Junker 2004): of n demands it asks at most 2 k (1 + log₂(n / k)) times for a subset of k.
+    QuickXplain (Junker 2004) calls `together` at most 2 k (1 + log₂(n / k)) times for n demands and a subset of size k.
 
     Args:
-        count: number of demands, which do not hold together.
-        together: whether a subset does.
+        count: number of demands; all of them cannot be met together.
+        together: function that returns whether the demands of a subset can be met together.
     """
 
     def explained(beside: tuple[int, ...], added: bool, candidates: tuple[int, ...]) -> tuple[int, ...]:
-        """The part of `candidates` that is in the subset, next to those `beside` it, some of which were just added."""
+        """Return the candidates in the subset, given the demands `beside`; `added`: whether `beside` has just grown."""
         if added and not together(tuple(sorted(beside))):
             return ()
         if len(candidates) == 1:
@@ -54,7 +54,7 @@ def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> t
 
 
 def demands(goals: Sequence[Goal], conditions: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
-    """Hard goals and the refuted soft ones over the runs that were asked for, and over each case's counterexamples."""
+    """Return demands for the hard goals and the refuted soft goals: over requested runs, and over counterexamples."""
     requested = [c for c in conditions if c.goals is None]
     result: list[Demand] = []
     for goal in goals:
@@ -82,16 +82,16 @@ def _demand(goal: Goal, conditions: Sequence[Condition], k: int, label: str) -> 
 def conflict(
     request: Request, pool: Pool, refuted: Sequence[str], *, trials: int, progress: Progress = lambda _: None
 ) -> tuple[str, ...]:
-    """Labels of demands that no gain set was found to meet together, though every part of them was met by one.
+    """Return labels of demands that no known gain set meets together, although some set meets every smaller part.
 
-    It is what searches found, not a proof. Empty when some gain set meets all of them after all.
+    The result rests on searches and is not a proof. It is empty if some gain set meets all demands.
 
     Args:
-        request: with all that refuted a gain set.
-        pool: gain sets to ask first.
-        refuted: names of the goals that were, which are asked for too where they are soft.
-        trials: of the search that each question gets.
-        progress: told one line a question.
+        request: the request, with all runs and claim points that refuted a gain set.
+        pool: gain sets to try first.
+        refuted: names of the refuted goals; the soft ones among them become demands too.
+        trials: number of trials of the search for each subset of demands.
+        progress: function that receives one line of text for each search.
     """
     every = demands(request.goals, request.conditions, refuted)
     if not every:
@@ -118,12 +118,12 @@ def conflict(
 
 
 def _of(request: Request, chosen: Sequence[Demand]) -> Request:
-    """The request for some demands alone; each run is flown once."""
+    """Return the request for the chosen demands alone; each run is simulated once."""
     return replace(
         request, goals=tuple(d.goal for d in chosen), conditions=merged(c for d in chosen for c in d.conditions)
     )
 
 
 def _nearest(known: Pool, subset: Sequence[int]) -> int:
-    """The set that misses these demands least."""
+    """Index of the gain set that misses these demands least."""
     return int(known.evaluation.excess[:, list(subset)].sum(axis=1).argmin())

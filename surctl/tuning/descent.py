@@ -1,9 +1,10 @@
-"""Descent to the least score from the best gain sets: a minimax problem, by sequential linear programming.
+"""Descent from the best gain sets to the least score: a minimax problem, solved by sequential linear programming.
 
-Score and constraints are largest values over goals and runs (Madsen 1975; Conn, Gould and Toint 2000 for the trust
-region): each is linearised for itself by differences in the unit cube of the ranges, and a linear program moves towards
-the least largest value within some distances. What it proposes is flown; the best so far is where it goes on. The
-figures of a run jump where the law switches: there the steps get shorter, until the next start is tried.
+The score and the constraint are maxima over goals and runs (Madsen 1975; Conn, Gould and Toint 2000 for the trust
+region). Each function under a maximum is linearised by finite differences in the unit cube of the gain ranges. A linear
+program then minimises the maximum of the linearised functions within several trust-region radii. The proposed gain sets
+are simulated, and the descent continues from the best set so far. The figures of a run jump where the law switches;
+there the steps become shorter until the descent continues from another start.
 """
 
 from __future__ import annotations
@@ -22,18 +23,18 @@ __all__ = ["descend"]
 
 Array = NDArray[np.float64]
 
-_FIRST = 0.1  # first step, of the width of each range on its log scale
-_LAST = 1e-3  # a start is left where its step gets shorter
-_SHORTER = 0.1  # factor on the step where no proposal is better
-_STEP_FACTORS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.04)  # of the step: a proposal each
-_DIFFERENCE = 0.01  # most distance of a difference
-_APART = 0.15  # least distance between two starts, or from where one ended
-_SLACK = 10.0  # weight of the largest constraint that is missed, against the score
+_FIRST = 0.1  # first step as a share of each range's width on its log scale
+_LAST = 1e-3  # the descent from a start ends when its step is shorter
+_SHORTER = 0.1  # factor on the step if no proposal is better
+_STEP_FACTORS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.04)  # factors on the step; each gives one proposal
+_DIFFERENCE = 0.01  # largest step of a finite difference
+_APART = 0.15  # least distance of a start from other starts and from their ends
+_SLACK = 10.0  # weight of the largest missed constraint relative to the score
 
 
 @dataclass(eq=False)
 class _At:
-    """Where a descent stands: place (d,) in the unit cube, its merit, and the step."""
+    """State of a descent: its place (d,) in the unit cube, its merit, and the step length."""
 
     place: Array
     merit: float
@@ -41,14 +42,14 @@ class _At:
 
 
 def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progress: Progress = lambda _: None) -> Pool:
-    """The pool and what is flown on the way down from its best sets.
+    """Return the pool, extended by the gain sets that a descent from its best sets simulates.
 
     Args:
-        request: what is searched for.
-        pool: what was flown, the start gains first.
-        trials: about as many are flown; whole iterations of 2 d + 6 for d gains.
-        shelf: keeps the trials; a descent of the same request and pool resumes from it.
-        progress: told one line at the end.
+        request: the request of the search.
+        pool: simulated gain sets, the start gains first.
+        trials: approximate number of trials; each iteration takes 2 d + 6 trials for d gains.
+        shelf: journal of the trials; a descent of the same request and pool resumes from it.
+        progress: function that receives one line of text at the end.
     """
     start, size = pool.evaluation.normalised[0], 2 * len(request.space) + len(_STEP_FACTORS)
     name = f"{request.digest} descent {trials}"
@@ -62,7 +63,7 @@ def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progre
             batch = remembered(request, known)
         else:
             batch = _iteration(request, pool, at)
-            # a kill may have left a part of this iteration behind: it is the same part
+            # after a kill the journal may hold the first trials of this iteration, and they are the same
             shelf.append(name, frozen(request, batch, start)[len(known) :])
         pools.append(batch)
         _move(request, at, batch, start)
@@ -76,7 +77,7 @@ def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progre
 
 
 def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _At | None:
-    """The best set of the pool that is apart from every start and end so far; from now on it is one of them."""
+    """Return the best set of the pool that is far enough from all earlier starts and ends, and record it."""
     merit = pool.merit(start)
     places = np.column_stack([s.unit(pool.sets[s.name]) for s in request.space])
     for k in np.argsort(merit, kind="stable"):
@@ -87,7 +88,7 @@ def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _
 
 
 def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
-    """The neighbours by which the figures are linearised, and the proposals."""
+    """Simulate the neighbours for the linearisation, then the proposals; return all of them as one pool."""
     beside = _beside(at)
     near, table = request.simulate(_sets(request, np.vstack([beside, at.place])))
     objective, constraint = _functions(request, near, table, pool.evaluation.normalised[0])
@@ -103,7 +104,7 @@ def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
 
 
 def _beside(at: _At) -> Array:
-    """(2 d, d): one step up and one down in each direction, within the cube."""
+    """Return the neighbours (2 d, d): one step up and one step down in each direction, within the cube."""
     d, far = len(at.place), min(_DIFFERENCE, at.step / 2)
     both = np.repeat(np.eye(d), 2, axis=0) * np.tile([far, -far], d)[:, None]
     places: Array = np.clip(at.place + both, 0.0, 1.0)
@@ -115,30 +116,30 @@ def _sets(request: Request, places: Array) -> dict[str, Array]:
 
 
 def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tuple[Array, Array]:
-    """(n, f) soft goals as they count in the score, (n, g) hard goals and claims, at most 0 where met; a run each."""
+    """Return (n, f) soft goals as in the score, and (n, g) hard goals and claims, at most 0 if met."""
     soft, hard = [np.zeros((len(pool.claims), 1))], [np.minimum(pool.claims, CAP)]
     for goal, first in zip(request.goals, start, strict=True):
         own = scope(goal, request.conditions)
         if goal.over == "mean":
             figure = goal.worst(table)[0][:, own].mean(axis=1, keepdims=True)
-        else:  # each speed for itself: their worst has no slope where it changes from one to the other
+        else:  # one column a speed: the worst over speeds has no slope where the worst speed changes
             figure = np.hstack([table[name][:, own] for name in goal.columns])
         if goal.kind == "soft":
             soft.append(np.minimum(goal.normalised(figure), CAP) / np.clip(first, 1e-3, 1.0))
         else:
-            # by the figure, which has a slope where the normalised value has none: at a clearance of 0 and below
+            # the figure has a slope even where the normalised value has none: at a clearance of 0 and below
             over = (figure - goal.limit) / abs(goal.limit) * (1.0 if goal.sense == "at most" else -1.0)
             hard.append(np.clip(np.where(np.isnan(over), CAP, over), -CAP, CAP))
     return np.hstack(soft), np.hstack(hard)
 
 
 def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array, Array], far: float) -> Array:
-    """The place within `far` of this one where the largest of the linearised functions is least; (values, slopes)."""
+    """Return the place within `far` of `place` that minimises the linearised maximum; pairs are (values, slopes)."""
     from scipy.optimize import linprog
 
     d = len(place)
     (f, df), (g, dg) = objective, constraint
-    # unknowns: the move, the largest objective, the largest constraint that is missed
+    # unknowns: the move, the largest objective, the largest missed constraint
     rows = np.block(
         [[df, -np.ones((len(f), 1)), np.zeros((len(f), 1))], [dg, np.zeros((len(g), 1)), -np.ones((len(g), 1))]]
     )
@@ -151,7 +152,7 @@ def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array
 
 
 def _move(request: Request, at: _At, batch: Pool, start: Array) -> None:
-    """To the best of what was flown if it is better; the step becomes that of the proposal, or shorter."""
+    """Move to the best simulated set if it is better and adapt the step to its proposal; otherwise shorten the step."""
     merit = batch.merit(start)
     best = int(merit.argmin())
     if not merit[best] < at.merit:

@@ -1,4 +1,4 @@
-"""Which points a sweep evaluates: a full grid, a Latin hypercube, Sobol' points, or Saltelli's for sensitivity."""
+"""Points that a sweep evaluates: a full grid, a Latin hypercube, Sobol' points, or Saltelli's for sensitivity."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Design:
 
     Attributes:
         kind: `grid`, `lhs`, `sobol` or `saltelli`.
-        axes: what is changed; all `Axis` for a grid, else all `Span`.
-        points: (n, len(axes)), a grid's in C order.
-        description: text of everything that the points follow from.
+        axes: the swept axes; all are `Axis` for a grid, otherwise all are `Span`.
+        points: (n, len(axes)); those of a grid are in C order.
+        description: text with everything that determines the points.
     """
 
     kind: str
@@ -42,16 +42,16 @@ class Design:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of a column: one entry an axis for a grid, else (n,)."""
+        """Shape of a column: one entry for each axis of a grid, otherwise (n,)."""
         lengths = tuple(len(axis.values) for axis in self.axes if isinstance(axis, Axis))
         return lengths if self.kind == "grid" else (len(self.points),)
 
 
 def grid(axes: Sequence[Axis]) -> Design:
-    """Every combination of the axes' values.
+    """Return the design with every combination of the axes' values.
 
     Raises:
-        InputError: no axis, or one twice.
+        InputError: there is no axis, or an axis occurs twice.
 
     Example:
         >>> from surctl.tuning import grid, parse_axis
@@ -61,7 +61,7 @@ def grid(axes: Sequence[Axis]) -> Design:
     """
     axes = tuple(axes)
     _check_names(axes)
-    # the index of each axis at each point, without a table of indices for all axes at once
+    # one axis at a time, because a table of indices for all axes would need more memory
     shape = tuple(len(axis.values) for axis in axes)
     _check_size(math.prod(shape))
     points = np.empty((math.prod(shape), len(axes)))
@@ -73,16 +73,16 @@ def grid(axes: Sequence[Axis]) -> Design:
 
 
 def spread(kind: Literal["lhs", "sobol"], spans: Sequence[Span], *, count: int, seed: int = 0) -> Design:
-    """Points that fill ranges: a Latin hypercube (`lhs`) or scrambled Sobol' points (`sobol`), from scipy.stats.qmc.
+    """Return points that fill ranges: a Latin hypercube (`lhs`) or scrambled Sobol' points (`sobol`) of scipy.stats.
 
     Args:
-        kind: which.
+        kind: `lhs` or `sobol`.
         spans: the ranges.
-        count: number of points; Sobol' points are best balanced where it is a power of two.
-        seed: of the design, not of the runs.
+        count: number of points; Sobol' points are best balanced if it is a power of two.
+        seed: seed of the design; it does not set the seed of the runs.
 
     Raises:
-        InputError: no axis, one twice, or no point.
+        InputError: there is no axis, an axis occurs twice, or there is no point.
 
     Example:
         >>> from surctl.tuning import Span, spread
@@ -94,28 +94,30 @@ def spread(kind: Literal["lhs", "sobol"], spans: Sequence[Span], *, count: int, 
     if count < 1:
         raise InputError("must be at least 1", key="points", value=count, remedy="write the number of points")
     _check_size(count)
-    from scipy.stats import qmc  # a second to import
+    from scipy.stats import qmc  # takes a second to import
 
     if kind == "lhs":
         unit = qmc.LatinHypercube(len(spans), rng=seed).random(count)
     else:
-        # the first points of a full power of two are the same points
+        # the first points of the sequence are the same for every number of points
         unit = qmc.Sobol(len(spans), rng=seed).random_base2(_power(count))[:count]
     return Design(kind, spans, _filled(spans, unit), f"{kind} {spans!r} {count} {seed}")
 
 
 def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design:
-    """The base·(d + 2) points from which Sobol' indices follow (Saltelli et al. 2010).
+    """Return the base·(d + 2) points from which Sobol' indices are computed (Saltelli et al. 2010).
 
-    They are A, B, then for each axis A with that axis taken from B; A and B are the halves of Sobol' points.
+    The points are A, then B, then for each axis a copy of A with the values of that axis from B. A and B are the two
+    halves of the columns of Sobol' points.
 
     Args:
         axes: d ranges.
-        base: points of A and of B, a power of two, at least 4.
-        seed: of the points.
+        base: number of points of A, and of B: a power of two, at least 4.
+        seed: seed of the points.
 
     Raises:
-        InputError: fewer than two axes, one twice, one of values, or a base that is no power of two.
+        InputError: there are fewer than two axes, an axis occurs twice or lists values, or the base is not a power of
+            two.
 
     Example:
         >>> from surctl.tuning import parse_axis, saltelli
@@ -127,7 +129,7 @@ def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design
     spans = _spans(axes, "sensitivity")
     if len(spans) < 2:
         raise InputError(
-            "a share of the variance takes two axes", key="sensitivity", value=spans[0].name, remedy="add another knob"
+            "needs at least two axes", key="sensitivity", value=spans[0].name, remedy="add another parameter"
         )
     if base < 4 or base & (base - 1):
         raise InputError(
@@ -147,10 +149,11 @@ def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design
 def make_design(
     kind: DesignName | str, axes: Sequence[Axis | Span], *, count: int | None = None, seed: int = 0
 ) -> Design:
-    """The design of that name from axes as a user writes them.
+    """Return the design with the name `kind` from axes as a user writes them.
 
     Raises:
-        InputError: as the designs, values where a range is needed or the reverse, or no number of points.
+        InputError: the design raises it, an axis has values where a range is needed or the reverse, or the number of
+            points is missing.
 
     Example:
         >>> from surctl.tuning import make_design, parse_axis
@@ -163,29 +166,29 @@ def make_design(
     if kind == "grid":
         if count is not None:
             raise InputError(
-                "is for the designs lhs and sobol", key="points", value=count, remedy="a grid takes LOW..HIGH:COUNT"
+                "applies only to lhs and sobol", key="points", value=count, remedy="for a grid write LOW..HIGH:COUNT"
             )
         for axis in axes:
             if isinstance(axis, Span):
                 raise InputError(
-                    "a grid needs to know how many values",
+                    "a grid needs the number of values",
                     key=f"axis {axis.name}",
                     remedy=f"write {axis.name}={axis.low:g}..{axis.high:g}:COUNT, or choose --design lhs",
                 )
         return grid([axis for axis in axes if isinstance(axis, Axis)])
     spans = _spans(axes, kind)
     if count is None:
-        raise InputError("is missing", key="points", remedy=f"say how many points {kind} shall have: --points N")
+        raise InputError("is missing", key="points", remedy=f"give the number of points of {kind}: --points N")
     return spread("lhs" if kind == "lhs" else "sobol", spans, count=count, seed=seed)
 
 
 def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:
-    """The axes, if all are ranges under different names."""
+    """Return the axes if all of them are ranges with different names; otherwise raise InputError."""
     _check_names(axes)
     for axis in axes:
         if isinstance(axis, Axis):
             raise InputError(
-                f"{kind} fills ranges",
+                f"{kind} needs a range, not values",
                 key=f"axis {axis.name}",
                 value=axis.values,
                 remedy=f"write {axis.name}=LOW..HIGH",
@@ -195,16 +198,16 @@ def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:
 
 def _check_names(axes: Sequence[Axis | Span]) -> None:
     if not axes:
-        raise InputError("nothing to sweep", key="axis", remedy="name at least one knob")
+        raise InputError("nothing to sweep", key="axis", remedy="name at least one parameter")
     names = [axis.name for axis in axes]
     for name in names:
         if names.count(name) > 1:
-            raise InputError("is swept twice", key="axis", value=name, remedy="name each knob once")
+            raise InputError("is swept twice", key="axis", value=name, remedy="name each parameter once")
 
 
 def _check_size(count: int) -> None:
     if count > MOST_POINTS:
-        raise InputError("are too many", key="points", value=count, remedy=f"at most {MOST_POINTS} in one sweep")
+        raise InputError("are too many", key="points", value=count, remedy=f"use at most {MOST_POINTS} in one sweep")
 
 
 def _filled(spans: Sequence[Span], unit: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What gain sets make of goals: many gain sets, cases, seeds and plants in one batch of closed loops."""
+"""Evaluate goals for many gain sets, cases, seeds and plants in one batch of closed loops."""
 
 from __future__ import annotations
 
@@ -38,13 +38,14 @@ _GROUPS = (("m11", "m22", "m33", "m44"), _DRAG, ("Fu_max", "Fv_max", "Fw_max", "
 
 @dataclass(frozen=True)
 class Condition:
-    """One run that a gain set is judged by.
+    """One run by which a gain set is judged.
 
     Attributes:
-        case: what is flown.
-        seed: of its world and its noise.
-        plant: `plant.` knobs of what is flown, while the controller believes the case's model; empty: as the case says.
-        goals: names of the goals that it counts for; None for all. A counterexample counts for the goal it refutes.
+        case: the simulated case.
+        seed: seed of the world and of the noise.
+        plant: `plant.` parameters that differ from the case's vehicle; the controller keeps the case's model.
+        goals: names of the goals for which the run counts; None for all goals. A counterexample counts for the goal it
+            refutes.
     """
 
     case: Case
@@ -54,27 +55,27 @@ class Condition:
 
     @property
     def run(self) -> tuple[str, int, tuple[tuple[str, float], ...]]:
-        """What is flown, whatever it counts for."""
+        """Case, seed and plant: what identifies the simulated run, whatever its goals."""
         return self.case.name, self.seed, tuple(sorted(self.plant.items()))
 
     @property
     def label(self) -> str:
-        """Case, seed and what is off, for people."""
+        """Case, seed and changed plant parameters as readable text."""
         off = ", ".join(f"{name.removeprefix('plant.')} = {value:.4g}" for name, value in self.plant.items())
         return f"{self.case.name}, seed {self.seed}" + (f", {off}" if off else "")
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Goals of n gain sets.
+    """Evaluation of m goals for n gain sets.
 
     Attributes:
-        goals: the goals, m of them.
-        normalised: (n, m): at most 1 where met.
-        figure: (n, m): worst or mean figure in the metric's unit; NaN when a run did not arrive. Of a goal at several
-            cruise speeds each run counts with its worst speed.
-        speed: (n, m): that speed of the worst run [m/s]; NaN for a goal at the scenario's own.
-        excess: (n, m): mean over the goal's runs of what is above 1, which counts up to 1 in each: 0 where met.
+        goals: the m goals.
+        normalised: (n, m): normalised value of each goal; at most 1 if the goal is met.
+        figure: (n, m): worst or mean figure in the metric's unit; NaN if a run did not arrive. For a goal at several
+            cruise speeds, each run counts with its worst speed.
+        speed: (n, m): worst cruise speed [m/s] of the worst run; NaN for a goal at the scenario's own speed.
+        excess: (n, m): mean over the goal's runs of the normalised value above 1, limited to 1 in each run; 0 if met.
         effort: (n,): mean of |horizontal thrust| over all runs [N].
     """
 
@@ -94,10 +95,10 @@ class Evaluation:
 
 
 def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
-    """Plant knobs of the nominal vehicle and of the corners of its stated ranges.
+    """Return the plant parameters of the nominal vehicle and of the corners of its stated ranges.
 
-    All masses go to one end together, so do all drag coefficients and all thrust limits: up to eight corners. A
-    parameter without a range stays where it is.
+    All masses move to one end of their ranges together, and so do all drag coefficients and all thrust limits. This
+    gives up to eight corners. A parameter without a range keeps its value.
 
     Example:
         >>> from surctl.tuning import corners
@@ -117,9 +118,9 @@ def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
 
 
 def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: bool = True) -> tuple[Condition, ...]:
-    """Every case under every seed with the nominal plant, and at its corners under the first seed.
+    """Return runs of every case: with each seed for the nominal plant, and with the first seed for each corner.
 
-    A case that no seed changes is flown under the first one alone.
+    A case that does not depend on the seed is simulated with the first seed only.
 
     Example:
         >>> from surctl.control import load_gains
@@ -140,7 +141,7 @@ def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: boo
 
 
 def merged(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
-    """Conditions of named goals, each run once, for all the goals that name it."""
+    """Merge conditions that name goals: each run occurs once, with all its goals."""
     counted: dict[object, tuple[Condition, dict[str, None]]] = {}
     for one in conditions:
         counted.setdefault(one.run, (one, {}))[1].update(dict.fromkeys(one.goals or ()))
@@ -148,15 +149,15 @@ def merged(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
 
 
 def varied(case: Case) -> bool:
-    """Whether a seed changes what is flown."""
+    """Whether the runs of a case depend on the seed."""
     return case.scenario.seeded or case.sensing == "sonar"
 
 
 def scope(goal: Goal, conditions: Sequence[Condition]) -> list[int]:
-    """Indices of the conditions that a goal is taken over.
+    """Return the indices of the conditions that count for a goal.
 
     Raises:
-        InputError: the goal names a case that is not flown.
+        InputError: the goal names a case that is not simulated.
 
     Example:
         >>> from surctl.control import load_gains
@@ -181,40 +182,40 @@ def scope(goal: Goal, conditions: Sequence[Condition]) -> list[int]:
     ]
 
 
-def check_goals(goals: Sequence[Goal], flown: Sequence[Condition]) -> None:
-    """What can be wrong with goals beside what is flown.
+def check_goals(goals: Sequence[Goal], conditions: Sequence[Condition]) -> None:
+    """Raise InputError if goals do not fit the simulated conditions.
 
     Raises:
-        InputError: a goal names a case that is not flown, or a cruise speed above the cap of one that it is about, or
-            that the case's vehicle cannot hold.
+        InputError: a goal names a case that is not simulated, or its cruise speed exceeds the speed cap of one of its
+            cases or needs more thrust than the vehicle of the case has.
 
     Example:
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, build_cases, check_goals, conditions
-        >>> flown = conditions(build_cases([load_scenario("pool-behind")], gains=load_gains("default")), seeds=[0])
-        >>> check_goals([Goal("low", "disk_margin", "1", 0.6, "at least", cruise=(0.1, 0.4))], flown)
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=load_gains("default")), seeds=[0])
+        >>> check_goals([Goal("low", "disk_margin", "1", 0.6, "at least", cruise=(0.1, 0.4))], runs)
         Traceback (most recent call last):
             ...
         surctl.errors.InputError: goals.low.cruise_m_per_s = 0.4: is above the cap, 0.22 m/s; lower it, or raise the cap
     """
     for goal in goals:
-        about = (flown[k].case for k in scope(goal, flown))
+        about = (conditions[k].case for k in scope(goal, conditions))
         for vehicle, cap in {(c.vehicle.name, c.scenario.cap): (c.vehicle, c.scenario.cap) for c in about}.values():
             check_held(goal.cruise, vehicle, cap=cap, key=goal.cruise_key)
 
 
 def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1) -> Evaluation:
-    """Judge n gain sets by m goals.
+    """Evaluate m goals for n gain sets.
 
     Args:
         goals: the goals.
-        conditions: the runs; every gain set flies them all.
-        sets: gain → (n,) values; the gains not named are the case's.
-        threads: of the compiled loop; the result does not depend on them.
+        conditions: the runs; every gain set is simulated in all of them.
+        sets: gain → (n,) values; all other gains have the values of the case.
+        threads: number of threads of the compiled loop; the result does not depend on it.
 
     Raises:
-        InputError: a value out of a gain's bounds, or as `check_goals`.
+        InputError: a value is out of its gain's bounds, or `check_goals` finds an error.
 
     Example:
         >>> from surctl.control import load_gains
@@ -231,7 +232,7 @@ def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets,
 
 
 def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figures) -> Evaluation:
-    """What the goals make of the figures of runs."""
+    """Evaluate the goals from the figures of runs."""
     count = len(table["effort_n"])
     shape = (count, len(goals))
     normalised, figure, excess = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape)
@@ -255,9 +256,9 @@ def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figure
 def figures(
     goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1
 ) -> dict[str, NDArray[np.float64]]:
-    """Metric → (n, conditions) for the goals' metrics and the effort; see `Goal.columns` for a goal with speeds.
+    """Return metric → (n, conditions) for the goals' metrics and the effort; see `Goal.columns` for goals with speeds.
 
-    NaN where a run did not arrive, and for a linear metric where no goal asks for it.
+    A value is NaN if the run did not arrive, or if no goal needs the linear metric under that condition.
 
     Example:
         >>> from surctl.control import load_gains
@@ -265,16 +266,16 @@ def figures(
         >>> from surctl.tuning import Goal, build_cases, conditions, figures
         >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
         >>> goals, runs = [Goal("soon", "time_s", "s", 20.5)], conditions(cases, seeds=[0, 1])
-        >>> figures(goals, runs, {"k_v": [1.0, 1.5, 2.0]})["time_s"].round(2).tolist()  # a row a gain set
+        >>> figures(goals, runs, {"k_v": [1.0, 1.5, 2.0]})["time_s"].round(2).tolist()  # one row for each gain set
         [[21.4, 21.4], [20.45, 20.35], [20.15, 20.05]]
     """
     count = len(next(iter(sets.values())))
     looped = {"effort_n", *(g.metric for g in goals if not g.linear)}
     linear = [g for g in goals if g.linear]
-    asked: dict[float | None, set[int]] = {}  # a linear figure costs more than a run
+    needed: dict[float | None, set[int]] = {}  # only these: a linear figure costs more than a run
     for goal in linear:
         for speed in goal.columns.values():
-            asked.setdefault(speed, set()).update(scope(goal, conditions))
+            needed.setdefault(speed, set()).update(scope(goal, conditions))
     columns = {(g.metric, speed): name for g in linear for name, speed in g.columns.items()}
     table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *columns.values())}
     for case, own in _by_case(conditions):
@@ -283,7 +284,7 @@ def figures(
         arrived = batch.column("reached").reshape(count, -1) > 0.5
         for name in looped:
             table[name][:, own] = np.where(arrived, batch.column(name).reshape(count, -1), np.nan)
-        for speed, those in asked.items():
+        for speed, those in needed.items():
             about = [k for k in own if k in those]
             names = {metric for metric, at in columns if at == speed}
             if about:
@@ -293,12 +294,12 @@ def figures(
 
 
 def row(sets: Sets, k: int) -> dict[str, float]:
-    """The k-th gain set by name."""
+    """Return the k-th gain set as gain → value."""
     return {name: float(values[k]) for name, values in sets.items()}
 
 
 def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
-    """Cases in order with the indices of their conditions: one batch a case."""
+    """Return the cases in order with the indices of their conditions; each case becomes one batch."""
     groups: list[tuple[Case, list[int]]] = []
     for k, condition in enumerate(conditions):
         for case, own in groups:
@@ -311,7 +312,7 @@ def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
 
 
 def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str, NDArray[np.float64]]:
-    """Knob values of every gain set under every condition, gain sets outermost."""
+    """Return the parameter values of every gain set under every condition; the gain set is the outer index."""
     count = len(next(iter(sets.values())))
     spread = {name: np.repeat(np.asarray(values, dtype=float), len(conditions)) for name, values in sets.items()}
     off = sorted({name for c in conditions for name in c.plant})
@@ -322,11 +323,11 @@ def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str
 
 
 def _linear(
-    case: Case, speed: float | None, flown: Sequence[Condition], sets: Sets, names: set[str], threads: int
+    case: Case, speed: float | None, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Linear figures at a cruise speed, (n, conditions) each: computed once a plant, since no seed changes them."""
-    keys = [tuple(sorted(c.plant.items())) for c in flown]
-    plants = dict(zip(keys, flown, strict=True))
+    """Return linear figures (n, conditions) at a cruise speed, once for each plant because seeds do not matter."""
+    keys = [tuple(sorted(c.plant.items())) for c in conditions]
+    plants = dict(zip(keys, conditions, strict=True))
     place = {key: k for k, key in enumerate(plants)}
     which = [place[key] for key in keys]
     count = len(next(iter(sets.values())))

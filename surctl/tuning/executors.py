@@ -1,4 +1,4 @@
-"""Who evaluates the chunks of a sweep: this process, processes of this machine, or a Dask cluster."""
+"""Executors that evaluate the chunks of a sweep: this process, processes on this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from surctl.errors import InputError, SurctlError
 __all__ = ["Chunk", "DaskExecutor", "Evaluator", "Executor", "LocalExecutor"]
 
 Chunk = tuple[int, NDArray[np.float64]]
-"""Index of the chunk, and its points (rows, axes)."""
+"""Index of a chunk, and the points (rows, axes) of the chunk."""
 
 Evaluator = Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
-"""(index of the chunk, points (rows, axes)) → (rows, columns). Pickled by name for other processes."""
+"""Function (index of the chunk, points (rows, axes)) → (rows, columns); pickled by name for other processes."""
 
 Results = Generator[tuple[int, NDArray[np.float64]], None, None]
 
-_CONNECT_TIMEOUT = 8.0  # [s] until an address counts as silent
+_CONNECT_TIMEOUT = 8.0  # [s] until a connection attempt fails
 _RETRIES = 2
 
 
 class Executor(Protocol):
-    """Evaluates chunks; the numbers must not depend on who does it, nor on the order."""
+    """Evaluates chunks; the numbers must depend neither on the executor nor on the order of the chunks."""
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """(index, result) of every chunk, in any order."""
+        """Yield (index, result) of every chunk, in any order."""
 
 
 @dataclass(frozen=True)
 class LocalExecutor:
-    """This machine: this process for one worker, else spawned processes.
+    """Executor on this machine: it uses this process for one worker, and spawned processes for several.
 
     Raises:
-        InputError: fewer than one worker.
+        InputError: `workers` is less than 1.
         SurctlError: a worker died.
     """
 
@@ -57,7 +57,7 @@ class LocalExecutor:
             raise InputError("must be at least 1", key="workers", value=self.workers, remedy="write 1")
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """See `Executor`."""
+        """Yield (index, result) of every chunk; see `Executor`."""
         chunks = list(chunks)
         if self.workers == 1 or len(chunks) <= 1:
             for index, points in chunks:
@@ -74,7 +74,7 @@ class LocalExecutor:
                     yield jobs.pop(job), job.result()
             except BrokenProcessPool:
                 raise SurctlError(
-                    "a worker process died (out of memory?); finished chunks are kept, the same command resumes"
+                    "a worker process died (out of memory?); finished chunks are stored; repeat the command to resume"
                 ) from None
             finally:
                 for job in jobs:
@@ -82,7 +82,7 @@ class LocalExecutor:
 
 
 def _begin() -> None:
-    """Ctrl-C is the parent's affair, a warning is one line, and a worker does not outlive who asked for it."""
+    """Prepare a worker: it ignores Ctrl-C, prints a warning as one line, and ends when the parent process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
@@ -97,19 +97,19 @@ def _end_with(sentinel: int) -> None:
 
 @dataclass(frozen=True)
 class DaskExecutor:
-    """The workers of a Dask scheduler, which need this package too; each compiles what it flies into its own cache.
+    """Executor on the workers of a Dask scheduler; surctl must be installed there, and each worker compiles for itself.
 
-    The scheduler gives the chunks of a lost worker to another one; a chunk that fails on one is tried again twice.
+    The scheduler gives the chunks of a lost worker to another worker. A failed chunk is tried again, at most twice.
 
     Raises:
-        InputError: dask.distributed is not installed, nobody answers at the address, or no worker comes.
+        InputError: dask.distributed is not installed, no scheduler replies at the address, or it has no worker.
         SurctlError: the cluster was lost while chunks were running.
     """
 
     address: str
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """See `Executor`."""
+        """Yield (index, result) of every chunk; see `Executor`."""
         chunks = list(chunks)
         if not chunks:
             return
@@ -121,7 +121,7 @@ class DaskExecutor:
             ) from None
         logger = logging.getLogger("distributed")
         level = logger.level
-        logger.setLevel(logging.CRITICAL)  # its reports of lost workers are told as one line or not at all
+        logger.setLevel(logging.CRITICAL)  # a lost worker is reported below in one line, or not at all
         client = None
         try:
             client = self._connect(distributed)
@@ -130,8 +130,8 @@ class DaskExecutor:
                 yield jobs.pop(job), job.result()
         except (distributed.KilledWorker, CancelledError, OSError) as error:
             raise SurctlError(
-                f"the cluster at {self.address} was lost ({type(error).__name__}); finished chunks are kept, "
-                "the same command resumes"
+                f"the cluster at {self.address} was lost ({type(error).__name__}); finished chunks are stored; "
+                "repeat the command to resume"
             ) from None
         finally:
             if client is not None:
@@ -143,7 +143,7 @@ class DaskExecutor:
             client = distributed.Client(self.address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, TimeoutError, ValueError, ImportError) as error:
             raise InputError(
-                f"no scheduler answers ({type(error).__name__})",
+                f"no scheduler replies ({type(error).__name__})",
                 key="--dask",
                 value=self.address,
                 remedy="start one with `dask scheduler` and give its address, such as tcp://127.0.0.1:8786",

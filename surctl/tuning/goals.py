@@ -1,6 +1,7 @@
 """Goals: bounds on figures of the closed loop, each with its unit, as control engineers state them.
 
-The normalised value of a goal is the habit of the Control System Tuner (systune, viewGoal): at most 1 means met.
+The normalised value of a goal is defined as in MATLAB's Control System Tuner (systune, viewGoal): the goal is met if
+the value is at most 1.
 """
 
 from __future__ import annotations
@@ -39,28 +40,29 @@ Sense = Literal["at most", "at least"]
 Over = Literal["worst", "mean"]
 Plants = Literal["all", "nominal"]
 
-_SIGNED = ("slowest_pole_per_s",)  # a bound on a real part is below 0; every other figure is bounded by a positive one
+_SIGNED = ("slowest_pole_per_s",)  # the bound on the real part of a pole is negative; all other bounds are positive
 
 
 @dataclass(frozen=True)
 class Goal:
-    """One bound on one figure.
+    """One bound on one figure of the closed loop.
 
     Attributes:
-        name: what the tables and pictures call it.
-        metric: a figure of a run (`surctl.simulation`'s METRICS) or of the linear loop (LINEAR_METRICS).
-        unit: of `limit`; it must be the metric's own.
+        name: name of the goal in tables and pictures.
+        metric: figure of a run (METRICS of `surctl.simulation`) or of the linear loop (LINEAR_METRICS).
+        unit: unit of `limit`; it must be the unit of the metric.
         limit: the bound.
-        sense: whether the figure is to be at most or at least the limit.
-        kind: a hard goal must be met; a soft one is brought as low as can be.
-        over: taken at its worst run, or at the mean of the runs.
-        cases: names of scenarios or of cases that it is about; empty for all.
-        plants: "nominal" leaves out the runs whose plant is not the case's vehicle (systune's property Models).
-        cruise: speeds [m/s], slowest first, at each of which the linear loop is to meet it; empty: the scenario's own.
+        sense: whether the figure must be at most or at least the limit.
+        kind: a hard goal must be met; the normalised value of a soft goal is minimised.
+        over: whether the worst run counts or the mean of the runs.
+        cases: names of the scenarios or cases to which the goal applies; empty for all.
+        plants: "nominal" excludes the runs whose plant differs from the case's vehicle (property Models of systune).
+        cruise: cruise speeds [m/s], slowest first, at each of which the linear loop must meet the goal; empty: the
+            scenario's own speed.
 
     Raises:
-        InputError: unknown metric, wrong unit, the sense against the metric's own, a limit that bounds nothing, speeds
-            that are none, or of a goal that is not about the linear loop.
+        InputError: the metric is unknown, the unit is wrong, the sense contradicts the metric, the limit has the wrong
+            sign, a speed is not valid, or the goal has speeds but is not about the linear loop.
     """
 
     name: str
@@ -87,7 +89,7 @@ class Goal:
             raise InputError("wrong unit", key=f"{bound}.unit", value=self.unit, remedy=f"give it in {spec.unit}")
         if spec.better is not None and self.sense != ("at most" if spec.better == "low" else "at least"):
             other = "at_least" if self.sense == "at most" else "at_most"
-            raise InputError(f"bounds {spec.meaning} on the good side", key=bound, remedy=f"write {other} instead")
+            raise InputError(f"bounds {spec.meaning} in the wrong direction", key=bound, remedy=f"write {other}")
         signed = self.metric in _SIGNED
         if not np.isfinite(self.limit) or (self.limit >= 0 if signed else self.limit <= 0):
             side = "less than 0" if signed else "greater than 0"
@@ -95,54 +97,54 @@ class Goal:
         if self.cruise:
             object.__setattr__(self, "cruise", cruise_speeds(self.cruise, key=self.cruise_key))
             if not self.linear:
-                remedy = "leave it out: what is flown has its scenario's speed"
+                remedy = "leave it out: a simulated run has the speed of its scenario"
                 raise InputError("is for goals about the linear loop", key=self.cruise_key, remedy=remedy)
 
     @property
     def linear(self) -> bool:
-        """Whether the figure is one of the linear loop, which no seed changes."""
+        """Whether the figure belongs to the linear loop; such a figure does not depend on the seed."""
         return self.metric in LINEAR_METRICS
 
     @property
     def cruise_key(self) -> str:
-        """What a goals file calls the speeds."""
+        """Key of the cruise speeds in a goals file."""
         return f"goals.{self.name}.cruise_m_per_s"
 
     @property
     def columns(self) -> Mapping[str, float | None]:
-        """The columns of figures that it is about, and the cruise speed [m/s] of each; None: the scenario's own."""
+        """Columns of figures that the goal bounds, each with its speed [m/s]; None means the scenario's own speed."""
         return {f"{self.metric} at {u!r} m/s": u for u in self.cruise} or {self.metric: None}
 
     def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The figures, same shape, turned so that larger is worse; NaN is worst."""
+        """Return the figures, same shape, with the sign for which larger is worse; NaN becomes inf."""
         figure = np.asarray(values, dtype=float)
         return np.where(np.isnan(figure), np.inf, figure if self.sense == "at most" else -figure)
 
     def worst(self, table: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The worst figure over the speeds, and its speed [m/s] (NaN: the scenario's own); as a column's shape."""
+        """Return the worst figure over the speeds and its speed [m/s] (NaN: scenario's own), shaped like a column."""
         each = np.stack([table[name] for name in self.columns])
         ill = self.badness(each)
         speed = np.array([np.nan if u is None else u for u in self.columns.values()])
         return np.take_along_axis(each, ill.argmax(axis=0)[None], axis=0)[0], speed[worst_place(ill)]
 
     def normalised(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The normalised value of each figure, same shape: at most 1 where the goal is met, rising as it gets worse.
+        """Return the normalised value of each figure, same shape: at most 1 if the goal is met, larger if worse.
 
-        Figure over limit where it is to be at most that, limit over figure where at least; on the wrong side of zero
-        the latter is inf, and so is NaN.
+        The value is figure / limit for `at most` a positive limit, and otherwise limit / figure. The latter is inf for
+        a figure of 0 or on the wrong side of 0. NaN gives inf.
         """
         figure, limit = np.asarray(values, dtype=float), self.limit
         if self.sense == "at most" and limit > 0:
             out = figure / limit
         else:
-            # a figure below a negative limit is the mirror of one above a positive limit
+            # a figure below a negative limit corresponds to one above a positive limit
             size, bound = (figure, limit) if limit > 0 else (-figure, -limit)
             out = np.full(figure.shape, np.inf)
             np.divide(bound, size, out=out, where=size > 0)
         return np.where(np.isnan(figure), np.inf, out)
 
     def bad_side(self) -> Literal["above", "below"]:
-        """Where a picture shades: the side of the limit that misses the goal."""
+        """Return the side of the limit on which the goal is missed; pictures shade it."""
         return "above" if self.sense == "at most" else "below"
 
     def to_dict(self) -> dict[str, Any]:
@@ -174,10 +176,10 @@ class _GoalsFile(Strict):
 
 
 def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
-    """Built-in goals by name, or a goals file by path.
+    """Load built-in goals by name, or a goals file by path.
 
     Raises:
-        InputError: unreadable file, or a goal that is wrong; the message names file, key and remedy.
+        InputError: the file is unreadable or a goal is wrong; the message names file, key and remedy.
 
     Example:
         >>> from surctl.tuning import load_goals
@@ -189,7 +191,7 @@ def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
 
 
 def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
-    """Goals from the tables of a file; InputError names it.
+    """Return the goals of the tables of a file; an InputError names the file.
 
     Example:
         >>> from surctl.tuning import GoalTable, goals_from_tables
@@ -202,7 +204,7 @@ def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goa
     try:
         for table in tables:
             if table.name in goals:
-                raise InputError("two goals have one name", key="goals.name", value=table.name, remedy="rename one")
+                raise InputError("is the name of two goals", key="goals.name", value=table.name, remedy="rename one")
             goals[table.name] = _goal(table)
     except InputError as error:
         raise error.inside(file) from None
@@ -220,7 +222,7 @@ def _goal(table: GoalTable) -> Goal:
         )
     sense, bound = stated[0]
     spec = {**METRICS, **LINEAR_METRICS}.get(table.metric)
-    if spec is not None:  # else the goal itself says so
+    if spec is not None:  # if the metric is unknown, Goal raises the error
         try:
             bound = bound.within(spec.unit)
         except InputError as error:
@@ -233,7 +235,7 @@ def _goal(table: GoalTable) -> Goal:
 
 
 def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]:
-    """The goals, those about the linear loop at these cruise speeds [m/s] where they name none of their own.
+    """Return the goals; a goal about the linear loop without speeds of its own gets these cruise speeds [m/s].
 
     Example:
         >>> from surctl.tuning import Goal, goals_at

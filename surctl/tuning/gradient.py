@@ -1,10 +1,10 @@
 """Exact gradients of a whole closed-loop run with respect to gains, by reverse differentiation.
 
-A run is a fixed number of ticks of the closed-form law and the plant, with true positions (`simulate` with sensing
-`truth`); where the obstacles are is data, tick by tick. What the run is judged by (`SURROGATES`) is smooth, unlike
-the metrics. The law itself is piecewise smooth: between two switches (a latched side, a limit, a nearest contact)
-the gradient is exact, on one it is that of one side. `DifferentiableRun.branches` tells whether two runs share every
-branch.
+A run is a fixed number of control steps of the closed-form law and the plant, with true positions (`simulate` with
+sensing `truth`). The positions of the obstacles at each step are data. The run is judged by surrogates (`SURROGATES`),
+which are smooth, unlike the metrics. The law itself is piecewise smooth. Between two switches (a latched side, a limit,
+a nearest contact) the gradient is exact; at a switch it is the gradient of one side. `DifferentiableRun.branches` shows
+whether two runs take the same branches.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ Array = NDArray[np.float64]
 SURROGATES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "deviation": ("m^2", "mean square of the cross-track error"),
-        "clearance": ("m", "soft minimum over time and obstacles of the clearance, walls apart"),
+        "clearance": ("m", "soft minimum of the clearance over time and obstacles, without walls"),
         "effort": ("N^2", "mean square of the horizontal thrust"),
-        "remaining": ("m", "mean distance to the target over the whole horizon: late arrivals cost"),
+        "remaining": ("m", "mean distance to the target over the whole horizon; a late arrival increases it"),
     }
 )
-"""Smooth stand-ins for the metrics: name → (unit, meaning)."""
+"""Smooth substitutes for the metrics: name → (unit, meaning)."""
 
-_SHARPNESS = 60.0  # [1/m] of the soft minimum: log(1000 samples)/60 is 0.1 m below the least of as many equal ones
-_ROW = 8  # of a body: centre x, y, half sides x, y (0 for a disc), radius, velocity x, y, valid
-_TINY = 1e-24  # under a root: √ has no slope at 0, and 0 · ∞ would be NaN where the root does not count
-_FAR = 100.0  # [m] where an empty slot is
-_HALVES = 2  # firing intervals of the plant in one tick
+_SHARPNESS = 60.0  # [1/m] of the soft minimum, which is log(n)/60 m below n equal samples: 0.1 m for n = 1000
+_ROW = 8  # numbers of a body: centre x, y, half sides x, y (0 for a disc), radius, velocity x, y, valid
+_TINY = 1e-24  # least value under a root: √ has no slope at 0, and 0 · ∞ would be NaN in an unused branch
+_FAR = 100.0  # [m] position of an empty slot
+_HALVES = 2  # plant intervals of 25 ms in one control step
 
 
 @dataclass(frozen=True, eq=False)
 class DifferentiableRun:
-    """A case made ready: surrogates of a run and their gradient as functions of a few gains.
+    """A prepared case: the surrogates of its run and their gradient, as functions of a few gains.
 
     Attributes:
-        case: what is flown, with its other gains.
-        names: the gains that vary, in the order of every vector of gains.
-        steps: length of the run.
+        case: the simulated case; it supplies all other gains.
+        names: names of the variable gains, in the order of every vector of gains.
+        steps: number of control steps of the run.
     """
 
     case: Case
@@ -65,20 +65,20 @@ class DifferentiableRun:
     _slope: ca.Function = field(repr=False)
 
     def surrogates(self, values: Array) -> dict[str, float]:
-        """`SURROGATES` of the run with these gains (k,)."""
+        """Return the `SURROGATES` of the run with the gains `values` (k,)."""
         return dict(zip(SURROGATES, np.asarray(self._run(values, *self._fixed)[0]).ravel().tolist(), strict=True))
 
     def gradient(self, values: Array, weights: Mapping[str, float]) -> Array:
-        """Gradient (k,) of Σ weight · surrogate with respect to the gains."""
+        """Return the gradient (k,) of Σ weight · surrogate with respect to the gains."""
         seed = np.array([float(weights.get(name, 0.0)) for name in SURROGATES])
         return np.asarray(self._slope(values, seed, *self._fixed)).ravel()
 
     def track(self, values: Array) -> Array:
-        """Plant states (steps, 12) at the end of each tick, in the order of `PLANT_STATE`."""
+        """Return the plant states (steps, 12) at the end of each control step, in the order of `PLANT_STATE`."""
         return np.asarray(self._run(values, *self._fixed)[1]).T[:, : PLANT_STATE.size]
 
     def branches(self, values: Array) -> Array:
-        """One number a tick (steps,) for the outcome of all comparisons in it: equal numbers, equal branches."""
+        """Return one number for each control step (steps,); equal numbers mean equal outcomes of all comparisons."""
         run = np.asarray(self._run(values, *self._fixed)[1])
         start, data, p, plant = self._fixed
         before = np.column_stack([start, run[:, :-1]])
@@ -91,16 +91,18 @@ class DifferentiableRun:
 
 
 def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> DifferentiableRun:
-    """Make a case ready for gradients.
+    """Prepare a case for gradients.
 
     Args:
-        case: closed form (mode nsb), true positions; of a law that has `CONTACT_SLOTS` slots, as all but `closed_form`.
-        names: gains to differentiate by.
-        steps: length of the run, at least 1; a run that arrives earlier stays at the target.
-        seed: of drift and waves.
+        case: case with mode nsb (closed form), true positions, and any law except `closed_form`: the law must have
+            `CONTACT_SLOTS` contact slots.
+        names: gains with respect to which the run is differentiated.
+        steps: number of control steps, at least 1; a run that arrives earlier stays at the target.
+        seed: seed of drift and waves.
 
     Raises:
-        InputError: another mode, sensing or law, an unknown gain, or a scenario that starts inside an obstacle.
+        InputError: the mode, the sensing or the law has no gradient, a gain is unknown, or the scenario starts inside
+            an obstacle or has too many obstacles.
 
     Example:
         >>> import numpy as np
@@ -120,11 +122,11 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
     if steps < 1 or not names:
         raise InputError("has nothing to differentiate", key="steps, names", value=(steps, tuple(names)))
     for name in names:
-        case.gains[name]  # says what is unknown
+        case.gains[name]  # raises InputError if the gain is unknown
     law = case.build()
     slots = [port.shape[0] for port in law.inputs if port.name == "contacts"]
     if slots != [CONTACT_SLOTS]:
-        remedy = f"use a law that is told {CONTACT_SLOTS} obstacles"
+        remedy = f"use a law with {CONTACT_SLOTS} contact slots"
         raise InputError("has no gradient", key="law", value=case.law, remedy=remedy)
     scenario = case.scenario
     world = build_world(scenario, case.vehicle, seed=seed)
@@ -141,7 +143,7 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
 
 
 def _data(world: World, *, steps: int, dt: float) -> Array:
-    """(steps, 8 · slots + 4): the bodies, and the wave force in the halves of the tick."""
+    """Return (steps, 8 · slots + 4): the obstacles, and the wave force in both halves of each control step."""
     rows = np.zeros((steps, CONTACT_SLOTS, _ROW))
     rows[:, :, :2] = _FAR
     forces = np.zeros((steps, 2 * _HALVES))
@@ -158,7 +160,7 @@ def _data(world: World, *, steps: int, dt: float) -> Array:
 
 @cache
 def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Function, ca.Function]:
-    """(gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient."""
+    """Return functions (gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient."""
     step, _ = _step(law)
     gains, weights = ca.MX.sym("gains", len(names)), ca.MX.sym("weights", len(SURROGATES))
     start, p, plant = (ca.MX.sym(n, step.size1_in(i)) for n, i in (("start", 0), ("p", 2), ("plant", 3)))
@@ -181,10 +183,13 @@ def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Functio
 
 @cache
 def _step(law: Law) -> tuple[ca.Function, ca.Function]:
-    """(state, data, p, plant) → (next state, y_e², thrust², distance to go, clearances); and → its branches."""
+    """Return one control step (state, data, p, plant) → (next state, terms), and the tally of its comparisons.
+
+    The terms are y_e², thrust², the distance to the target, and the clearances.
+    """
     state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
     data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
-    # the plant's parameters, current x, y, target x, y, hull radius, the thrust's gains and biases
+    # plant parameters, current x, y, target x, y, hull radius, gains and biases of the thrust
     ends = np.cumsum([0, advance().size1_in(3), 2, 2, 1, 4, 4]).tolist()
     p, world = ca.SX.sym("p", law.gains.size), ca.SX.sym("plant", ends[-1])
     plant, current, target, hull, gain, bias = ca.vertsplit(world, ends)
@@ -228,7 +233,7 @@ def _disturbance(current: ca.SX, force: ca.SX) -> dict[str, ca.SX]:
 
 
 def _with_slopes(program: Program) -> Program:
-    """The same numbers to 1e-12, with √x replaced by √max(x, tiny): no branch has an infinite slope."""
+    """Return the program with √max(x, tiny) for √x: equal results to 1e-12, and no branch with an infinite slope."""
     instructions: list[Instruction] = [Instruction("const", (), _TINY)]
     new: list[int] = []
     for instruction in program.instructions:
@@ -245,7 +250,7 @@ def _with_slopes(program: Program) -> Program:
 
 
 def _compared(program: Program) -> Program:
-    """The program that gives the outcome of every comparison instead: conditions, and which of two is less."""
+    """Return the program whose outputs are the outcomes of all comparisons, including those in minima and maxima."""
     instructions, outcomes = list(program.instructions), []
     for at, instruction in enumerate(program.instructions):
         if instruction.op in ("lt", "le", "eq", "ne"):
@@ -257,7 +262,7 @@ def _compared(program: Program) -> Program:
 
 
 def _tally(compared: ca.Function) -> ca.Function:
-    """One number for all outcomes of a tick, by weights that no two sets of outcomes are likely to share."""
+    """Return a function that sums the outcomes of a step with random weights: different outcomes rarely share a sum."""
     inputs = [ca.SX.sym(f"i{k}", compared.size1_in(k)) for k in range(compared.n_in())]
     outcomes = compared(*inputs)
     weights = np.random.default_rng(0).uniform(1, 2, outcomes.numel())

@@ -1,4 +1,4 @@
-"""Where a tuning keeps its trials: optuna's journal, written a batch at a time, so that a killed tuning resumes."""
+"""Storage of trials in optuna's journal, written one batch at a time, so that a killed tuning resumes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 __all__ = ["Journal", "quiet_optuna"]
 
 _OBJECTIVES = ["minimize", "minimize"]
-_HARMED = (ValueError, KeyError, TypeError, AttributeError)  # what reading a file that is no journal may raise
+_HARMED = (ValueError, KeyError, TypeError, AttributeError)  # possible errors when a file is not a journal
 
 
 def quiet_optuna() -> Any:
-    """The package, imported when it is asked for, and told to print warnings only."""
+    """Import optuna on first use, limit its log to warnings, and return the module."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -33,14 +33,14 @@ def quiet_optuna() -> Any:
 class Journal:
     """Finished trials by study name, in one file.
 
-    One process at a time holds the file; the lock goes with the process, however it ends. A line that a kill cut
-    short is dropped.
+    Only one process at a time can lock the file; the lock ends with the process. An incomplete last line, which a
+    killed process leaves, is removed.
 
     Args:
-        path: the file; None keeps them in memory.
+        path: the file; None stores the trials in memory.
 
     Raises:
-        InputError: the file is in use, cannot be used, or is no journal.
+        InputError: the file is in use, cannot be used, or is not a journal.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -57,12 +57,12 @@ class Journal:
                 raise
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file and release its lock."""
         if self._file is not None:
             self._file.close()
 
     def trials(self, name: str) -> list[FrozenTrial]:
-        """The finished trials of a study, oldest first; InputError where there is no room."""
+        """Return the finished trials of a study, oldest first; InputError if the file cannot be used."""
         if self._storage is None:
             return list(self._in_memory.get(name, []))
         with self._file_errors():
@@ -70,7 +70,7 @@ class Journal:
         return finished
 
     def append(self, name: str, trials: Sequence[FrozenTrial]) -> None:
-        """Add finished trials: one write, on the disk when this returns; InputError where there is no room."""
+        """Write finished trials to the disk at once, before the call returns; InputError if the disk is full."""
         if self._storage is None:
             self._in_memory.setdefault(name, []).extend(trials)
             return
@@ -85,9 +85,9 @@ class Journal:
             yield
         except OSError as error:
             why = f"cannot be written ({error.strerror})"
-            raise InputError(why, file=self.path, key="--out", remedy="make room; it resumes") from None
+            raise InputError(why, file=self.path, key="--out", remedy="free disk space; the command resumes") from None
         except _HARMED:
-            raise _unusable(self.path or Path(), "it is no journal of trials") from None
+            raise _unusable(self.path or Path(), "it is not a journal of trials") from None
 
     def _study(self, name: str) -> Study:
         optuna = quiet_optuna()
@@ -95,7 +95,7 @@ class Journal:
 
 
 def _hold(path: Path) -> BinaryIO:
-    """The file, locked, without a half line at its end."""
+    """Return the open and locked file, without an incomplete line at its end."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+b")
@@ -110,18 +110,18 @@ def _hold(path: Path) -> BinaryIO:
     whole = file.read()
     if whole and not whole.startswith(b'{"op_code"'):
         file.close()
-        raise _unusable(path, "it is no journal of trials")
+        raise _unusable(path, "it is not a journal of trials")
     os.truncate(path, whole.rfind(b"\n") + 1)
     return file
 
 
 def _open(path: Path) -> tuple[JournalStorage, Any]:
-    """Storage, and the context in which what is written is held back and then written at once."""
+    """Return the storage, and a context that collects all entries and writes them together at its end."""
     from optuna.storages import JournalStorage
     from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 
     class Alone(JournalFileOpenLock):  # type: ignore[misc]
-        """The file is held already."""
+        """Lock without effect, because this process has locked the file already."""
 
         def acquire(self) -> bool:
             return True
@@ -130,7 +130,7 @@ def _open(path: Path) -> tuple[JournalStorage, Any]:
             return None
 
     class Batched(JournalFileBackend):  # type: ignore[misc]
-        """Each entry costs a trip to the disk: a batch of trials makes one."""
+        """Backend that writes a batch of trials in one disk access, instead of one access for each entry."""
 
         def __init__(self, file: str) -> None:
             super().__init__(file, Alone(file))
@@ -162,7 +162,7 @@ def _open(path: Path) -> tuple[JournalStorage, Any]:
     try:
         return JournalStorage(backend), backend.held
     except _HARMED:
-        raise _unusable(path, "it is no journal of trials") from None
+        raise _unusable(path, "it is not a journal of trials") from None
 
 
 def _unusable(path: Path, why: str) -> InputError:

@@ -1,4 +1,4 @@
-"""What a sweep measures at its points: closed-loop metrics over cases and seeds, and linear metrics."""
+"""Quantities that a sweep computes at its points: closed-loop metrics over cases and seeds, and linear metrics."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Floats = NDArray[np.float64]
 
 _WORST = "_worst"
 _CRUISE = "scenario.cruise"
-_OFTEN_ABSENT = ("path_error_m",)  # NaN here says that there is none, not that the run went wrong
+_OFTEN_ABSENT = ("path_error_m",)  # NaN here means that the run has no path error, not that it failed
 
 
 @dataclass(frozen=True)
@@ -55,42 +55,42 @@ class Quantity:
     meaning: str
 
 
-_AVERAGED = {name: spec for name, spec in METRICS.items() if spec.better is not None}  # a code has no mean
+_AVERAGED = {name: spec for name, spec in METRICS.items() if spec.better is not None}  # a status code has no mean
 
 CASE_COLUMNS: Mapping[str, Quantity] = {
     **{name: Quantity(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
     **{name + _WORST: Quantity(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
 }
-"""Closed-loop columns, of one case over its seeds and of all runs at a point: mean and worst of every metric that
-has a better side. In a mean each case weighs alike. Runs without a path error do not count in its mean; any other NaN
-shows."""
+"""Closed-loop columns, for one case over its seeds and for all runs at a point: mean and worst value of every metric
+for which low or high is better. In a mean all cases have the same weight. Runs without a path error do not count in its
+mean; any other NaN makes the result NaN."""
 
 RUN_COLUMNS: Mapping[str, Quantity] = {
     **CASE_COLUMNS,
     "strayed": Quantity("1", "rms horizontal distance to the path in hull radii, mean"),
-    "time_ratio": Quantity("1", "time over path length divided by cruise speed, worst"),
+    "time_ratio": Quantity("1", "arrival time divided by the ideal time (path length / cruise speed), worst"),
 }
 """Columns over all runs at a point."""
 
 LINEAR_COLUMNS: Mapping[str, Quantity] = {
     name: Quantity(spec.unit, f"{spec.meaning}; worst vehicle") for name, spec in LINEAR_METRICS.items()
 }
-"""Columns of the linearised loops, at each vehicle's largest cruise speed, or the worst of several speeds."""
+"""Columns of the linearised loops at each vehicle's largest cruise speed, or the worst over the sweep's speeds."""
 
 WORST_SPEED = {"disk_margin_at_m_per_s": Quantity("m/s", "cruise speed at which the disk margin of the loops is least")}
-"""A column beside them where the sweep names speeds."""
+"""Additional column if the sweep names cruise speeds."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Evaluates chunks of points; picklable, and small beside them.
+    """Evaluator of chunks of points; it can be pickled and is small compared with the chunks.
 
     Attributes:
-        cases: what is flown at every point.
-        names: of the points' columns.
-        seeds: of every case that depends on a seed; the others are flown once, with the first one.
-        linear_chunks: chunks of a lower index are evaluated linearly.
-        cruise: speeds [m/s] at which linear metrics are taken, the worst counts; empty: see `LINEAR_COLUMNS`.
+        cases: cases that are simulated at every point.
+        names: names of the points' columns.
+        seeds: seeds of every case that depends on the seed; the other cases are simulated once, with the first seed.
+        linear_chunks: number of leading chunks for which linear metrics are computed instead of runs.
+        cruise: cruise speeds [m/s] of the linear metrics, of which the worst counts; empty: see `LINEAR_COLUMNS`.
     """
 
     cases: tuple[Case, ...]
@@ -100,7 +100,7 @@ class Evaluation:
     cruise: tuple[float, ...] = ()
 
     def __call__(self, index: int, points: Floats) -> Floats:
-        """(rows, axes) → (rows, columns), in the order of `linear_columns` or `RUN_COLUMNS` and the cases' ones."""
+        """Return (rows, columns) for points (rows, axes): `linear_columns`, or `RUN_COLUMNS` and those of each case."""
         values = {name: points[:, k] for k, name in enumerate(self.names)}
         return self._linear(values, len(points)) if index < self.linear_chunks else self._simulated(values, len(points))
 
@@ -111,7 +111,7 @@ class Evaluation:
 
     @property
     def has_margins(self) -> bool:
-        """Whether the loop of every case has a linear model; without one, linear figures are NaN: not judged."""
+        """Whether the loop of every case has a linear model; otherwise the linear figures are NaN and not judged."""
         return all(has_cascade(case.law, case.guidance) for case in self.cases)
 
     @property
@@ -120,9 +120,9 @@ class Evaluation:
         return sum(len(self.seeds_of(case)) for case in self.cases)
 
     def seeds_of(self, case: Case) -> tuple[int, ...]:
-        """Seeds that a case is flown with at each point."""
+        """Return the seeds with which a case is simulated at each point."""
         gentle = all(name in GAINS or name.startswith(("vehicle.", "plant.")) for name in self.names)
-        depends = case.scenario.seeded or case.sensing != "truth" or not gentle  # other knobs may bring in waves
+        depends = case.scenario.seeded or case.sensing != "truth" or not gentle  # other parameters may add waves
         return self.seeds if depends else self.seeds[:1]
 
     def _simulated(self, values: Mapping[str, Floats], count: int) -> Floats:
@@ -137,7 +137,7 @@ class Evaluation:
                 {name: np.repeat(v, len(seeds)) for name, v in values.items() if name in known},
                 seeds=numbers.astype(np.int64),
             )
-            # one run that no seed changes stands for as many: a mean weighs every case alike
+            # a run without seeds is repeated, so that every case has the same weight in a mean
             often = len(self.seeds) // len(seeds)
             by_case.append(
                 {name: np.tile(done.column(name).reshape(count, len(seeds)), (1, often)) for name in _AVERAGED}
@@ -151,7 +151,7 @@ class Evaluation:
         return np.stack([*_summary(together), *of_all, *(c for one in by_case for c in _summary(one))], axis=1)
 
     def _linear(self, values: Mapping[str, Floats], count: int) -> Floats:
-        if not self.has_margins:  # never those of another law
+        if not self.has_margins:  # figures of another law would mislead
             return np.full((count, len(self.linear_columns)), np.nan)
         best = [-np.inf if spec.better == "low" else np.inf for spec in LINEAR_METRICS.values()]
         table = np.tile(best, (count, 1))
@@ -167,7 +167,7 @@ class Evaluation:
             )
             margins.append(metrics["disk_margin"])
             for k, (name, spec) in enumerate(LINEAR_METRICS.items()):
-                worst = np.maximum if spec.better == "low" else np.minimum  # NaN, no linear model, stays
+                worst = np.maximum if spec.better == "low" else np.minimum  # NaN (no linear model) stays NaN
                 table[:, k] = worst(table[:, k], metrics[name])
         if not self.cruise:
             return table
@@ -185,10 +185,10 @@ def build_cases(
     sensing: str = "truth",
     guidance: str = "los",
 ) -> tuple[Case, ...]:
-    """Every scenario by every vehicle; by its own one if there are none.
+    """Return a case for every scenario and every vehicle; without vehicles, each scenario has its own vehicle.
 
     Raises:
-        InputError: an unknown law, mode, sensing or guidance.
+        InputError: the law, the mode, the sensing or the guidance is unknown.
 
     Example:
         >>> from surctl.control import load_gains
@@ -215,7 +215,7 @@ def build_cases(
 
 
 def check_column(name: str) -> None:
-    """InputError with the nearest known name unless a sweep with linear metrics has that column.
+    """Raise InputError, with the nearest known name, unless a sweep with linear metrics has this column.
 
     Example:
         >>> from surctl.tuning import check_column
@@ -231,34 +231,34 @@ def check_column(name: str) -> None:
 
 
 def linear_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Those of the axes that the linear metrics depend on."""
+    """Return the names of the axes on which the linear metrics depend."""
     return tuple(name for name in names if name in LINEAR_PARAMETERS)
 
 
 def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], cruise: Sequence[float] = ()) -> None:
-    """What can be wrong with a sweep before anything is flown.
+    """Check the request of a sweep before any run.
 
     Raises:
-        InputError: nothing to fly, one case twice, cases of different gains, seeds that are missing, negative, twice or
-            also an axis, an axis that no case knows, a value out of a knob's bounds, or cruise speeds of the linear
-            loops that are also an axis, above a cap, or that a vehicle cannot hold.
+        InputError: there is no case, a case occurs twice, the cases have different gains, or seeds are missing,
+            negative, repeated or also an axis; no case has the parameter of an axis, or a value is out of its bounds;
+            cruise speeds of the linear loops are also an axis, exceed a speed cap, or need too much thrust.
     """
     if not cases:
-        raise InputError("has nothing to fly", key="sweep", remedy="name at least one scenario")
+        raise InputError("has nothing to simulate", key="sweep", remedy="name at least one scenario")
     names = [case.name for case in cases]
     for name in names:
         if names.count(name) > 1:
-            raise InputError("is flown twice", key="case", value=name, remedy="name each case once")
+            raise InputError("occurs twice", key="case", value=name, remedy="name each case once")
     if any(case.gains.values != cases[0].gains.values for case in cases):
-        raise InputError("cases start from different gains", key="gains", remedy="give all cases the same")
+        raise InputError("cases have different gains", key="gains", remedy="give all cases the same gains")
     if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
         raise InputError(
             "must be different whole numbers, at least 0", key="seeds", value=tuple(seeds), remedy="write 0,1,2,..."
         )
     if SEED in design.names and len(seeds) > 1:
-        raise InputError("is an axis already", key="seeds", value=len(seeds), remedy="leave --seeds or the axis away")
+        raise InputError("is an axis already", key="seeds", value=len(seeds), remedy="omit --seeds or the axis")
     if cruise and _CRUISE in design.names:
-        raise InputError("is an axis already", key="--cruise", value=list(cruise), remedy="leave one of them out")
+        raise InputError("is an axis already", key="--cruise", value=list(cruise), remedy="omit --cruise or the axis")
     for case in cases if cruise else ():
         check_held(cruise_speeds(cruise, key="--cruise"), case.vehicle, cap=case.scenario.cap, key="--cruise")
     known = [case_parameters(case) for case in cases]
@@ -276,7 +276,7 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], c
 
 
 def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chunk: int) -> str:
-    """SHA-256 of everything that the numbers, and how they are cut, depend on."""
+    """SHA-256 of everything on which the numbers and their division into chunks depend."""
     lines = [f"surctl {__version__}", f"columns {tuple(METRICS)} {tuple(LINEAR_METRICS) if linear else ()}"]
     lines += [] if evaluation.has_margins or not linear else ["margins are not judged"]
     lines += [f"cruise {evaluation.cruise}"] if evaluation.cruise and linear else []
@@ -288,7 +288,7 @@ def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chun
 
 
 def law_digest(case: Case) -> str:
-    """Digest of the law's instruction list, without the priority mode's solver."""
+    """Digest of the law's instruction list, without the solver of the priority mode."""
     return _law_digest(case.law, case.avoidance, case.guidance, case.barrier, case.movers)
 
 
@@ -311,7 +311,7 @@ def _nearest_parameter(name: str, known: set[str]) -> str:
 
 
 def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> Floats:
-    """(points, 1) or (1, 1): the first of these knobs that is swept, else its nominal value."""
+    """Return (points, 1) values of the first of these parameters that is swept, otherwise (1, 1) the nominal value."""
     for name in names:
         if name in values:
             return values[name][:, None]
@@ -319,7 +319,7 @@ def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> 
 
 
 def _summary(metrics: Mapping[str, Floats]) -> list[Floats]:
-    """Columns in the order of `CASE_COLUMNS` from metrics (points, runs)."""
+    """Return columns in the order of `CASE_COLUMNS` from metrics (points, runs)."""
     means, worst = [], []
     for name, spec in _AVERAGED.items():
         runs = metrics[name]
@@ -334,7 +334,7 @@ def _summary(metrics: Mapping[str, Floats]) -> list[Floats]:
 
 
 def _fastest(cases: Sequence[Case]) -> list[Case]:
-    """For each different vehicle, model and law the case of the largest cruise speed."""
+    """Return, for each different vehicle, model and law, the case with the largest cruise speed."""
     fastest: list[Case] = []
     for case in sorted(cases, key=lambda c: -c.scenario.cruise):
         if not any((case.vehicle, case.model, case.law) == (k.vehicle, k.model, k.law) for k in fastest):

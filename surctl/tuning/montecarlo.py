@@ -1,4 +1,4 @@
-"""Fresh runs of one gain set: new seeds, and plants drawn from the ranges while the controller believes the model."""
+"""Fresh runs of one gain set: new seeds, and plants sampled from the ranges while the controller keeps its model."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from surctl.tuning.goals import Goal
 
 __all__ = ["APART", "MOST_SEED", "Counterexample", "MonteCarlo", "fresh", "monte_carlo"]
 
-APART = 10_000_000  # runs between the seeds of two tunings: no round of either reaches the other's
+APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
 
 MOST_SEED = 2**62 // APART
-"""Largest seed of a tuning: the seeds of its runs are 64-bit numbers."""
+"""Largest seed of a tuning, because the seeds of its runs are 64-bit numbers."""
 
 
 @dataclass(frozen=True)
 class Counterexample:
-    """A run that misses a goal; of a goal over a mean, one of some runs that stand for those whose mean misses it.
+    """A run that misses a goal; for a goal over a mean, one of several runs whose mean misses the goal.
 
     Attributes:
         goal: name of the goal.
         case: name of the case.
-        seed: of the run.
-        plant: `plant.` knobs of what was flown.
-        figure: the metric, in its unit; NaN when the run did not arrive.
-        normalised: above 1, but for a mean.
+        seed: seed of the run.
+        plant: `plant.` parameters of the simulated vehicle.
+        figure: value of the metric, in its unit; NaN if the run did not arrive.
+        normalised: normalised value of the run; above 1, except for a goal over a mean.
     """
 
     goal: str
@@ -43,7 +43,7 @@ class Counterexample:
     normalised: float
 
     def condition(self, cases: Sequence[Case]) -> Condition:
-        """The run as a condition of the goal."""
+        """Return the run as a condition of its goal."""
         case = next(c for c in cases if c.name == self.case)
         return Condition(case, self.seed, dict(self.plant), (self.goal,))
 
@@ -55,15 +55,15 @@ class Counterexample:
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """What fresh runs say of one gain set.
+    """Result of the fresh runs of one gain set.
 
     Attributes:
         runs: number of runs.
-        seeds: first and last seed, none of them used before.
-        missed: goal → share of its runs that by themselves miss it; a goal without a fresh run is left out.
+        seeds: first and last seed; no seed of this range was used before.
+        missed: goal → share of its runs that individually miss the goal; a goal without a fresh run is omitted.
         normalised: goal → worst (or mean) normalised value.
-        counterexamples: the worst runs of each goal that is refuted, a few a case, the worst of all first; of a mean
-            a few evenly spread over all.
+        counterexamples: for each refuted goal, a few of the worst runs in each case, the worst first. For a goal over a
+            mean, a few runs that are evenly spread over all ranks.
     """
 
     runs: int
@@ -74,7 +74,7 @@ class MonteCarlo:
 
     @property
     def refuted(self) -> tuple[str, ...]:
-        """Names of the goals that a run refutes."""
+        """Names of the goals that the fresh runs refute."""
         return tuple(dict.fromkeys(c.goal for c in self.counterexamples))
 
     def to_dict(self) -> dict[str, Any]:
@@ -85,16 +85,16 @@ class MonteCarlo:
 
 
 def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[Condition, ...]:
-    """Conditions of fresh runs, dealt to the cases in turn.
+    """Return the conditions of fresh runs, which are assigned to the cases in turn.
 
-    Every other run of a case flies the case's own vehicle, for the goals that are about that alone; not of a case
-    that no seed changes, where it would be the same run each time.
+    Every other run of a case has the nominal plant, for goals that apply to the nominal plant only. A case that does
+    not depend on the seed has no such runs, because all of them would be equal.
 
     Args:
-        cases: what is flown.
+        cases: the simulated cases.
         runs: number of runs over all cases.
-        first: how many seeds this tuning has used so far.
-        tuning: seed of the tuning; two tunings share no seed.
+        first: number of seeds that this tuning has used so far.
+        tuning: seed of the tuning; the runs of two tunings share no seed.
     """
     conditions = []
     for k in range(runs):
@@ -113,20 +113,20 @@ def monte_carlo(
     each: int = 3,
     threads: int = 1,
 ) -> MonteCarlo:
-    """Fly one gain set under every condition and look for goals that it misses.
+    """Simulate one gain set under every condition and find the goals that it misses.
 
     Args:
         goals: the goals.
         conditions: the runs.
-        gains: the set, by name.
-        each: most counterexamples of one goal in one case.
-        threads: of the compiled loop.
+        gains: the gain set as gain → value.
+        each: largest number of counterexamples of one goal in one case.
+        threads: number of threads of the compiled loop.
     """
     table = figures(goals, conditions, {name: np.array([value]) for name, value in gains.items()}, threads=threads)
     missed, normalised, counterexamples = {}, {}, []
     for goal in goals:
         own = scope(goal, conditions)
-        if not own:  # about cases that no seed changes, and their own vehicle: nothing is fresh there
+        if not own:  # nominal plant and cases without seeds: the goal has no fresh run
             continue
         figure = goal.worst(table)[0][0, own]
         apiece = goal.normalised(figure)
@@ -143,13 +143,13 @@ def monte_carlo(
 def _chosen(
     goal: Goal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
 ) -> list[int]:
-    """Runs that refute a goal: of every case the worst that miss it, or for a mean some whose mean is about theirs."""
-    # on the wrong side of zero every normalised value is inf: there the figure tells which is worse, NaN first
+    """Return runs that refute a goal: the worst of each case or, for a mean, runs with about the same mean."""
+    # several normalised values may be inf: the figure then decides which run is worse, NaN first
     order = [int(k) for k in np.lexsort((-goal.badness(figure), -normalised))]
     by_case = {case: [k for k in order if cases[k] == case] for case in dict.fromkeys(cases[k] for k in order)}
     chosen = []
     for own in by_case.values():
-        if goal.over == "mean":  # evenly spread over their ranks: the worst alone would make another mean
+        if goal.over == "mean":  # evenly spread over their ranks: the worst runs alone would have another mean
             count = min(most, len(own))
             chosen += [own[(2 * j + 1) * len(own) // (2 * count)] for j in range(count)]
         else:

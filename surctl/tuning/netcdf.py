@@ -1,4 +1,4 @@
-"""A sweep's columns as one netCDF-4 file, column by column: memory holds one column at a time."""
+"""Write a sweep's columns to one netCDF-4 file, column by column, so that memory holds one column at a time."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from surctl.tuning.table import netcdf_name
 
 __all__ = ["Column", "provenance", "request_of", "write_netcdf"]
 
-_CACHE = 2**20  # bytes of HDF5's cache for each variable; its default times the columns would fill the memory
+_CACHE = 2**20  # bytes of HDF5's cache for each variable; the default size for all columns would fill the memory
 
 Column = tuple[str, Quantity, list[Callable[[], NDArray[np.float64]]], bool]
-"""Name, unit and meaning, what gives its values over the points (one, or one a case), whether it is by case."""
+"""A column: name, unit and meaning, functions that return its values (one, or one for each case), and if by case."""
 
 
 def write_netcdf(
     path: Path, design: Design, columns: Iterable[Column], *, evaluation: Evaluation, attributes: Mapping[str, str]
 ) -> None:
-    """Write the table; the file appears under its name when it is complete and on the disk.
+    """Write the table; the file gets its name only when it is complete and on the disk.
 
     Args:
         path: the file.
-        design: its axes become coordinates.
-        columns: the data variables; values (points,).
-        evaluation: names the cases and their knobs.
-        attributes: global ones.
+        design: the design, whose axes become coordinates.
+        columns: the data variables, with values (points,).
+        evaluation: the evaluation, which names the cases and their parameters.
+        attributes: global attributes of the file.
 
     Raises:
         InputError: the disk is full, or the folder cannot be written.
@@ -49,7 +49,7 @@ def write_netcdf(
         with part.open("rb") as file:
             os.fsync(file.fileno())
         part.replace(path)
-    except (OSError, RuntimeError) as error:  # netCDF tells a full disk as a RuntimeError
+    except (OSError, RuntimeError) as error:  # netCDF reports a full disk as a RuntimeError
         with suppress(OSError):
             part.unlink(missing_ok=True)
         raise cannot_write(path, error) from None
@@ -85,7 +85,7 @@ def _variable(file: Any, name: str, dimensions: tuple[str, ...], quantity: Quant
 
 
 def _coordinates(file: Any, design: Design, cases: tuple[Case, ...]) -> tuple[str, ...]:
-    """Make the dimensions and what they mean; their names."""
+    """Create the dimensions and the coordinate variables; return the names of the dimensions."""
     names = tuple(netcdf_name(name) for name in design.names)
     if design.kind != "grid":
         file.createDimension("point", len(design.points))
@@ -111,7 +111,7 @@ def _quantity(name: str, cases: tuple[Case, ...]) -> Quantity:
 
 
 def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[str, str]:
-    """Global attributes: what the numbers come from. There is no time in it: one request gives one file."""
+    """Return attributes with the origin of the numbers, but without a time: equal requests must give equal files."""
     gains = evaluation.cases[0].gains
     cases = [
         {"name": c.name, "law": c.law, "priority_mode": c.mode, "seeds": list(evaluation.seeds_of(c))}
@@ -139,13 +139,13 @@ def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[
 
 
 def request_of(path: Path) -> str | None:
-    """Digest of the request that a finished table answers; None if it is harmed, or no such table."""
+    """Return the digest of the request of a finished table; None if the file is damaged or is not such a table."""
     import netCDF4
 
     try:
         with netCDF4.Dataset(path) as file:
             for variable in file.variables.values():
-                _ = variable[:]  # checks the sums that were written with the values
+                _ = variable[:]  # reading verifies the stored checksums
             return str(file.getncattr("request"))
     except (OSError, RuntimeError, AttributeError):
         return None

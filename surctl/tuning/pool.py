@@ -1,4 +1,4 @@
-"""What a search is asked for, and the gain sets that it flew."""
+"""The request of a search, and the pool of gain sets that the search simulated."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ __all__ = ["Pool", "Progress", "Request", "joined"]
 
 Progress = Callable[[str], None]
 
-CAP = 10.0  # normalised values count up to this, so that one hopeless goal does not hide the others
-_PENALTY = 10.0  # of one unit of violation, against the score
+CAP = 10.0  # upper limit of a normalised value in a score, so that one hopeless goal does not hide the others
+_PENALTY = 10.0  # penalty of one unit of violation, relative to the score
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """Everything that a search depends on.
+    """Everything on which a search depends.
 
     Attributes:
         goals: the goals.
-        conditions: the runs that they are taken over.
-        base: the start: also every gain that is not searched.
-        space: the gains searched.
-        seed: of the search.
-        claims: points of claims that must hold.
-        threads: of the compiled loop; nothing depends on them.
-        begun: words for what the search begins with, where that is not the start gains alone.
+        conditions: the runs for which the goals are evaluated.
+        base: the start gains; they also supply every gain that is not searched.
+        space: the searched gains with their ranges.
+        seed: seed of the search.
+        claims: points at which claims must hold.
+        threads: number of threads of the compiled loop; no result depends on it.
+        begun: text that names the start of the search if it has further starts besides the start gains.
     """
 
     goals: tuple[Goal, ...]
@@ -53,12 +53,12 @@ class Request:
 
     @property
     def cases(self) -> tuple[Case, ...]:
-        """What is flown, each case once, in order."""
+        """The simulated cases, each once, in order."""
         return tuple({id(c.case): c.case for c in self.conditions}.values())
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all of it but the threads: the name of the study in the journal."""
+        """SHA-256 of the request without `threads`; it names the study in the journal."""
         lines = [f"surctl {__version__}", f"goals {self.goals!r}", f"space {self.space!r}", f"seed {self.seed}"]
         lines += [
             f"base {dict(self.base.values)!r}",
@@ -75,25 +75,25 @@ class Request:
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def simulate(self, sets: Sets) -> tuple[Pool, Figures]:
-        """Fly gain sets: what the goals make of them, and the figure of every run."""
+        """Simulate gain sets; return them as a pool with evaluated goals, and the figures of every run."""
         table = figures(self.goals, self.conditions, sets, threads=self.threads)
         values = {span.name: np.asarray(sets[span.name], dtype=float) for span in self.space}
         pool = Pool(values, judged(self.goals, self.conditions, table), excess(self.claims, self.base.values, sets))
         return pool, table
 
     def judge(self, sets: Sets) -> Pool:
-        """Fly gain sets."""
+        """Simulate gain sets and return them as a pool with evaluated goals."""
         return self.simulate(sets)[0]
 
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Gain sets that were flown.
+    """Gain sets that were simulated.
 
     Attributes:
         sets: gain → (n,).
-        evaluation: of the goals.
-        claims: (n, c) by how much each point of a claim fails, over its threshold; at most 0 where it holds.
+        evaluation: the evaluated goals.
+        claims: (n, c): excess of each claim point over its threshold; at most 0 if the claim holds there.
     """
 
     sets: Sets
@@ -102,48 +102,49 @@ class Pool:
 
     @property
     def feasible(self) -> NDArray[np.bool_]:
-        """(n,): every hard goal is met and every point of a claim holds."""
+        """(n,): whether every hard goal is met and every claim holds at its points."""
         held: NDArray[np.bool_] = self.evaluation.feasible & (self.claims <= 0).all(axis=1)
         return held
 
     @property
     def constraints(self) -> NDArray[np.float64]:
-        """(n, hard + c): at most 0 where met. Beyond, bounded: a goal counts by how many runs miss it and how far."""
+        """(n, hard + c): at most 0 if met; a missed goal counts by the number of runs that miss it and by how far."""
         e = self.evaluation
         hard = [g.kind == "hard" for g in e.goals]
         graded = np.where(e.excess[:, hard] > 0, e.excess[:, hard], np.minimum(e.normalised[:, hard] - 1, 0.0))
         return np.hstack([graded, np.minimum(self.claims, CAP)])
 
     def score(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,): the largest soft goal over what the start gains make of it, or over its limit if they miss it.
+        """Return (n,): the largest soft goal, relative to its start value or, if the start gains miss it, to its limit.
 
-        Below 1 every soft goal is met and better than with the start gains. `start` (m,): their normalised values.
+        If the score is below 1, every soft goal is met and better than with the start gains. `start` (m,): normalised
+        values with the start gains.
         """
         soft = np.array([g.kind == "soft" for g in self.evaluation.goals])
-        # a goal that the start gains meet is not given back; never divided by a value near zero
+        # a goal that the start gains meet must not get worse; 1e-3 avoids a division by almost zero
         reference = np.clip(start[soft], 1e-3, 1.0)
         capped = np.minimum(self.evaluation.normalised, CAP)[:, soft]
         worst: NDArray[np.float64] = (capped / reference).max(axis=1, initial=0.0)
         return worst
 
     def merit(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,): score plus a penalty on every unmet constraint."""
+        """Return (n,): score plus a penalty on every unmet constraint."""
         broken = np.maximum(self.constraints, 0).sum(axis=1)
-        # a constraint that is missed by a hair costs at least as much as a score can gain
+        # even a barely missed constraint costs at least as much as a score can gain
         merit: NDArray[np.float64] = self.score(start) + _PENALTY * (broken + (broken > 0))
         return merit
 
     def ranked(self, start: NDArray[np.float64]) -> list[int]:
-        """Indices of all sets by merit, the best first."""
+        """Return the indices of all sets by merit, the best first."""
         order: list[int] = np.argsort(self.merit(start), kind="stable").tolist()
         return order
 
     def best(self, start: NDArray[np.float64]) -> int:
-        """Index of the feasible set with the least score; where none is feasible, of the one that misses least."""
+        """Return the index of the feasible set with the least score; if there is none, of the set that misses least."""
         return int(np.argmin(self.merit(start)))
 
     def front(self, start: NDArray[np.float64]) -> list[int]:
-        """Indices of the feasible sets that none beats in both score and thrust, least score first."""
+        """Return indices of the feasible sets that no set beats in both score and thrust, least score first."""
         score, effort = self.score(start), self.evaluation.effort
         indices: list[int] = []
         for k in np.lexsort((effort, score)):
@@ -152,18 +153,18 @@ class Pool:
         return indices
 
     def subset(self, which: Sequence[int]) -> Pool:
-        """Some of the sets."""
+        """Return a pool of some of the sets."""
         e, k = self.evaluation, list(which)
         part = Evaluation(e.goals, e.normalised[k], e.figure[k], e.speed[k], e.excess[k], e.effort[k])
         return Pool({name: values[k] for name, values in self.sets.items()}, part, self.claims[k])
 
     def gains(self, k: int) -> dict[str, float]:
-        """The k-th set by name."""
+        """Return the k-th set as gain → value."""
         return row(self.sets, k)
 
 
 def joined(pools: Sequence[Pool]) -> Pool:
-    """One pool of several with the same goals."""
+    """Join several pools with the same goals into one pool."""
     sets = {name: np.concatenate([p.sets[name] for p in pools]) for name in pools[0].sets}
     e = [p.evaluation for p in pools]
     whole = Evaluation(
@@ -178,5 +179,5 @@ def joined(pools: Sequence[Pool]) -> Pool:
 
 
 def _kind(case: Case) -> tuple[str, ...]:
-    """What chooses the law of a case, but the senses."""
+    """Return the options that determine the law of a case, without its perception."""
     return case.law, case.avoidance, case.mode, case.guidance, case.barrier, case.movers

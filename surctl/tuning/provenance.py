@@ -1,4 +1,4 @@
-"""What a tuning leaves behind: a gain file that says where it comes from, and everything else as JSON."""
+"""Output of a tuning: a gain file with its provenance, and all other results as JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["goal_rows", "summary", "tuned_gains", "tuning_dict"]
 
 
 def tuned_gains(tuning: Tuning) -> Gains:
-    """The start gains with the tuned values; the provenance says goals, seeds, version, digest, rounds and outcome.
+    """Return the start gains with the tuned values; the provenance names goals, seeds, version, rounds and result.
 
     Example:
         >>> from surctl.control import load_gains
@@ -65,9 +65,9 @@ def _outcome(tuning: Tuning) -> str:
 
 
 def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
-    """One row a goal: its bound, figure and normalised value with the start gains and with the tuned ones.
+    """Return one row for each goal: its bound, figure and normalised value with the start gains and the tuned gains.
 
-    `worst_cruise_m_per_s` is the speed at which the tuned gains do worst, NaN for a goal at the scenario's own.
+    `worst_cruise_m_per_s` is the speed at which the tuned gains are worst, NaN for a goal at the scenario's speed.
 
     Example:
         >>> from surctl.control import load_gains
@@ -98,7 +98,7 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
 
 
 def summary(tuning: Tuning) -> list[str]:
-    """The table of goals for people, and the outcome.
+    """Return lines of text: the table of the goals, and the outcome of the tuning.
 
     Example:
         >>> from surctl.control import load_gains
@@ -131,7 +131,7 @@ def summary(tuning: Tuning) -> list[str]:
 
 
 def tuning_dict(tuning: Tuning) -> dict[str, Any]:
-    """Plain data for `tuning.json`; numbers that are not finite are left to the writer.
+    """Return plain data for `tuning.json`; the writer converts numbers that are not finite.
 
     Example:
         >>> from surctl.control import load_gains

@@ -1,7 +1,8 @@
-"""Local refinement of gains by exact gradients: projected quasi-Newton on smooth surrogates of the metrics.
+"""Local refinement of gains by exact gradients: projected quasi-Newton steps on smooth surrogates of the metrics.
 
-L-BFGS-B in the logarithms of the gains: the cost is piecewise smooth, bounds are simple, and a step needs one value
-and one gradient. What comes out is judged by the true metrics elsewhere; a surrogate only shows the way.
+The method is L-BFGS-B in the logarithms of the gains: the cost is piecewise smooth, the bounds are simple, and a step
+needs one value and one gradient. The surrogates only guide the descent; other modules judge the refined gains by the
+true metrics.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ __all__ = ["WEIGHTS", "Refinement", "refine"]
 Array = NDArray[np.float64]
 
 WEIGHTS: Mapping[str, float] = MappingProxyType({"deviation": 1.0, "clearance": 4.0, "effort": 0.1, "remaining": 1.0})
-"""Weight of each surrogate in the cost, after scaling by hull radius, surge thrust and length of the path."""
+"""Weight of each surrogate in the cost, after scaling by hull radius, surge thrust limit and path length."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What a refinement found.
+    """Result of a refinement.
 
     Attributes:
-        gains: the gains with the least cost, or those given if none was better.
-        cost: their cost.
-        history: cost after each iteration, one tuple a start; the first entry is the start itself.
+        gains: the gains with the least cost, or the original gains if no other gains were better.
+        cost: cost of these gains.
+        history: cost after each iteration, one tuple for each start; the first entry is the cost of the start itself.
     """
 
     gains: Gains
@@ -53,25 +54,27 @@ def refine(
     iterations: int = 20,
     seed: int = 0,
 ) -> Refinement:
-    """Descend from the gains, and from further seeded starts within the ranges.
+    """Minimise a cost from the given gains, and from further random starts within the ranges.
 
     The cost of a case is w_d deviation/R² + w_c (max(0, floor − clearance)/R)² + w_e effort/F² + w_r remaining/L with
-    hull radius R, surge thrust limit F, length of the path L, and the surrogates of `SURROGATES`; that of several
-    is their sum.
+    hull radius R, surge thrust limit F, path length L, and the surrogates of `SURROGATES`. The cost of several cases
+    is the sum of their costs.
 
     Args:
-        cases: as `prepare`; their own gains are replaced.
-        gains: the first start, and every gain that is not in `ranges`.
-        ranges: gain → (low, high), 0 < low < high; a start outside is put on its bound.
-        weights: by name of `SURROGATES`; a missing one counts 0.
-        floor: clearance [m] below which a case pays; the soft minimum lies up to about 0.1 m below the least.
-        steps: length of every run.
+        cases: cases that `prepare` accepts; their own gains are replaced.
+        gains: the first start; it also supplies every gain that is not in `ranges`.
+        ranges: gain → (low, high), 0 < low < high; a start outside its range moves to the nearest bound.
+        weights: weights by the names of `SURROGATES`; a missing weight is 0.
+        floor: clearance [m] below which a case adds cost; the soft minimum is up to about 0.1 m below the least
+            clearance.
+        steps: number of control steps of every run.
         starts: number of starts.
-        iterations: most quasi-Newton iterations a start; of cost and gradient about three times as many.
-        seed: of the further starts, and of drift and waves.
+        iterations: largest number of quasi-Newton iterations for each start; cost and gradient are evaluated up to
+            about three times as often.
+        seed: seed of the further starts, and of drift and waves.
 
     Raises:
-        InputError: no case, a range that is none, an unknown gain or weight, or a case that has no gradient.
+        InputError: there is no case, a range is not valid, a gain or weight is unknown, or a case has no gradient.
 
     Example:
         >>> from surctl.control import load_gains
@@ -114,7 +117,7 @@ def refine(
 
 
 def _keep(values: list[float]) -> Callable[..., None]:
-    def keep(intermediate_result: object) -> None:  # SciPy looks at the name
+    def keep(intermediate_result: object) -> None:  # SciPy passes the result by this name
         values.append(float(intermediate_result.fun))  # type: ignore[attr-defined]
 
     return keep
@@ -123,7 +126,7 @@ def _keep(values: list[float]) -> Callable[..., None]:
 def _cost_of(
     runs: Sequence[DifferentiableRun], weights: Mapping[str, float], floor: float
 ) -> Callable[[Array], tuple[float, Array]]:
-    """Log gains (k,) → cost and its gradient."""
+    """Return the function log gains (k,) → cost and its gradient."""
 
     def cost(logs: Array) -> tuple[float, Array]:
         values, total, slope = np.exp(logs), 0.0, np.zeros(len(logs))
@@ -142,7 +145,7 @@ def _cost_of(
             total += sum(linear[name] * surrogates[name] for name in linear) + pay * missing**2
             slope += run.gradient(values, {**linear, "clearance": -2 * pay * missing / hull})
         if not (np.isfinite(total) and np.isfinite(slope).all()):
-            return 1e9, np.zeros(len(logs))  # a line search steps back from it
+            return 1e9, np.zeros(len(logs))  # the line search then shortens its step
         return total, slope * values
 
     return cost
@@ -152,11 +155,11 @@ def _check(
     cases: Sequence[Case], gains: Gains, ranges: Mapping[str, tuple[float, float]], weights: Mapping[str, float]
 ) -> None:
     if not cases:
-        raise InputError("has nothing to fly", key="refine", remedy="give at least one case")
+        raise InputError("has nothing to simulate", key="refine", remedy="give at least one case")
     for name in weights:
         if name not in SURROGATES:
             raise InputError("no such surrogate", key=name, remedy=nearest(name, SURROGATES))
     for name, (low, high) in ranges.items():
         if not 0 < low < high < np.inf:
             raise InputError("is not a range", key=name, value=(low, high), remedy="give 0 < low < high")
-        gains.with_values({name: low}).with_values({name: high})  # says what is out of its bounds
+        gains.with_values({name: low}).with_values({name: high})  # raises InputError for a bound that is not allowed

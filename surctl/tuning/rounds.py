@@ -1,4 +1,4 @@
-"""What a tuning remembers of its rounds, and the file that keeps them."""
+"""Rounds of a tuning, and the file that stores them."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ __all__ = ["Record", "Round"]
 
 @dataclass(frozen=True)
 class Round:
-    """One round: a search, its best sets sifted by training runs, the one that is left verified by fresh runs.
+    """One round: a search, training runs that screen its best gain sets, and fresh runs that verify the remaining set.
 
     Attributes:
         gains: the tuned gains by name.
-        score: see `Pool.score`.
-        feasible: whether they meet every hard goal over the runs known at the end of the round.
-        missed: goals that they miss over those runs.
-        training: training runs that refuted sets which the search held for better.
-        verified: fresh runs; None when there were none.
-        claims: points where a claim fails that should hold.
-        others: further sets that are best over the runs known, best first: the next search starts from them too.
+        score: score of the tuned gains; see `Pool.score`.
+        feasible: whether the tuned gains meet every hard goal over the runs known at the end of the round.
+        missed: goals that the tuned gains miss over these runs.
+        training: training runs that refuted gain sets with a better rank in the search.
+        verified: result of the fresh runs; None if there were none.
+        claims: points at which a claim fails although it should hold.
+        others: the next best gain sets over the known runs, best first; the next search also starts from them.
     """
 
     gains: Mapping[str, float]
@@ -42,13 +42,13 @@ class Round:
 
     @property
     def refuted(self) -> tuple[str, ...]:
-        """Names of the goals and claims that are refuted."""
+        """Names of the goals that fresh runs refute, and of the claims that fail."""
         goals = () if self.verified is None else self.verified.refuted
         return (*goals, *(p.name for p in self.claims))
 
     @property
     def fresh(self) -> tuple[Counterexample, ...]:
-        """Fresh runs that refute a goal which the known runs do not."""
+        """Fresh runs that refute a goal which the tuned gains meet over the known runs."""
         counterexamples = () if self.verified is None else self.verified.counterexamples
         return tuple(c for c in counterexamples if c.goal not in self.missed)
 
@@ -67,11 +67,11 @@ class Round:
 
 
 class Record:
-    """Finished rounds of one request in a JSON file, which is replaced as a whole.
+    """Finished rounds of one request in a JSON file; each new round replaces the whole file.
 
     Args:
-        folder: where `rounds.json` is kept; None keeps nothing.
-        request: text of everything that the rounds follow from; a file of another request is not trusted.
+        folder: folder of `rounds.json`; None stores nothing.
+        request: text with everything that determines the rounds; a file of another request is ignored.
     """
 
     def __init__(self, folder: Path | None, request: str) -> None:
@@ -80,11 +80,11 @@ class Record:
         self.rounds: list[Round] = self._load()
 
     def round(self, k: int) -> Round | None:
-        """The k-th round if it is finished."""
+        """Return the k-th round if it is finished, otherwise None."""
         return self.rounds[k] if k < len(self.rounds) else None
 
     def add(self, one: Round) -> None:
-        """Keep a finished round."""
+        """Store a finished round."""
         self.rounds.append(one)
         if self.path is None:
             return
@@ -92,7 +92,7 @@ class Record:
         write_file(self.path, text)
 
     def _load(self) -> list[Round]:
-        """Rounds of the same request; anything else in the file's place is not trusted."""
+        """Load the rounds of the same request; a file with other content is ignored."""
         if self.path is None or not self.path.exists():
             return []
         try:

@@ -1,4 +1,4 @@
-"""The sets of a search against many training runs, best first: what a few runs let through, many do not."""
+"""Screen the gain sets of a search with many training runs: a set that passes a few runs often fails in many."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from surctl.tuning.pool import Pool, Progress, Request
 
 __all__ = ["TRAINING", "Screened", "harder", "reduced_pool", "screen"]
 
-TRAINING = 10  # training runs for one that verifies: a set that none of 10 n refutes, n fresh ones seldom do
-_FIRST = APART // 2  # of their seeds: beyond those of fresh runs
-_EACH = 10  # of the runs that refute a set, kept for each goal and case
-_SHORT = 64  # sets of a search that are looked at again over all runs, and as many of its front
+TRAINING = 10  # training runs for each verifying run: a set that passes 10 n runs seldom fails in n fresh runs
+_FIRST = APART // 2  # first seed of the training runs, beyond the seeds of fresh runs
+_EACH = 10  # refuting runs of a set that are stored for each goal and case
+_SHORT = 64  # best sets of a search that are simulated in all runs, and as many sets of its front
 
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """What the training runs left of a search.
+    """Result of the screening of a search.
 
     Attributes:
-        request: the request with each refuting run a condition of its goal.
-        gains: the best set that is left; where none is, the one that misses least.
+        request: the request with each refuting run as a condition of its goal.
+        gains: the best gain set that remains; if none remains, the set that misses least.
         counterexamples: the refuting runs.
     """
 
@@ -37,7 +37,7 @@ class Screened:
 
 
 def harder(request: Request, counterexamples: Sequence[Counterexample], claims: Sequence[ClaimPoint] = ()) -> Request:
-    """The request with each refuting run a condition of its goals, and each refuting point one of its claim."""
+    """Return the request with refuting runs as conditions of their goals and refuting claim points as constraints."""
     requested = [c for c in request.conditions if c.goals is None]
     known = [c for c in request.conditions if c.goals is not None]
     refuting = merged((*known, *(c.condition(request.cases) for c in counterexamples)))
@@ -45,16 +45,17 @@ def harder(request: Request, counterexamples: Sequence[Counterexample], claims: 
 
 
 def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lambda _: None) -> Screened:
-    """Fly training runs with the best set; what refutes it is flown with the others, and the best that is left is next.
+    """Simulate training runs with the best set, drop all sets that a failed run refutes, and repeat until a set passes.
 
-    The training runs are the same for every set and every round of a tuning, and no fresh ones. Only goals count that
-    a set meets over the runs of the search. It ends with a set that no training run refutes, or with none left.
+    All gain sets and all rounds of a tuning have the same training runs, which differ from the fresh runs. A goal
+    counts for a set only if the set meets it over the runs of the search. The screening ends with a set that no
+    training run refutes, or when no set remains.
 
     Args:
-        request: what was searched for.
-        pool: what the search flew, the start gains first.
-        runs: training runs.
-        progress: told one line at the end.
+        request: the request of the search.
+        pool: simulated gain sets of the search, the start gains first.
+        runs: number of training runs.
+        progress: function that receives one line of text at the end.
     """
     start = pool.evaluation.normalised[0]
     met = pool.evaluation.normalised <= 1
@@ -81,7 +82,7 @@ def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lamb
 
 
 def _message(runs: int, failed: int, added: int) -> str:
-    """What the training runs showed, in a sentence."""
+    """Return a sentence with the result of the training runs."""
     if not failed:
         return f"None of the candidate gain sets failed in {runs:,} training runs."
     sets = "candidate gain set" + "s" * (failed != 1)
@@ -90,7 +91,7 @@ def _message(runs: int, failed: int, added: int) -> str:
 
 
 def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> Pool:
-    """The start gains, the best sets of a pool and its front, and others, over the runs of the request."""
+    """Return a smaller pool (start gains, best sets, front, and others), simulated in the runs of the request."""
     start = pool.evaluation.normalised[0]
     best = pool.ranked(start)[:_SHORT]
     front = pool.front(start)
@@ -102,11 +103,11 @@ def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> 
 def _withstanding(
     request: Request, pool: Pool, met: NDArray[np.bool_], left: list[int], refuting: Sequence[Counterexample]
 ) -> list[int]:
-    """Those of the sets that no refuting run refutes in a goal which they met; a mean is not refuted by one run."""
+    """Return the sets that meet, in every refuting run, the goals they met before; one run cannot refute a mean."""
     if not left:
         return []
     place = {g.name: j for j, g in enumerate(request.goals)}
-    goals = [replace(g, cases=()) for g in request.goals]  # the runs are those of the goal already
+    goals = [replace(g, cases=()) for g in request.goals]  # the runs are already those of the goal
     runs = [c.condition(request.cases) for c in refuting]
     conditions = merged(runs)
     column = {c.run: k for k, c in enumerate(conditions)}

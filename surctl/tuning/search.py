@@ -1,8 +1,8 @@
-"""One search for gains: optuna's NSGA-II in batches on the compiled loop, then a descent about the best (`descend`).
+"""One search for gains: optuna's NSGA-II in batches on the compiled loop, then a descent from the best sets.
 
-Two objectives are minimised: the score, which is the largest soft goal (each over what the start gains make of it, or
-over its limit if they miss it), as systune does, and the mean thrust. One objective a goal would leave nearly every
-trial undominated; two can be drawn. Hard goals and claims are constraints.
+The search minimises two objectives: the score and the mean thrust. As in systune, the score is the largest soft goal;
+each goal is divided by its value with the start gains or, if they miss it, by its limit. With one objective for each
+goal nearly every trial would be undominated, and two objectives can be plotted. Hard goals and claims are constraints.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BATCH", "search"]
 
-BATCH = 32  # trials that are flown together: NSGA-II's population
+BATCH = 32  # trials that are simulated together: the population of NSGA-II
 
 
 def search(
@@ -37,14 +37,14 @@ def search(
     journal: Journal | None = None,
     progress: Progress = lambda _: None,
 ) -> Pool:
-    """All gain sets that were flown; the start gains come first.
+    """Search for gains and return all simulated gain sets; the start gains come first.
 
     Args:
-        request: what is searched for.
-        trials: of NSGA-II, rounded up to whole batches; about as many more in the descent.
-        first: gain sets to try before any other, after the start gains: what an earlier search found.
-        journal: keeps the trials; a search of the same request resumes from it, and ends where it would have ended.
-        progress: told one line a batch.
+        request: the request of the search.
+        trials: number of trials of NSGA-II, rounded up to whole batches; the descent adds about as many trials.
+        first: gain sets to try right after the start gains, for example the best sets of an earlier search.
+        journal: journal of the trials; a killed search of the same request resumes from it and has the same result.
+        progress: function that receives one line of text for each batch.
 
     Example:
         >>> from surctl.control import load_gains
@@ -54,7 +54,7 @@ def search(
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
         >>> pool = search(request, trials=32)
-        >>> pool.gains(0), pool.evaluation.normalised[0].round(2).tolist()  # what it starts from
+        >>> pool.gains(0), pool.evaluation.normalised[0].round(2).tolist()  # the start gains
         ({'k_v': 1.5}, [1.02])
         >>> pool.evaluation.normalised.min().round(2).item()  # at most 1: the goal is met
         0.99
@@ -67,12 +67,12 @@ def search(
     start = pools[0].evaluation.normalised[0] if pools else request.judge(_start(request)).evaluation.normalised[0]
     clock = _Clock(batches, len(pools), progress)
     for k in range(len(pools), batches):
-        memory = _study(known)  # anew, so that nothing but the finished trials has a say in what is drawn
+        memory = _study(known)  # a new study, so that the samples depend only on the finished trials
         proposed = _propose(memory, request, k, [row(_start(request), 0), *first] if k == 0 else [])
         sets = {s.name: np.array([t.params[s.name] for t in proposed]) for s in request.space}
         pool = request.judge(sets)
         finished = _finish(memory, proposed, pool, start)
-        # a kill may have left a part of this batch behind: it is the same part
+        # after a kill the journal may hold the first trials of this batch, and they are the same
         shelf.append(name, finished[max(0, len(done) - k * BATCH) :])
         known += finished
         pools.append(pool)
@@ -101,18 +101,18 @@ def _start(request: Request) -> dict[str, NDArray[np.float64]]:
 
 
 def _study(trials: Sequence[FrozenTrial]) -> Study:
-    """The study in memory: a trip to the disk a batch, not ten a trial."""
+    """Return the study in memory, because a study on the disk needs ten disk accesses for each trial."""
     optuna = quiet_optuna()
     study = optuna.create_study(directions=["minimize", "minimize"])
     study.add_trials(trials)
     sampler = optuna.samplers.NSGAIISampler(population_size=BATCH)
-    for generation in range(1, len(trials) // BATCH):  # the parents of each, chosen in turn as they were before
+    for generation in range(1, len(trials) // BATCH):  # choose the parents of each generation again, in order
         sampler.get_parent_population(study, generation)
     return study
 
 
 def _propose(study: Study, request: Request, batch: int, first: Sequence[Mapping[str, float]]) -> list[Trial]:
-    """A whole generation. Every trial's draws have a seed of their own, so that a resumed search draws the same."""
+    """Propose a whole generation; each trial has its own seed, so that a resumed search samples the same values."""
     optuna = quiet_optuna()
     space = distributions(request)
     for gains in first[:BATCH]:

@@ -1,4 +1,4 @@
-"""What a column depends on: Sobol' indices of first and total order, with confidence intervals."""
+"""Sensitivity of a column to the axes: Sobol' indices of first and total order, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Sensitivity:
     """Shares of a column's variance that are due to each axis, over the axes' ranges.
 
     Attributes:
-        column: which column.
+        column: name of the column.
         axes: names of the axes.
-        first: index of first order of each: the share due to that axis alone.
-        total: index of total order: the share that involves it; the sum may exceed 1.
-        first_interval: (low, high) of each, 95 % bootstrap percentiles.
-        total_interval: likewise.
-        constant: the column does not vary at all; then every index is 0.
-        base: size of the two independent samples.
+        first: first-order index of each axis: the share that is due to the axis alone.
+        total: total-order index of each axis: the share in which the axis is involved; the sum may exceed 1.
+        first_interval: (low, high) of each first-order index: 95 % bootstrap percentiles.
+        total_interval: (low, high) of each total-order index.
+        constant: whether the column is constant; then every index is 0.
+        base: number of points in each of the two independent samples.
     """
 
     column: str
@@ -43,20 +43,20 @@ class Sensitivity:
     base: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return plain data for JSON."""
         return asdict(self)
 
 
 def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity:
-    """Sobol' indices of a column from a sweep over a Saltelli design (Saltelli et al. 2010, scipy.stats).
+    """Return Sobol' indices of a column from a sweep over a Saltelli design (Saltelli et al. 2010, scipy.stats).
 
     Args:
-        table: a sweep of `saltelli`.
-        column: any of its columns.
-        seed: of the bootstrap.
+        table: sweep over a design of `saltelli`.
+        column: name of any column of the sweep.
+        seed: seed of the bootstrap.
 
     Raises:
-        InputError: another design, an unknown column, or one that is not finite everywhere.
+        InputError: the sweep has another design, or the column is unknown or not finite everywhere.
 
     Example:
         >>> from surctl.control import load_gains
@@ -98,10 +98,10 @@ def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity
 
 
 def _indices(parts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """First and total indices (2, axes) from values (2 + axes, base) at A, B and the crossed samples."""
+    """Return first and total indices (2, axes) from values (2 + axes, base) at A, B and the crossed samples."""
     from scipy.stats import sobol_indices
 
     result = sobol_indices(
         func={"f_A": parts[:1], "f_B": parts[1:2], "f_AB": parts[2:, None, :]}, n=parts.shape[1]
-    )  # a resample without variance has indices of 0 there
+    )  # SciPy returns indices of 0 for a resample without variance
     return np.stack([np.atleast_1d(result.first_order).reshape(-1), np.atleast_1d(result.total_order).reshape(-1)])

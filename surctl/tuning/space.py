@@ -14,17 +14,17 @@ from surctl.errors import InputError, nearest
 __all__ = ["TUNED", "GainRange", "gain_ranges"]
 
 TUNED = ("k1", "lookahead", "k_psi", "k_v", "k_r", "kappa", "reaction", "brake")
-"""Gains that are tuned where none is named: those that shape the motion and are no statement about the sensors."""
+"""Gains that are tuned if no gain is named: they shape the motion and do not describe the sensors."""
 
-_SPREAD = 4.0  # a range that is not given reaches from a quarter of the base value to four times it
+_SPREAD = 4.0  # a default range extends from a quarter of the base value to four times this value
 
 
 @dataclass(frozen=True)
 class GainRange:
-    """One tuned gain and the range it is searched in, both ends included.
+    """One tuned gain and its search range, which includes both ends.
 
     Raises:
-        InputError: unknown gain, or ends that are not 0 < low < high within the gain's bounds.
+        InputError: the gain is unknown, or the ends are not 0 < low < high within the bounds of the gain.
     """
 
     name: str
@@ -42,16 +42,16 @@ class GainRange:
             raise InputError(f"is above its bound of {top:.3g}", key=key, value=self.high, remedy="lower the upper end")
 
     def clip(self, value: float) -> float:
-        """The nearest value within the range."""
+        """Return the nearest value within the range."""
         return min(max(value, self.low), self.high)
 
     def place(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values at 0 … 1 of the range, on a log scale."""
+        """Return the values at the shares 0 … 1 of the range, on a log scale."""
         at: NDArray[np.float64] = self.low * (self.high / self.low) ** np.asarray(unit, dtype=float)
         return np.clip(at, self.low, self.high)
 
     def unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The inverse of `place`, cut to 0 … 1."""
+        """Return the shares of values: the inverse of `place`, limited to 0 … 1."""
         at = np.log(np.asarray(values, dtype=float) / self.low) / np.log(self.high / self.low)
         unit: NDArray[np.float64] = np.clip(at, 0.0, 1.0)
         return unit
@@ -60,14 +60,14 @@ class GainRange:
 def gain_ranges(
     base: Gains, ranges: Mapping[str, tuple[float, float] | None] | Sequence[str] = TUNED
 ) -> tuple[GainRange, ...]:
-    """The gains to tune, with their ranges.
+    """Return the gains to tune, with their ranges.
 
     Args:
-        base: where the derived ranges are centred: a quarter to four times its value, within the gain's bounds.
-        ranges: gain → (low, high), or None for the derived range; or names alone.
+        base: gains for the default ranges: a quarter to four times the value, within the bounds of the gain.
+        ranges: gain → (low, high), or None for the default range; or a sequence of names.
 
     Raises:
-        InputError: no gain, an unknown one, a range that is none, or a gain of 0 without a range.
+        InputError: no gain is named, a gain is unknown, a range is not valid, or a gain of 0 has no range.
 
     Example:
         >>> from surctl.control import load_gains
@@ -85,5 +85,5 @@ def gain_ranges(
 
 def _derived(name: str, value: float) -> tuple[float, float]:
     if value <= 0:
-        raise InputError("is 0, so that no range follows", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
+        raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
     return value / _SPREAD, min(value * _SPREAD, GAINS[name].below)

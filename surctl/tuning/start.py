@@ -1,4 +1,4 @@
-"""Where a search for gains begins: a linear quadratic regulator about cruise, and a descent along exact gradients."""
+"""Start sets of a search for gains: from a linear quadratic regulator (LQR), and from a descent along gradients."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from surctl.verification.linear import slowest_mode
 
 __all__ = ["lqr_start", "starting_sets"]
 
-_DISK_FLOOR = 0.6  # least disk margin of a start: 33° and a factor 1.86 at once, as a sweep's floor
-_DEVIATION = (0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.2)  # largest deviations that count as equal: m, rad, m/s, rad/s
-_MILDER = 2.0  # factor on R while the floor is missed
-_OUTER = np.array([0.5**0.5] * 4 + [1.0] * 4)  # factor on Q with each of them
-_MOST = 24  # of such factors
-_ITERATIONS = 6  # of the descent: what comes after judges by the true metrics
+_DISK_FLOOR = 0.6  # least disk margin of a start, as in a sweep: 33° and a factor 1.86 at once
+_DEVIATION = (0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.2)  # largest deviations, of equal weight: m, rad, m/s, rad/s
+_MILDER = 2.0  # factor on R as long as the disk margin is too small
+_OUTER = np.array([0.5**0.5] * 4 + [1.0] * 4)  # factor on Q at the same time
+_MOST = 24  # largest number of such factors
+_ITERATIONS = 6  # of the descent; the search afterwards uses the true metrics
 
 
 def starting_sets(
     request: Request, *, descend: bool = False, progress: Progress = lambda _: None
 ) -> list[dict[str, float]]:
-    """Gain sets that a search tries before it draws any, all within its space.
+    """Return gain sets, within the search space, that a search tries before it samples any.
 
-    `lqr_start` of every vehicle, with the request's own gains for the rest. With `descend` the request's gains refined
-    by exact gradients over its cases too (`refine`), where they have any: the closed form with true positions. A
-    gradient costs as much as some thousand compiled runs, so it is done when asked for.
+    Each vehicle gives one set: its `lqr_start`, and the request's own values of the other gains. With `descend` there
+    is one more set: the request's gains, refined by exact gradients (`refine`) over the cases with the closed form and
+    true positions. This is optional because one gradient costs as much as about a thousand compiled runs.
     """
     sets = []
     for case in {c.vehicle.name: c for c in request.cases}.values():
@@ -54,33 +54,34 @@ def starting_sets(
 
 
 def _horizon(cases: Sequence[Case]) -> int:
-    """Ticks that the slowest of the cases takes with its own gains."""
+    """Return the number of control steps that the slowest case needs with its own gains."""
     return max(int(np.ceil(simulate_batch(case).column("time_s")[0] / case.build().dt)) + 1 for case in cases)
 
 
 def lqr_start(
     vehicle: Vehicle, *, cruise: float, dt: float, q: ArrayLike | None = None, r: ArrayLike | None = None
 ) -> dict[str, float]:
-    """`CASCADE_GAINS` that come nearest to an LQR of the vehicle, and leave a disk margin of 0.6 in every loop.
+    """Return the `CASCADE_GAINS` nearest to an LQR of the vehicle with a disk margin of at least 0.6 in every loop.
 
-    The regulator (python-control's `lqr`) knows neither thrust lag nor delay, and feeds back every state to every
-    thrust; the cascade has six numbers for that. They are fitted by least squares, in logarithms, to the thrust that
-    the regulator would give to deviations of the size that q allows, as a share of the thrust limits: what is not in
-    the cascade (surge from sway, say) cannot be fitted and is not counted against any gain. Lag and delay are then
-    respected by asking for less until the cascade with both has the margin: r is doubled, and the weights of position
-    and heading go down by √2, since the outer loops need the more time the slower the inner ones are. k_i is not
-    among the gains: guidance already integrates position.
+    The regulator (python-control's `lqr`) neglects thrust lag and delay and feeds back every state to every thrust, but
+    the cascade has only six gains. These gains are fitted by least squares in logarithms. The fit compares the thrusts
+    of regulator and cascade, as shares of the thrust limits, for deviations of the size that q allows. Feedback that
+    the cascade lacks (from sway to surge, say) is left out of the fit. The weights are then changed until the cascade
+    with lag and delay has the margin: each time r is doubled, and the weights of position and heading are divided by
+    √2, because slower inner loops require slower outer loops. k_i is not among the gains, because guidance already
+    integrates position.
 
     Args:
-        vehicle: the plant and the model.
-        cruise: U [m/s].
+        vehicle: the vehicle, as plant and as model.
+        cruise: cruise speed U [m/s].
         dt: control period [s].
         q: (8,) weights > 0 of deviations in x, y, z [1/m²], ψ [1/rad²], u, v, w [s²/m²], r [s²/rad²]; default by
-            Bryson's rule, one over the square of the largest deviation.
-        r: (4,) weights > 0 of the thrust [1/N², 1/(N m)²]; default one over the square of the limit.
+            Bryson's rule: 1 / (largest deviation)².
+        r: (4,) weights > 0 of the thrust [1/N², 1/(N m)²]; default 1 / (thrust limit)².
 
     Raises:
-        InputError: weights of the wrong shape or sign, a cruise that the vehicle cannot hold, or no such gains.
+        InputError: weights have the wrong shape or sign, the vehicle cannot hold the cruise speed, or no fitted gains
+            have the margin.
 
     Example:
         >>> from surctl.tuning import lqr_start
@@ -89,7 +90,7 @@ def lqr_start(
         >>> {name: round(value, 2) for name, value in gains.items()}
         {'k1': 0.14, 'k2': 0.19, 'k_psi': 0.41, 'k_r': 2.26, 'k_v': 0.61, 'lookahead': 0.85}
     """
-    import control  # seconds to import: only when asked for
+    import control  # takes seconds to import
 
     state_weights, thrust = _weights("q", q, 1 / np.square(_DEVIATION)), _weights("r", r, 1 / vehicle.thrust_limit**2)
     plant = linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
@@ -110,8 +111,8 @@ def lqr_start(
 
 
 def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> InputError:
-    """Why the best gains that were tried do not do: the speed, the period, or neither alone."""
-    missing = f"no cascade that was fitted has a disk margin of {_DISK_FLOOR:g}"
+    """Return the error with the reason why no fitted gains suffice: the speed, the control period, or neither alone."""
+    missing = f"no fitted cascade has a disk margin of {_DISK_FLOOR:g}"
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
     if not mode.stable:
         why = "" if mode.cause is None else f", because of the {mode.cause}"
@@ -119,19 +120,19 @@ def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
         return InputError(problem, key="cruise", value=cruise, remedy=f"it is stable {mode.remedy}")
     quick = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt / 4, columns=["disk_margin"])
     if quick["disk_margin"][0] >= _DISK_FLOOR:
-        return InputError(f"{missing} at this period", key="dt", value=dt, remedy="shorten it")
-    return InputError(missing, key="cruise", value=cruise, remedy="go slower, or start from a gain file")
+        return InputError(f"{missing} at this control period", key="dt", value=dt, remedy="shorten it")
+    return InputError(missing, key="cruise", value=cruise, remedy="lower the cruise speed, or start from a gain file")
 
 
 def _fit(
     vehicle: Vehicle, K: NDArray[np.float64], q: NDArray[np.float64], *, cruise: float, dt: float
 ) -> dict[str, float]:
-    """The gains whose K (4, 8) is nearest, each entry as a share of its thrust limit at its largest deviation."""
+    """Return the gains whose matrix is nearest to K (4, 8), both scaled by thrust limits and largest deviations."""
     from scipy.optimize import least_squares
 
     scale = 1 / np.sqrt(q)[None] / vehicle.thrust_limit[:, None]
     flat = plant_parameters(vehicle)[None]
-    # entries that some gain moves; the others are not the cascade's to give
+    # entries that depend on some gain; the cascade cannot change the others
     reachable = build_cascade(vehicle, dict.fromkeys(CASCADE_GAINS, 1.0), cruise=cruise, dt=dt).K != 0
 
     def missed(logs: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -148,5 +149,5 @@ def _fit(
 def _weights(key: str, values: ArrayLike | None, default: NDArray[np.float64]) -> NDArray[np.float64]:
     weights = default if values is None else np.asarray(values, dtype=float)
     if weights.shape != default.shape or not np.all(np.isfinite(weights) & (weights > 0)):
-        raise InputError(f"takes {default.size} numbers greater than 0", key=key, remedy="correct it")
+        raise InputError(f"needs {default.size} numbers greater than 0", key=key, remedy="correct the weights")
     return weights

@@ -1,4 +1,4 @@
-"""Sweeps: closed-loop and linear metrics over a design of knobs, in chunks that survive a kill."""
+"""Sweeps: closed-loop and linear metrics over a design of parameters, in chunks, so that a killed sweep resumes."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 TABLE = "sweep.nc"
-_MOST_CHUNKS = 64  # a small sweep is cut in as many, so that little is lost and every worker has something to do
-_MOST_RUNS = 4096  # in one chunk
+_MOST_CHUNKS = 64  # of a small sweep, so that a kill loses little and every worker has work
+_MOST_RUNS = 4096  # runs in one chunk
 _MOST_LINEAR = 64  # points in one chunk of linear metrics
 
 
@@ -52,22 +52,27 @@ def sweep(
     out: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> SweepTable:
-    """Fly every case at every point of a design, and measure the linearised loops there.
+    """Simulate every case at every point of a design, and compute metrics of the linearised loops there.
 
     Args:
-        cases: at least one, all with the same gains.
+        cases: at least one case; all cases have the same gains.
         design: the points; see `grid`, `spread`, `saltelli`, `make_design`.
-        seeds: every case is flown with each at every point; one that no seed changes is flown once.
-        linear: whether the linear metrics are measured too, once for each combination of what they depend on.
-        cruise: speeds [m/s] at which they are taken, the worst of each counts, and `disk_margin_at_m_per_s` says where
-            the disk margin is least; default each vehicle's largest cruise speed.
-        executor: who does the work; this process by default. The numbers do not depend on it.
-        out: folder of `sweep.nc`; finished chunks lie beside it until it is complete, and the same request resumes from
-            them. A finished table of another request is renamed, and that is told. None keeps nothing.
-        progress: told one line at a time.
+        seeds: every case is simulated with each seed at every point; a case that does not depend on the seed is
+            simulated once.
+        linear: whether to compute the linear metrics too, once for each combination of the parameters that they depend
+            on.
+        cruise: cruise speeds [m/s] of the linear metrics; the worst speed counts for each metric, and the column
+            `disk_margin_at_m_per_s` is the speed with the least disk margin. Default: each vehicle's largest cruise
+            speed.
+        executor: executor of the chunks; default: this process. The numbers do not depend on it.
+        out: folder of `sweep.nc`; None stores no file. Finished chunks are stored beside the file until it is complete,
+            and the same request resumes from them. A finished table of another request is renamed, with a line of
+            progress.
+        progress: function that receives one line of text at each step of the work.
 
     Raises:
-        InputError: see `check_request`; the folder cannot be written, or the disk is full: then what is finished stays.
+        InputError: `check_request` finds an error, the folder cannot be written, or the disk is full. Finished chunks
+            remain.
 
     Example:
         >>> from surctl.control import load_gains
@@ -101,19 +106,19 @@ def run_chunks(
     executor: Executor,
     finished: Callable[[int], None] = lambda _: None,
 ) -> None:
-    """Evaluate chunks, and keep each as it comes.
+    """Evaluate chunks, and store each result as soon as it is available.
 
     Args:
-        function: the evaluator.
-        chunks: those that the store does not have yet.
-        store: an open one.
-        executor: who does the work.
-        finished: told the index of each chunk once it is kept.
+        function: the evaluator of a chunk.
+        chunks: chunks that the store does not contain yet.
+        store: an open store.
+        executor: executor of the chunks.
+        finished: function that receives the index of each chunk once the chunk is stored.
 
     Raises:
         InputError: a chunk cannot be written.
     """
-    with closing(executor.map_chunks(function, chunks)) as results:  # an error here stops the workers too
+    with closing(executor.map_chunks(function, chunks)) as results:  # after an error here the workers stop too
         for index, table in results:
             store.write(index, table)
             finished(index)
@@ -121,7 +126,7 @@ def run_chunks(
 
 @dataclass
 class _Job:
-    """A sweep, cut in chunks: those of linear metrics first, then those that fly."""
+    """A sweep, divided into chunks: first the chunks of linear metrics, then the chunks of simulated runs."""
 
     evaluation: Evaluation
     design: Design
@@ -138,7 +143,7 @@ class _Job:
             matter = [k for k, name in enumerate(names) if name in linear_names(names)]
             different, inverse = np.unique(points[:, matter], axis=0, return_inverse=True)
             self.inverse = inverse.reshape(-1)
-            whole = np.tile(points[:1], (len(different), 1))  # an axis that does not matter has any value
+            whole = np.tile(points[:1], (len(different), 1))  # the values of the other axes do not matter
             whole[:, matter] = different
             self.chunks += _cut(whole, _size(len(different), _MOST_LINEAR), first=0)
             self.linear_count = len(self.chunks)
@@ -154,7 +159,7 @@ class _Job:
         return len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
 
     def columns(self, store: ChunkStore) -> Iterator[Column]:
-        """The table's columns, each read from the chunks when its turn comes."""
+        """Yield the columns of the table; the values of a column are read from the chunks only when needed."""
         inputs: dict[str, Floats] = {}
         run_parts = self.chunks[self.linear_count :]
 
@@ -176,7 +181,12 @@ class _Job:
         verdict = judged(inputs)
         meaning = "mean deviation in hull radii plus worst time ratio"
         yield "score", Quantity("1", meaning), [lambda: verdict["score"]], False
-        yield "feasible", Quantity("1", "1 where the point may be picked"), [lambda: verdict["feasible"]], False
+        yield (
+            "feasible",
+            Quantity("1", "1 if the point may be picked, otherwise 0"),
+            [lambda: verdict["feasible"]],
+            False,
+        )
         count = len(self.evaluation.cases)
         for k, (name, quantity) in enumerate(CASE_COLUMNS.items()):
             places = [len(RUN_COLUMNS) + c * len(CASE_COLUMNS) + k for c in range(count)]
@@ -212,11 +222,11 @@ def _set_aside(target: Path, progress: Progress) -> None:
         target.replace(other)
     except OSError as error:
         raise cannot_write(target, error) from None
-    progress(f"{target} held another request's table; it is now {other}")
+    progress(f"{target} contained the table of another request; it is now {other}")
 
 
 def _size(count: int, most: int) -> int:
-    """Points in one chunk; it must not depend on who does the work, or a sweep could not be resumed by another."""
+    """Return the number of points in one chunk, the same for all executors, so that any executor can resume a sweep."""
     return max(1, min(most, -(-count // _MOST_CHUNKS)))
 
 
@@ -225,7 +235,7 @@ def _cut(points: Floats, size: int, *, first: int) -> list[Chunk]:
 
 
 class _Pace:
-    """Lines of progress, of the linear figures and of the points: done, how fast, time to go. At most two a second."""
+    """Progress lines for linear figures and for points: number done, rate and remaining time; at most two a second."""
 
     def __init__(self, job: _Job, todo: Sequence[Chunk], progress: Progress) -> None:
         self.progress, self.linear_count = progress, job.linear_count
@@ -241,7 +251,7 @@ class _Pace:
         self.progress(f"sweep {self.stages[1].done}/{self.stages[1].whole} points")
 
     def finished(self, index: int) -> None:
-        """Count one more chunk."""
+        """Count one more finished chunk."""
         linear, simulated = self.stages
         stage = linear if index < self.linear_count else simulated
         stage.done += self.left.pop(index)

@@ -1,4 +1,4 @@
-"""A finished sweep: an xarray data set, its columns by name, and the point that is picked."""
+"""A finished sweep: its xarray dataset, its columns by name, and its picked point."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 __all__ = ["DELAY_FLOOR", "DISK_FLOOR", "SweepTable", "SweptAxis", "load_sweep"]
 
 DELAY_FLOOR = 0.2  # [s] least delay margin of a point that may be picked: four control periods (*chosen*)
-DISK_FLOOR = 0.6  # least disk margin of a point that may be picked: 33° and a factor 1.86 at once (*chosen*)
+DISK_FLOOR = 0.6  # least disk margin of a point that may be picked: 33° and a gain factor 1.86 at once (*chosen*)
 
 
 @dataclass(frozen=True, eq=False)
 class SweptAxis:
-    """A swept knob with its unit and values: a grid's different ones, else one a point."""
+    """A swept parameter with its unit and values: the different values of a grid, or one value for each point."""
 
     name: str
     unit: str
@@ -38,9 +38,9 @@ class SweepTable:
     """A finished sweep.
 
     Attributes:
-        dataset: dimensions are the axes of a grid, else `point`; one data variable a column with units and long_name.
-            Columns named `case_…` are those of single cases and have the dimension `case` in front. Read from the file
-            when asked for.
+        dataset: dataset whose dimensions are the axes of a grid, otherwise `point`. Each column is a data variable with
+            units and long_name. Columns named `case_…` belong to single cases and have `case` as first dimension.
+            Values are read from the file on access.
     """
 
     dataset: xr.Dataset = field(repr=False)
@@ -52,7 +52,7 @@ class SweepTable:
 
     @property
     def axes(self) -> tuple[SweptAxis, ...]:
-        """The swept knobs, in the order of the dimensions."""
+        """The swept parameters, in the order of the dimensions."""
         axes = []
         for name in json.loads(self.dataset.attrs["axes"]):
             values = self.dataset[netcdf_name(name)]
@@ -76,17 +76,17 @@ class SweepTable:
 
     @property
     def cases(self) -> tuple[str, ...]:
-        """Names of the cases that every point flew."""
+        """Names of the cases that were simulated at every point."""
         return tuple(str(name) for name in self.dataset["case"].values)
 
     @property
     def path(self) -> Path | None:
-        """The file that the table is read from; None for one in memory."""
+        """The file from which the table is read; None for a table in memory."""
         source = self.dataset.encoding.get("source")
         return Path(source) if source else None
 
     def column(self, name: str, *, case: str | None = None) -> NDArray[np.float64]:
-        """One column over all cases, or of one, in the design's shape; InputError with the nearest known name."""
+        """Return a column over all cases or of one case, in the design's shape; InputError names a similar name."""
         known = self.columns
         if case is not None:
             known = tuple(v.removeprefix("case_") for v in map(str, self.dataset.data_vars) if v.startswith("case_"))
@@ -100,10 +100,10 @@ class SweepTable:
 
     @property
     def picked(self) -> tuple[int, ...] | None:
-        """Index of the feasible point with the least score; None when no point is feasible.
+        """Index of the feasible point with the least score; None if no point is feasible.
 
-        The score is the mean deviation in hull radii plus the slowest run's time over its ideal time. Feasible: every
-        run arrives without contact, and the margins suffice where they were measured.
+        The score is the mean deviation in hull radii plus the largest ratio of arrival time to ideal time. A point is
+        feasible if every run arrives without contact and, where margins were computed, the margins suffice.
         """
         score = np.where(self.column("feasible") > 0.5, self.column("score"), np.inf)
         if not np.isfinite(score).any():
@@ -111,17 +111,17 @@ class SweepTable:
         return tuple(int(k) for k in np.unravel_index(int(np.nanargmin(score)), score.shape))
 
     def at(self, index: tuple[int, ...]) -> dict[str, float]:
-        """Values of the axes at a point."""
+        """Return the values of the axes at a point."""
         if self.is_grid:
             return {axis.name: float(axis.values[k]) for axis, k in zip(self.axes, index, strict=True)}
         return {axis.name: float(axis.values[index]) for axis in self.axes}
 
     def row(self, index: tuple[int, ...]) -> dict[str, float]:
-        """Values of the axes and of every column at a point."""
+        """Return the values of the axes and of every column at a point."""
         return self.at(index) | {name: float(self.dataset[name][index]) for name in self.columns}
 
     def rows(self) -> list[dict[str, float]]:
-        """`row` of every point, in C order."""
+        """Return `row` of every point, in C order."""
         columns = {name: self.column(name).reshape(-1) for name in self.columns}
         points = [self.at(index) for index in np.ndindex(self.shape)]
         return [p | {name: float(values[k]) for name, values in columns.items()} for k, p in enumerate(points)]
@@ -133,7 +133,7 @@ class SweepTable:
 
     @property
     def gains(self) -> Gains:
-        """The base gains with the picked values; the base itself when nothing is feasible."""
+        """The base gains with the picked values; the unchanged base gains if no point is feasible."""
         if self.picked is None:
             return self.base
         chosen = self.at(self.picked)
@@ -146,10 +146,9 @@ class SweepTable:
 
 
 def judged(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Score and feasibility from the columns that they follow from.
+    """Return score and feasibility, computed from other columns.
 
-    The path error is not in the score: it counts only what lies outside avoidance, and the gains change how much that
-    is.
+    The path error is not part of the score, because it covers only the time outside avoidance, which the gains change.
     """
     feasible = (columns["reached_worst"] > 0.5) & (columns["min_clearance_m_worst"] > 0)
     if "delay_margin_s" in columns:
@@ -158,10 +157,10 @@ def judged(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.f
 
 
 def load_sweep(path: Path | str) -> SweepTable:
-    """A finished sweep from its netCDF file; the columns are read when asked for.
+    """Load a finished sweep from its netCDF file; the columns are read on access.
 
     Raises:
-        InputError: no such file, or it is not one of a sweep.
+        InputError: the file does not exist, or it is not the table of a sweep.
 
     Example:
         >>> from pathlib import Path
@@ -174,7 +173,7 @@ def load_sweep(path: Path | str) -> SweepTable:
         >>> table.axes[0].values.tolist(), table.column("time_s").round(2).tolist(), table.units["time_s"]
         ([1.0, 1.5, 2.0], [21.4, 20.45, 20.15], 's')
     """
-    import xarray as xr  # seconds to import
+    import xarray as xr  # takes seconds to import
 
     path = Path(path)
     if not path.is_file():
@@ -185,7 +184,7 @@ def load_sweep(path: Path | str) -> SweepTable:
         missing = {"design", "axes", "request", "gains"} - set(dataset.attrs)
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError(
-            f"is not a netCDF file that can be read ({type(error).__name__})", file=path, remedy="run the sweep again"
+            f"is not a readable netCDF file ({type(error).__name__})", file=path, remedy="run the sweep again"
         ) from None
     if missing:
         dataset.close()
@@ -194,5 +193,5 @@ def load_sweep(path: Path | str) -> SweepTable:
 
 
 def netcdf_name(name: str) -> str:
-    """The knob's name as netCDF allows it: a slash would be a path there."""
+    """Return a parameter's name as netCDF allows it: netCDF reads a slash as part of a path."""
     return name.replace("/", "|")

@@ -1,4 +1,4 @@
-"""Gain sets as trials of optuna's journal, and back."""
+"""Convert gain sets to trials of optuna's journal, and back."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["distributions", "frozen", "objectives", "remembered", "user_attributes"]
 
-_TABLES = ("normalised", "figure", "speed", "excess")  # of an evaluation, in its order
+_TABLES = ("normalised", "figure", "speed", "excess")  # fields of `Evaluation`, in its order
 
 
 def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
-    """Score and thrust of each set, finite ones."""
+    """Return score and thrust of each gain set, both finite."""
     effort = pool.evaluation.effort
     usual = max(float(np.fmin.reduce(effort, initial=np.inf)), 1e-9)
     bounded = np.where(np.isfinite(effort), effort, CAP * usual if np.isfinite(usual) else CAP)
@@ -29,14 +29,14 @@ def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
 
 
 def user_attributes(pool: Pool, k: int) -> dict[str, Any]:
-    """What `remembered` needs of the k-th set."""
+    """Return the attributes of the k-th gain set that `remembered` needs."""
     e = pool.evaluation
-    told = {name: getattr(e, name)[k].tolist() for name in _TABLES}
-    return {**told, "effort": float(e.effort[k]), "claims": pool.claims[k].tolist()}
+    tables = {name: getattr(e, name)[k].tolist() for name in _TABLES}
+    return {**tables, "effort": float(e.effort[k]), "claims": pool.claims[k].tolist()}
 
 
 def remembered(request: Request, trials: Sequence[FrozenTrial]) -> Pool:
-    """What the journal knows of a batch."""
+    """Return the pool of a batch of trials from the journal."""
 
     def table(name: str) -> NDArray[np.float64]:
         return np.array([t.user_attrs[name] for t in trials], dtype=float)
@@ -49,7 +49,7 @@ def remembered(request: Request, trials: Sequence[FrozenTrial]) -> Pool:
 
 
 def frozen(request: Request, pool: Pool, start: NDArray[np.float64]) -> list[FrozenTrial]:
-    """Sets as finished trials."""
+    """Return gain sets as finished trials."""
     optuna, space = quiet_optuna(), distributions(request)
     return [
         optuna.trial.create_trial(
@@ -60,6 +60,6 @@ def frozen(request: Request, pool: Pool, start: NDArray[np.float64]) -> list[Fro
 
 
 def distributions(request: Request) -> dict[str, Any]:
-    """The search space as optuna has it."""
+    """Return the search space as distributions of optuna."""
     optuna = quiet_optuna()
     return {s.name: optuna.distributions.FloatDistribution(s.low, s.high, log=True) for s in request.space}

@@ -1,4 +1,4 @@
-"""Cruise speeds at which a linear loop is judged: how they are checked, and its figures over all of them."""
+"""Cruise speeds at which a linear loop is judged: checks of the speeds, and figures of the loop at each speed."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from surctl.verification.linear_table import LINEAR_METRICS, linear_table
 
 __all__ = ["OverSpeeds", "check_held", "cruise_speeds", "over_speeds", "speeds_text", "worst_place", "worst_text"]
 
-_SAME = 1e-6  # share by which two figures may differ and be called the same
+_SAME = 1e-6  # relative difference up to which two figures count as equal
 
 
-def cruise_speeds(given: Sequence[float], *, key: str) -> tuple[float, ...]:
-    """The speeds [m/s], slowest first.
+def cruise_speeds(speeds: Sequence[float], *, key: str) -> tuple[float, ...]:
+    """Return the speeds [m/s], slowest first.
 
     Raises:
-        InputError: none, one that is not finite and greater than 0, or one twice; it names the key.
+        InputError: there is no speed, or a speed is not finite, not greater than 0, or repeated; it names the key.
 
     Example:
         >>> from surctl.verification import cruise_speeds
         >>> cruise_speeds([0.2, 0.05], key="cruise_m_per_s")
         (0.05, 0.2)
     """
-    if not given:
-        raise InputError("names no speed", key=key, value=list(given), remedy="write at least one, or leave it out")
-    for speed in given:
+    if not speeds:
+        raise InputError("names no speed", key=key, value=list(speeds), remedy="write at least one, or omit the key")
+    for speed in speeds:
         if not (np.isfinite(speed) and speed > 0):
             raise InputError("must be finite and greater than 0", key=key, value=speed, remedy="give it in m/s")
-    for speed in given:
-        if list(given).count(speed) > 1:
-            raise InputError("has a speed twice", key=key, value=speed, remedy="name each once")
-    return tuple(sorted(float(speed) for speed in given))
+    for speed in speeds:
+        if list(speeds).count(speed) > 1:
+            raise InputError("has a speed twice", key=key, value=speed, remedy="name each speed once")
+    return tuple(sorted(float(speed) for speed in speeds))
 
 
 def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: str) -> None:
-    """InputError for a speed [m/s] above the cap [m/s] of what is flown, or one that the vehicle's thrust cannot hold.
+    """Raise InputError if a speed [m/s] exceeds the speed cap [m/s] or needs more thrust than the vehicle has.
 
     Example:
         >>> from surctl.vehicle import load_vehicle
@@ -64,10 +64,10 @@ def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: st
 
 
 def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Where along the first axis, the speeds, the worst entry stands; shape of the rest.
+    """Return the index of the worst entry along the first axis (the speeds), in the shape of the other axes.
 
-    Larger is worse, NaN worst. Entries that differ by rounding alone are one: the first, the slowest speed, stands for
-    all.
+    A larger entry is worse, and NaN is worst. Entries that differ only by rounding count as equal; the index is then
+    that of the slowest speed.
 
     Example:
         >>> import numpy as np
@@ -80,7 +80,7 @@ def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def worst_text(ill: NDArray[np.float64], speeds: Sequence[float]) -> str:
-    """The speed [m/s] with the largest of these entries for people, as `worst_place`; where all are one, every speed.
+    """Return the speed [m/s] with the largest entry as text, or "every speed" if all entries count as equal.
 
     Example:
         >>> import numpy as np
@@ -93,7 +93,7 @@ def worst_text(ill: NDArray[np.float64], speeds: Sequence[float]) -> str:
 
 
 def speeds_text(speeds: Sequence[float]) -> str:
-    """The speeds with their unit, for a sentence: "0.05, 0.15 and 0.2 m/s".
+    """Return the speeds with their unit as text for a sentence: "0.05, 0.15 and 0.2 m/s".
 
     Example:
         >>> from surctl.verification import speeds_text
@@ -109,20 +109,20 @@ class OverSpeeds:
     """Linear figures of one set of gains at several cruise speeds.
 
     Attributes:
-        cruise: (k,) [m/s].
-        figures: column of `LINEAR_METRICS` → (k,).
+        cruise: (k,) cruise speeds [m/s].
+        figures: column of `LINEAR_METRICS` → (k,) values.
     """
 
     cruise: tuple[float, ...]
     figures: Mapping[str, NDArray[np.float64]]
 
     def worst(self, name: str) -> tuple[float, float]:
-        """The worst value of a figure and its speed [m/s]; one without a better side is worst where it is least."""
+        """Return a figure's worst value and its speed [m/s]; the least value is worst unless low values are better."""
         place = int(worst_place(self._ill(name)))
         return float(self.figures[name][place]), self.cruise[place]
 
     def worst_at(self, name: str) -> str:
-        """Where a figure is worst, for people."""
+        """Return the speed at which a figure is worst, as text."""
         return worst_text(self._ill(name), self.cruise)
 
     def _ill(self, name: str) -> NDArray[np.float64]:
@@ -130,7 +130,7 @@ class OverSpeeds:
         return values if LINEAR_METRICS[name].better == "low" else -values
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: the figures at each speed, and of each the worst with its speed."""
+        """Return plain data: the figures at each speed, and the worst value of each figure with its speed."""
         worst = {name: dict(zip(("value", "cruise_m_per_s"), self.worst(name), strict=True)) for name in self.figures}
         at = [
             {"cruise_m_per_s": speed} | {name: float(values[k]) for name, values in self.figures.items()}
@@ -147,18 +147,18 @@ def over_speeds(
     dt: float,
     columns: Collection[str] = ("delay_margin_s", "disk_margin", "sensitivity_peak", "slowest_pole_per_s"),
 ) -> OverSpeeds:
-    """The columns of `linear_table` at each cruise speed [m/s]; `dt`: control period [s].
+    """Return the columns of `linear_table` at each cruise speed [m/s]; `dt` is the control period [s].
 
     Raises:
-        InputError: as `linear_table`.
+        InputError: `linear_table` raises it.
 
     Example:
         >>> from surctl.control import load_gains
         >>> from surctl.vehicle import load_vehicle
         >>> from surctl.verification import over_speeds
         >>> gains = load_gains("default").values
-        >>> found = over_speeds(load_vehicle("sur400"), gains, cruise=(0.05, 0.15, 0.22), dt=0.05)
-        >>> found.worst_at("delay_margin_s"), found.worst_at("slowest_pole_per_s")
+        >>> over = over_speeds(load_vehicle("sur400"), gains, cruise=(0.05, 0.15, 0.22), dt=0.05)
+        >>> over.worst_at("delay_margin_s"), over.worst_at("slowest_pole_per_s")
         ('every speed', '0.05 m/s')
     """
     table = linear_table(vehicle, {}, base=gains, cruise=list(cruise), dt=dt, columns=columns)

@@ -9,7 +9,7 @@ STUDY = """
 kind = "study"
 name = "small"
 vehicle = "sur400"
-flights = [{ scenario = "pool-behind" }]
+runs = [{ scenario = "pool-behind" }]
 
 [sweep]
 axes = [{ gain = "k_v", values = [1.0, 2.0] }, { gain = "lookahead", values = [0.5, 0.8] }]
@@ -56,9 +56,9 @@ def test_a_hard_goal_that_cannot_be_met_ends_with_1_and_is_named(tmp_path):
     done = surctl("tune", "small.toml", *SMALL, cwd=tmp_path)
     assert done.status == 1, done.err
     assert done.json["conflict"] == ["keep clear"]
-    assert not done.json["kept"] and done.json["unmet"] == ["keep clear"]
+    assert not done.json["accepted"] and done.json["unmet"] == ["keep clear"]
     head = (tmp_path / "surctl-out" / "gains.toml").read_text().splitlines()[0]
-    assert head == "# HARD GOALS NOT MET (keep clear): these gains are the best found, not gains to fly"
+    assert head == "# HARD GOALS NOT MET (keep clear): best gains found, but do not use them on a vehicle"
 
 
 def test_speeds_above_the_cap_are_told_with_the_file_before_anything_is_flown(tmp_path):

@@ -68,7 +68,7 @@ def test_two_goals_of_one_name_and_an_empty_file_are_mistakes(tmp_path):
     one = '[[goals]]\nname = "a"\nmetric = "deviation_m"\nat_most = { value = 1.0, unit = "m" }\n'
     path = tmp_path / "mine.toml"
     path.write_text(f'kind = "goals"\nname = "mine"\n{one}{one}')
-    with pytest.raises(InputError, match="one name"):
+    with pytest.raises(InputError, match="is the name of two goals"):
         load_goals(str(path))
     path.write_text('kind = "goals"\nname = "mine"\ngoals = []\n')
     with pytest.raises(InputError, match="goals"):

@@ -94,7 +94,7 @@ def test_refining_poor_gains_lowers_the_true_metrics() -> None:
     [
         ({"mode": "projected"}, "mode"),
         ({"sensing": "sonar"}, "sensing"),
-        ({"law": "closed_form"}, "law = .lean.: has no"),
+        ({"law": "closed_form"}, "law = .closed_form.: has no"),
     ],
 )
 def test_what_has_no_gradient_is_refused(change: dict[str, str], key: str) -> None:
@@ -107,11 +107,11 @@ def test_bad_requests_are_named() -> None:
     flown = case("pool-static")
     with pytest.raises(InputError, match="no such gain"):
         prepare(flown, ("k_w",), steps=10)
-    with pytest.raises(InputError, match="ticks"):
+    with pytest.raises(InputError, match="steps"):
         prepare(flown, NAMES, steps=0)
     with pytest.raises(InputError, match="not a range"):
         refine([flown], GAINS, {"k_v": (2.0, 1.0)})
     with pytest.raises(InputError, match="no such surrogate"):
         refine([flown], GAINS, {"k_v": (1.0, 2.0)}, weights={"clearence": 1.0})
-    with pytest.raises(InputError, match="nothing to fly"):
+    with pytest.raises(InputError, match="nothing to simulate"):
         refine([], GAINS, {"k_v": (1.0, 2.0)})

@@ -134,7 +134,7 @@ def test_hard_goals_that_a_search_does_not_meet_are_searched_for_alone(monkeypat
     pool = cegis._searched(asked, [round_of(1.0)], 32, Journal(None), lambda _: None, descend=False)
     assert pool.feasible.tolist() == [False, False, True, False], "the best of the second search come first"
     (_, (alone, first)) = looked
-    assert alone.goals == (CLEAR,) and [c.goals for c in alone.flown] == [None, None, ("keep clear",)]
+    assert alone.goals == (CLEAR,) and [c.goals for c in alone.conditions] == [None, None, ("keep clear",)]
     assert sorted(one["k1"] for one in first) == [1.5, 2.0]
     looked.clear()
     clear = {"k1": np.array([0.3]), "k_v": np.array([1.5])}
@@ -156,7 +156,7 @@ def test_more_seeds_than_there_are_is_told(monkeypatch):
     from surctl.errors import InputError
 
     install(monkeypatch)
-    with pytest.raises(InputError, match="more seeds than there are"):
+    with pytest.raises(InputError, match="more seeds than are available"):
         tune(request(), runs=1_000_000)
 
 

@@ -165,7 +165,7 @@ def test_mistakes_in_a_design_are_named(make, words):
         ([Axis("k_v", (1, 2))], {"seeds": (0, 0)}, "seeds"),
         ([Axis("k_v", (1, 2))], {"seeds": (-1,)}, "seeds"),
         ([Axis("seed", (1, 2))], {"seeds": (0, 1)}, "already"),
-        ([Axis("k_v", (1, 2))], {"cases": ()}, "nothing to fly"),
+        ([Axis("k_v", (1, 2))], {"cases": ()}, "nothing to simulate"),
         ([Axis("k_v", (1, 2))], {"cases": ("pool-behind", "pool-behind")}, "twice"),
     ],
 )
@@ -535,7 +535,7 @@ def test_a_column_that_lacks_numbers_has_no_indices(cheap):
 
 
 def test_a_silent_scheduler_is_told_soon():
-    with pytest.raises(InputError, match="no scheduler answers") as caught:
+    with pytest.raises(InputError, match="no scheduler replies") as caught:
         list(DaskExecutor("tcp://127.0.0.1:9").map_chunks(stub.slow_squares, CHUNKS))
     assert "\n" not in str(caught.value)
 
