@@ -23,9 +23,9 @@ NAMES = frozenset(
     re.findall(
         r"\w+",
         """
-        told given seen heard wish wishes wanted asked flown fly flies flight made kept taken found drawn answer push way
-        reach tick ladder rung trap stood halted knob lean senses chart sheet blame served stirred sift rival doubt room
-        twin settle settled
+        told given seen heard wish wishes wanted asked flown fly flies flight made kept taken found drawn answer push
+        way reach tick ladder rung trap stood halted knob lean senses chart sheet blame served stirred sift rival doubt
+        room twin settle settled
         """,
     )
 )
