@@ -1,9 +1,10 @@
-"""Study 3: the least-distance ladder on problems that are meant to break it, and its speed against DAQP's core.
+"""Study 3: the least-distance solver on numerically hard problems, and its speed compared with DAQP's core.
 
     python analysis/03_least_distance/run.py [--quick] [--n 100000] [--referee 500] [--seed 0] [--no-race]
 
-Prints Markdown. Ends with 0 when every bar below holds, else with 1; with 2 for a bad option, or without a C
-compiler. The race needs the DAQP that ships with CasADi; both sides solve the same problems in one process, in turns.
+Prints Markdown. The exit status is 0 if every limit below holds, and 1 otherwise; it is 2 for a bad option, or
+without a C compiler. The timing needs the DAQP that ships with CasADi; both solvers solve the same problems in one
+process, alternately.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ Array = NDArray[np.float64]
 
 
 def main(arguments: list[str]) -> int:
-    """Run both parts; the exit status."""
+    """Run both parts; return the exit status."""
     parser = argparse.ArgumentParser(description="least-distance ladder: robustness and speed")
     parser.add_argument("--quick", action="store_true", help="2,000 problems unless --n says otherwise, a short race")
     parser.add_argument("--n", type=int, help="random problems; 100,000 if not given")
@@ -67,7 +68,7 @@ def main(arguments: list[str]) -> int:
 
 
 def robustness(count: int, seed: int) -> bool:
-    """Every bar over `count` problems; whether any failed."""
+    """Check every limit over `count` problems; return whether any failed."""
     tick = compile_block(safe_step(N, P, M))
     worst: dict[str, float] = {}
     rungs = np.zeros((len(FAMILIES), CLAMPED + 1), dtype=int)
@@ -90,7 +91,7 @@ def robustness(count: int, seed: int) -> bool:
 
 
 def compared(worst: dict[str, float]) -> bool:
-    """Prints the facts beside their bars; whether any failed."""
+    """Print the facts with their limits; return whether any failed."""
     print("\n| fact | worst | bar | |\n|---|---|---|---|")
     failed = False
     for name, value in worst.items():
@@ -102,7 +103,7 @@ def compared(worst: dict[str, float]) -> bool:
 
 
 def single(count: int, seed: int) -> bool:
-    """The same ladder in float, on problems rounded to it; whether a bar failed."""
+    """Check the same solver in float on rounded problems; return whether a limit failed."""
     tick = compile_block(safe_step(N, P, M, precision=FLOAT32), real="float32")
     double = compile_block(safe_step(N, P, M))
     worst: dict[str, float] = {}
@@ -172,7 +173,7 @@ BARS = {
 
 
 def answers(trials: Trials, outputs: list[Array]) -> dict[str, float]:
-    """What can be said of each answer without a second solver."""
+    """Check each solution without a second solver."""
     v, active, multipliers, opening, status, _ = outputs
     A, lower, upper, soft = trials.unit()
     value = np.einsum("kij,kj->ki", A, v)
@@ -189,7 +190,7 @@ def answers(trials: Trials, outputs: list[Array]) -> dict[str, float]:
 
 
 def referee(trials: Trials, outputs: list[Array]) -> dict[str, float]:
-    """DAQP with tight settings; its answers count where they hold, and where both solve they are compared."""
+    """Solve with DAQP at tight settings; compare its valid solutions with ours where both solve a problem."""
     A, lower, upper, _ = trials.unit()
     J = trials.J.reshape(len(A), P, N)
     length = np.linalg.norm(J, axis=2)
@@ -218,7 +219,7 @@ def referee(trials: Trials, outputs: list[Array]) -> dict[str, float]:
 
 
 def lower_rungs(count: int, seed: int) -> bool:
-    """`count` answers of rung 2 and as many of rung 3, by a referee that shares no code; whether a bar failed."""
+    """Compare `count` solutions of stage 2 and of stage 3 with a reference solver; return whether a limit failed."""
     trials = draw_trials(8 * count + 200, n=N, p=P, m=M, seed=seed * 1_000_003 + 999_983)
     outputs = compile_block(safe_step(N, P, M))(*trials.arrays)
     worst: dict[str, float] = {}
@@ -247,7 +248,7 @@ def lower_rungs(count: int, seed: int) -> bool:
 
 
 def iterations(trials: Trials) -> dict[str, float]:
-    """Most iterations of the kernels that a tick is made of, each on its own."""
+    """Return the most iterations of each kernel of a step."""
     A, lower, upper, soft = trials.unit()
     rows = np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2)
     rows = in_blocks(rows)
@@ -264,7 +265,7 @@ def iterations(trials: Trials) -> dict[str, float]:
 
 
 def race(count: int = 2000, rounds: int = 60) -> None:
-    """Ours and DAQP's core on problems whose first rung holds, in turns, medians."""
+    """Time our solver and DAQP's core alternately on problems that the first stage solves; print medians."""
     if not (Path(casadi.__file__).parent / "include" / "daqp" / "api.h").exists():
         print("\nNo race: this CasADi comes without DAQP's headers.")
         return
@@ -290,7 +291,7 @@ def race(count: int = 2000, rounds: int = 60) -> None:
 
 
 def build(folder: Path, source: str) -> Path:
-    """The race's program."""
+    """Return the program that times both solvers."""
     names = "const double *a, const double *b, const double *c, const double *d, const double *e, double *v, double *s"
     local = f"double active[{N}], multipliers[{N}], opening[1], count[1];"
     body = f"{{ {local} tick(a, b, c, d, e, v, active, multipliers, opening, s, count); }}"

@@ -54,7 +54,7 @@ def cascades(instances: Sequence[Instance]) -> list[Contender | Missing]:
 
 
 def _one_sided(instance: Instance) -> tuple[Array, Array]:
-    """G, h of G v ≤ h, with all rows and the box."""
+    """Return G and h of G v ≤ h with all rows and the box."""
     A = np.vstack([np.eye(N), instance.A])
     lower, upper = np.append(BOX[0], instance.lower), np.append(BOX[1], instance.upper)
     below = np.isfinite(lower)
@@ -91,7 +91,9 @@ def _cascade(solver: str, settings: dict[str, Any]) -> Callable[..., Array | Non
 
 
 def hierarchies(instances: Sequence[Instance]) -> list[Contender]:
-    """DAQP's hierarchical QP: in one call, and with a `Model` set up once and updated."""
+    """Return DAQP's hierarchical QP as two contenders: one call per step, and a `Model` that is set up once and
+    updated.
+    """
     n, at = N, N + ROWS + np.cumsum([0, *LEVELS])
     breaks = at.astype(np.intc)
     sense = np.zeros(at[-1], dtype=np.intc)
@@ -126,7 +128,7 @@ def hierarchies(instances: Sequence[Instance]) -> list[Contender]:
 
 
 def others(instances: Sequence[Instance]) -> list[Contender]:
-    """CasADi's active-set QP from Python for the last projection, and (16) with numpy's pinv, as printed."""
+    """Return two contenders: CasADi's active-set QP for the last projection, and the printed (16) with numpy's pinv."""
     dense = ca.Sparsity.dense(ROWS + LEVELS[0], N)
     options = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     solver = ca.conic("last", "qrqp", {"h": ca.Sparsity.diag(N), "a": dense}, options)

@@ -1,4 +1,4 @@
-"""Who takes part in the race, and how a turn is timed."""
+"""Contenders of the benchmark, and the timing of their turns."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Contender:
 
 @dataclass(frozen=True)
 class Missing:
-    """Somebody who could have taken part."""
+    """A contender that could not take part, and the reason."""
 
     name: str
     reason: str = "not installed"
@@ -47,18 +47,18 @@ class Missing:
 
 @dataclass
 class Timing:
-    """What has been answered to each tick, by its number (None: no answer), and ns of single ticks, round by round."""
+    """Solutions by the number of the step (None: no solution), and times of single steps [ns], round by round."""
 
     answers: dict[int, Array | None] = field(default_factory=dict)
     ns: list[int] = field(default_factory=list)
 
     def rounds(self) -> Array:
-        """(rounds, ticks that could be posed) [ns]; only whole rounds are run."""
+        """Times (rounds, possible steps) [ns]; only complete rounds are run."""
         return np.array(self.ns, dtype=float).reshape(-1, len(self.answers))
 
 
 def warm_up(contenders: Sequence[Contender]) -> dict[str, Timing]:
-    """Every contender answers every tick once, untimed; the answers are copied."""
+    """Let every contender solve every step once without timing; copy the solutions."""
     timings = {}
     for contender in contenders:
         timing = timings[contender.name] = Timing()

@@ -41,7 +41,7 @@ _MJCF = """<mujoco><option timestep="0.01"/><worldbody><body name="vehicle">
 
 
 def peers(count: int, *, seed: int) -> list[Contender | Missing]:
-    """`count` poses and targets for all of them; some steps are longer than the limits allow."""
+    """Return `count` poses and targets; some need a velocity outside the limits."""
     rng = np.random.default_rng(seed)
     poses = np.column_stack([rng.uniform(-2, 2, (count, 3)), rng.uniform(-1, 1, count)])
     targets = poses.copy()
@@ -103,7 +103,7 @@ def _fast(mode: Mode) -> Callable[[Array, Array], Array]:
 
 
 def _in_world(v: Array, pose: Array, target: Array) -> Array:
-    """v is in {B}; they answer in the coordinates of the joints."""
+    """Transform v from {B} to the joint coordinates of pink and mink."""
     c, s = math.cos(pose[3]), math.sin(pose[3])
     return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2], v[3]])
 

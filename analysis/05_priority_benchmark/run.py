@@ -1,9 +1,9 @@
-"""Study 5: the priority law's time a tick against other solvers, hierarchies and libraries, on the same problems.
+"""Study 5: the time of a step of the priority law, compared with other solvers and libraries on the same problems.
 
     python analysis/05_priority_benchmark/run.py [--quick] [--out DIR] [--seed 0] [--bars]
 
-Prints Markdown and saves a picture. Ends with 0 when every answer of this toolkit is right, else with 1; with --bars
-also when a bar of speed is missed; with 2 for a bad option or folder, or without a C compiler.
+Prints Markdown and saves a picture. The exit status is 0 if every solution of this toolkit is correct, and 1
+otherwise; with --bars it is also 1 if a speed limit is missed; 2 for a bad option or folder, or without a C compiler.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
-    """Race in Python, race in C, print, draw."""
+    """Time the contenders in Python and in C, print, and draw."""
     print_machine()
     count, rounds, budget = (40, 2, 0.3) if quick else (300, 12, 8.0)
     instances = draw_instances(count, seed=seed)
@@ -106,7 +106,7 @@ def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
 
 
 def bars(lines: dict[str, Line]) -> list[tuple[str, float | None, float, bool]]:
-    """What the toolkit is to reach; study 3 has the one against DAQP's core."""
+    """Print the speed limits of the toolkit; study 3 has the comparison with DAQP's core."""
 
     def ratio(who: str, other: str) -> float | None:
         return lines[who].typical / lines[other].typical if {who, other} <= lines.keys() else None
@@ -124,7 +124,7 @@ def bars(lines: dict[str, Line]) -> list[tuple[str, float | None, float, bool]]:
 
 
 def print_wrong(lines: Sequence[Line]) -> bool:
-    """This toolkit's answers that are off or missing; whether there are none."""
+    """Print the wrong or missing solutions of this toolkit; return whether there are none."""
     wrong = [line for line in lines if line.ours and (line.off or line.silent)]
     for line in wrong:
         print(f"\n**Wrong**: {line.name}: {line.off} off by up to {line.gap:.1e}, {line.silent} without an answer.")
@@ -134,20 +134,20 @@ def print_wrong(lines: Sequence[Line]) -> bool:
 
 
 def print_missing(missing: Sequence[Missing]) -> None:
-    """Who did not take part."""
+    """Print the contenders that did not take part."""
     if missing:
         print_rows(["did not take part", "why"], [[each.name, each.reason] for each in missing])
 
 
 def print_machine() -> None:
-    """Processor, system, compiler and versions."""
+    """Print processor, system, compiler and versions."""
     system = f"{platform.system()} {platform.machine()}"
     print(f"Machine: {processor()}, {system}, Python {platform.python_version()}, {compiler_version()}")
     print(f"\nVersions: {', '.join(filter(None, map(installed, PACKAGES)))}")
 
 
 def processor() -> str:
-    """The processor's name."""
+    """Return the name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -156,7 +156,7 @@ def processor() -> str:
 
 
 def installed(package: str) -> str:
-    """Name and version, or nothing."""
+    """Return name and version of a package, or an empty text."""
     try:
         return f"{package} {version(package)}"
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""What a run found: one line a contender, as a Markdown table and as a picture."""
+"""Results: one line per contender, as a Markdown table and as a picture."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["OFF", "Line", "compiled_lines", "draw", "lines_of", "print_bars", "p
 Array: TypeAlias = NDArray[np.float64]
 
 OFF = 1e-6
-"""An answer further than this from the reference [m/s, rad/s] is another answer."""
+"""A solution further than this from the reference [m/s, rad/s] is wrong."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One contender's result.
+    """The result of a contender.
 
     Attributes:
         name, problem, ours: of the contender.
@@ -53,7 +53,7 @@ class Line:
 def lines_of(
     contenders: Sequence[Contender], timings: Mapping[str, Timing], references: Mapping[str, str]
 ) -> list[Line]:
-    """The Python contenders, each compared with its problem's reference."""
+    """Return the results of the Python contenders, compared with the reference of their problem."""
     lines = []
     for contender in contenders:
         timing, reference = timings[contender.name], timings[references[contender.problem]].answers
@@ -69,7 +69,7 @@ def lines_of(
 
 
 def compiled_lines(runs: Sequence[CompiledRun], references: Mapping[str, Array]) -> list[Line]:
-    """The contenders in C, each compared with the answers (count, n) to its problem."""
+    """Return the results of the contenders in C, compared with the reference solutions (count, n) of their problem."""
     lines = []
     for run in runs:
         distance = np.abs(run.answers - references[run.problem]).max(axis=1)
@@ -104,7 +104,7 @@ def print_rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def print_lines(lines: Sequence[Line], *, ours: Mapping[str, str], mean: bool) -> None:
-    """Times in µs; ratios to the contender that `ours` names for each problem."""
+    """Print times in µs, and ratios to the contender that `ours` names for each problem."""
     typical = {line.name: line.typical for line in lines}
     rows = []
     for line in lines:
@@ -123,7 +123,9 @@ def _number(value: float) -> str:
 
 
 def print_bars(bars: Sequence[tuple[str, float | None, float, bool]]) -> bool:
-    """(statement, figure or None, bar, whether the figure has to be below); whether all that were measured hold."""
+    """Print (statement, figure or None, limit, whether the figure must be below); return whether all measured limits
+    hold.
+    """
     rows, good = [], True
     for text, figure, bar, below in bars:
         holds = figure is None or (figure <= bar if below else figure >= bar)
@@ -135,7 +137,7 @@ def print_bars(bars: Sequence[tuple[str, float | None, float, bool]]) -> bool:
 
 
 def draw(lines: Sequence[Line], path: Path) -> None:
-    """Medians as dots, 99th percentiles as ticks, on a logarithmic axis; the fastest on top."""
+    """Draw medians as dots and 99th percentiles as bars on a logarithmic axis, fastest first."""
     shown = sorted(lines, key=lambda line: -line.median)
     ax = new_axes(10.0, 0.9 + 0.27 * len(shown))
     for at, line in enumerate(shown):

@@ -1,4 +1,4 @@
-"""Approaches, and what the sensors of a robot hear on them: many runs at once, truth and samples as arrays."""
+"""Approaches and the sonar echoes on them: many runs at once, true ranges and samples as arrays."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Approach:
 
     @property
     def seen(self) -> Array:
-        """What is promised about: the range, or the maximum beyond it."""
+        """Return the quantity that the bound is about: the range, at most the sensor's maximum."""
         return np.minimum(self.truth, ARRAY.maximum)
 
 
@@ -118,7 +118,7 @@ def approach(
 
 
 def heard(truth: Array, noise: Array) -> Array:
-    """Samples (..., k) [m] of firings at ranges (...), as `surctl.sensing.fire` makes them."""
+    """Return samples (..., k) [m] of firings at ranges (...), with the errors of `surctl.sensing.fire`."""
     top, far = ARRAY.top_code, ARRAY.maximum
     raw = np.clip(truth[..., None] + ARRAY.bias + ARRAY.noise_sd * noise, ARRAY.minimum, far)
     codes = np.floor(raw * top / far + 0.5) * far / top
@@ -126,7 +126,7 @@ def heard(truth: Array, noise: Array) -> Array:
 
 
 def _travelled(cruise: Array, final: Array, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Way [m] and speed [m/s], (runs, steps): speed up, brake, hover with a sway of 1 cm/s."""
+    """Return distance [m] and speed [m/s], (runs, steps): accelerate, brake, hover with a sway of 1 cm/s."""
     way, speed = np.zeros((len(cruise), steps)), np.zeros((len(cruise), steps))
     x, v, phase = np.zeros(len(cruise)), np.zeros(len(cruise)), rng.uniform(0, 2 * pi, len(cruise))
     for k in range(steps):
@@ -139,7 +139,9 @@ def _travelled(cruise: Array, final: Array, steps: int, rng: np.random.Generator
 
 
 def _ranges(x: Array, y: Array, heading: Array, walls: Array, box: Array) -> Array:
-    """(runs, steps, sensors) [m], by the symbolic echo model of the closed loop, 2·maximum when nothing."""
+    """Return ranges (runs, steps, sensors) [m] by the symbolic echo model of the closed loop; 2·maximum without an
+    echo.
+    """
     place, psi, w, c = ca.SX.sym("p", 2), ca.SX.sym("psi"), ca.SX.sym("w", 4), ca.SX.sym("c", 2)
     out = []
     for sensor in range(ARRAY.size):

@@ -1,4 +1,4 @@
-"""Many closed loops at once: plant, sensors, an estimator and the velocity controller, one column a run."""
+"""Many closed loops at once: plant, sensors, an estimator and the velocity controller, one column per run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Leg:
-    """So many seconds at a velocity in {E} [m/s]."""
+    """A duration [s] at a velocity in {E} [m/s]."""
 
     seconds: float
     velocity: tuple[float, float]
@@ -52,7 +52,7 @@ class Mission:
     acceleration: float = 0.04
 
     def path(self) -> tuple[Array, Array]:
-        """Position and velocity (ticks, 3) in {E}."""
+        """Return position and velocity (steps, 3) in {E}."""
         wanted = np.vstack([np.tile((*leg.velocity, 0.0), (round(leg.seconds / DT), 1)) for leg in self.legs])
         velocity, now = np.zeros_like(wanted), np.zeros(3)
         for k, goal in enumerate(wanted):
@@ -64,7 +64,7 @@ class Mission:
 
 @dataclass(frozen=True)
 class Water:
-    """A sine force [N] of a period [s] and a current [m/s], each in a direction drawn for every run."""
+    """A sinusoidal force [N] with a period [s] and a current [m/s], each in a random direction for every run."""
 
     wave: float = 0.0
     period: float = 3.0
@@ -72,7 +72,7 @@ class Water:
 
 
 class Flight(NamedTuple):
-    """What happened, (ticks, size, runs): truth, estimate, what the filter says of its errors, and the command."""
+    """Results (steps, size, runs): true state, estimate, standard deviations of the filter, and command."""
 
     eta: Array
     nu: Array
@@ -140,7 +140,7 @@ def fly(
 
 
 class _Known:
-    """An estimator with its state."""
+    """An estimator and its state."""
 
     def __init__(self, estimator: Estimator, sensors: OwnState, runs: int) -> None:
         own = OwnStateFilter(dt=DT, latency=sensors.fixes.latency)
@@ -158,7 +158,7 @@ class _Known:
         self.last, self.velocity, self.since = np.zeros((3, runs)), np.zeros((3, runs)), np.full(runs, np.inf)
 
     def step(self, x: Array, given: Array, model: Array) -> tuple[Array, ...]:
-        """η̂, ν̂, their deviations, age, and fixes refused in a row."""
+        """Return η̂, ν̂, their standard deviations, the age of the fix, and the number of fixes rejected in a row."""
         if self.estimator == "fixed gain":
             self.state[self.layout.slice("covariance")] = self.settled[np.triu_indices(3)][:, None]
         self.state, eta, nu, *rest = (np.array(v) for v in self.function(self.state, given, model))
@@ -189,7 +189,9 @@ def _filter(own: OwnStateFilter, runs: int) -> tuple[ca.Function, Layout]:
 
 @cache
 def _control(runs: int, k_v: float) -> ca.Function:
-    """(η̂, ν̂, reference (7,), model) → τ: a position loop asks for a velocity in {E}, its controller for thrust."""
+    """Return (η̂, ν̂, reference (7,), model) → τ: a position loop commands a velocity in {E}, the velocity controller
+    thrust.
+    """
     eta, nu, reference = ca.SX.sym("eta", 4), ca.SX.sym("nu", 4), ca.SX.sym("reference", 7)
     m, model = MODEL.symbols("m")
     wish = reference[3:6] + APPROACH * (reference[:3] - eta[:3])

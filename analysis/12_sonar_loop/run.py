@@ -1,8 +1,8 @@
-"""Study 12: the closed loop through the sonars, whole and with sensors that fail; speed and cost of the senses.
+"""Study 12: the closed loop with sonars, intact and with faults; speed of the loop and cost of the perception.
 
     python analysis/12_sonar_loop/run.py [--quick]
 
-Prints Markdown. Status 0 when every bar holds, else 1; 2 for a bad option.
+Prints Markdown. The exit status is 0 if every limit holds, 1 otherwise, and 2 for a bad option.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ WORST = HEAVY | SLOW_TO_TURN  # of sur540-flooded's ranges, unknown to its contr
 
 
 def conditions() -> dict[str, tuple[Sensors, bool]]:
-    """Sensors by name, and whether a bar is set on them."""
+    """Return the sensors by name, and whether a limit applies to them."""
     found: dict[str, tuple[Sensors, bool]] = {"nominal": (Sensors(), True)}
     for k, where in enumerate(("front", "left", "rear", "right")):
         found[f"{where} dead"] = (Sensors(faults=(Fault(sensor=k, kind="dead"),)), True)
@@ -53,14 +53,14 @@ def conditions() -> dict[str, tuple[Sensors, bool]]:
 
 
 def flown(name: str, sensors: Sensors, seeds: int, values: Mapping[str, float] | None = None) -> BatchResult:
-    """All seeds of a scenario with these sensors."""
+    """Simulate all seeds of a scenario with these sensors."""
     scenario = replace(load_scenario(name), sensors=sensors)
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
     return simulate_batch(case, values or {}, seeds=np.arange(seeds), threads=2)
 
 
 def row(condition: str, name: str, runs: BatchResult) -> int:
-    """Print a line of the table; the number of collisions."""
+    """Print a row of the table; return the number of collisions."""
     stopped, took = runs.column("stopped").astype(int), runs.column("time_s")
     counts = {reason: int(np.sum(stopped == k)) for k, reason in enumerate(STOPS)}
     hit = [int(k) for k in np.flatnonzero(stopped == STOPS.index("collision"))]
@@ -76,7 +76,7 @@ def row(condition: str, name: str, runs: BatchResult) -> int:
 
 
 def speed(seeds: int) -> float:
-    """Simulated seconds a second of one core."""
+    """Return the simulated seconds per second of one core."""
     scenario = load_scenario("tank-static")
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
     simulate_batch(case, seeds=0)  # compiled by now
@@ -86,7 +86,9 @@ def speed(seeds: int) -> float:
 
 
 def ram(block: Block) -> tuple[int, int | None]:
-    """Bytes of a block's arrays in float32, inputs and outputs with them; those and the stack, where gcc tells it."""
+    """Return the bytes of a block's arrays in float32 (with inputs and outputs), and this plus the stack if gcc
+    reports it.
+    """
     given = sum(size for _, size in (*block.inputs, *block.outputs))
     try:
         return 4 * memory(block), 4 * given + stack_bytes(block, real="float32")
@@ -95,7 +97,7 @@ def ram(block: Block) -> tuple[int, int | None]:
 
 
 def main(words: list[str]) -> int:
-    """Run the study."""
+    """Run the study and print the results."""
     parser = argparse.ArgumentParser(prog="run.py", description="Fly the scenarios through the sonars.")
     parser.add_argument("--quick", action="store_true", help="few seeds, one scenario, two conditions")
     options = parser.parse_args(words)

@@ -1,4 +1,4 @@
-"""What CVXPYgen writes around OSQP for the problem of `peers`, made ready for the emulated Cortex-M4F."""
+"""CVXPYgen's C around OSQP for the problem of `peers`, prepared for the emulated Cortex-M4F."""
 
 from __future__ import annotations
 

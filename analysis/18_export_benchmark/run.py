@@ -1,8 +1,9 @@
-"""Study 18: the same controller as C, ours and CasADi's, on an emulated Cortex-M4F; and wrong versions of ours.
+"""Study 18: the same controller as C of surctl and of CasADi on an emulated Cortex-M4F; wrong versions of surctl's C.
 
     python analysis/18_export_benchmark/run.py [--quick] [--write]
 
-Prints Markdown; --write makes the README of it. Status 1 when a bar does not hold, 2 for a bad option.
+Prints Markdown; --write writes the README from it. The exit status is 1 if a limit does not hold, and 2 for a bad
+option.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ MOST_INSTRUCTIONS, SPREAD, MOST_BYTES, LEAST_MUTANTS = 1200, 1.10, 4500, 20
 
 @dataclass(frozen=True)
 class Line:
-    """What one contender showed on the M4F."""
+    """The results of one version on the M4F."""
 
     contender: Contender
     level: str
@@ -48,7 +49,7 @@ class Line:
     builds: int
 
     def row(self) -> str:
-        """Its line of the table."""
+        """Return its row of the table."""
         i = self.counted
         cells = [
             self.contender.name,
@@ -65,7 +66,7 @@ class Line:
 
 
 def vectors(base: Contender, flight: Records, steps: int) -> Records:
-    """The flight, then single steps around it that the guard lets in: inside its box, so that doubles are in theirs."""
+    """Return the run, then single steps around it that the guard accepts, in float and in double."""
     within = base.bundle.envelope
     assert within is not None
     alone = trial_steps(base.law, [flight], steps, real=base.bundle.real, within=within)
@@ -77,7 +78,7 @@ def vectors(base: Contender, flight: Records, steps: int) -> Records:
 
 
 def measure(contender: Contender, reference: Contender, given: Records, names: tuple[str, ...], level: str) -> Line:
-    """Build it everywhere, and compare with each other and with the reference in double."""
+    """Build a version for all targets; compare the builds with each other and with the reference in double."""
     real = contender.bundle.real
     host = Controller(contender.law, contender.bundle, (), None)
     load = np.ones(len(given), dtype=bool)
@@ -112,7 +113,7 @@ def measure(contender: Contender, reference: Contender, given: Records, names: t
 def wrong_versions(
     base: Contender, flight: Records, limit: NDArray[np.float64], each: int
 ) -> tuple[list[str], int, int]:
-    """(lines, how many were tried, how many nothing caught)."""
+    """Return lines, the number of wrong versions, and the number that nothing detects."""
     counts: dict[tuple[str, str], int] = {}
     missed = []
     tried = mutants(base.bundle, each=each)
@@ -128,7 +129,7 @@ def wrong_versions(
 
 
 def main() -> int:
-    """Print the study."""
+    """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer steps, builds and wrong versions")
     parser.add_argument("--write", action="store_true", help="write README.md beside this file")
@@ -142,7 +143,7 @@ def main() -> int:
 
 
 def study(*, quick: bool) -> tuple[str, bool]:
-    """(Markdown, whether every bar holds)."""
+    """Return the Markdown text, and whether every limit holds."""
     law, vehicle, numbers, flight = controller()
     single, double = ours(law, vehicle, numbers, "float32"), ours(law, vehicle, numbers, "float64")
     names, steps = (QUICK, 500) if quick else (BUILDS, 4_000)

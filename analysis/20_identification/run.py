@@ -1,10 +1,10 @@
-"""Study 20: whether a vehicle fitted to a log lies within its own intervals as often as they say.
+"""Study 20: do the 95 % intervals of a vehicle fitted to a log contain the true values in 95 % of the cases?
 
     python analysis/20_identification/run.py            # ten minutes on two cores
     python analysis/20_identification/run.py --quick    # 2 logs of 30 s
 
-Prints Markdown; what comes of each log does not depend on the number of processes.
-Ends with 0 when every statement holds, else with 1.
+Prints Markdown; the results do not depend on the number of processes.
+The exit status is 0 if every statement holds, and 1 otherwise.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ BAR = 0.93  # of 95 %
 
 @dataclass(frozen=True)
 class Trial:
-    """A log of random thrust steps by a vehicle drawn from its ranges, and what the fit made of it."""
+    """A log of random thrust steps of a vehicle drawn from its ranges, and the result of the fit."""
 
     inside: dict[str, bool]
     told: tuple[str, ...]
@@ -49,7 +49,7 @@ class Trial:
 
 
 def drawn(nominal: Vehicle, rng: np.random.Generator) -> Vehicle:
-    """Masses and drag uniform in the vehicle's ranges, ±25 % where it has none."""
+    """Draw masses and drag uniformly from the vehicle's ranges, or ±25 % without a range."""
     values = {}
     for name in FITTED:
         low, high = nominal.parameters[name].range or (0.75 * nominal[name], 1.25 * nominal[name])
@@ -58,7 +58,7 @@ def drawn(nominal: Vehicle, rng: np.random.Generator) -> Vehicle:
 
 
 def log_of(vehicle: Vehicle, rng: np.random.Generator, *, rows: int, axes: tuple[int, ...]) -> MotionLog:
-    """Steps of thrust held for 0.6 to 3 s on the given axes; white noise on every column."""
+    """Return a log of thrust steps held for 0.6 to 3 s on the given axes, with white noise on every column."""
     thrust = np.zeros((rows, 4))
     for axis in axes:
         held = np.repeat(rng.uniform(-1, 1, rows), rng.integers(6, 30, rows))[:rows]
@@ -82,7 +82,7 @@ def _integrated(vehicle: Vehicle, thrust: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def trial(nominal: Vehicle, seed: int, *, rows: int, axes: tuple[int, ...] = (0, 1, 2, 3)) -> Trial:
-    """Draw, log, fit from the nominal vehicle, compare."""
+    """Draw a vehicle, simulate a log, fit from the nominal vehicle, and compare."""
     rng = np.random.default_rng([SEED, seed])
     true = drawn(nominal, rng)
     log = log_of(true, rng, rows=rows, axes=axes)
@@ -99,7 +99,7 @@ def _job(words: tuple[int, int, tuple[int, ...]]) -> Trial:
 
 
 def flights(jobs: list[tuple[int, int, tuple[int, ...]]], workers: int) -> Iterator[Trial]:
-    """The trials in order, in this process for one worker."""
+    """Return the trials in order; one worker computes in this process."""
     if workers == 1:
         yield from map(_job, jobs)
         return
@@ -108,7 +108,7 @@ def flights(jobs: list[tuple[int, int, tuple[int, ...]]], workers: int) -> Itera
 
 
 def main() -> int:
-    """Print the tables; 1 when a statement does not hold."""
+    """Print the tables; return 1 if a statement does not hold."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="2 runs of 30 s instead of 200 of 60 s")
     parser.add_argument("--workers", type=int, default=2, help="processes")
