@@ -287,7 +287,7 @@ def along(flown: Sequence[Flown], gains: Gains, scenario: str, axis: str, figure
     word = {"to_obstacles": "clearance to obstacles", "counted": "share of steps that the path error counts"}[figure]
     text = f"{scenario}: the {word} {'rises' if rises else 'falls'} with every step of {axis}"
     if values.size == 0:
-        return Statement(text, None, "not flown")
+        return Statement(text, None, "not simulated")
     return Statement(text, rising(values if rises else -values), span(values, "m" if figure == "to_obstacles" else ""))
 
 
@@ -332,7 +332,7 @@ def span(values: NDArray[np.float64], unit: str) -> str:
 
 def print_statements(said: Sequence[Statement]) -> bool:
     """Print one row per statement; return whether none failed."""
-    words = {True: "holds", False: "**does not hold**", None: "not asked"}
+    words = {True: "holds", False: "**does not hold**", None: "not decided"}
     print_rows(["statement", "figure", ""], [(s.text, s.figure, words[s.holds]) for s in said])
     return all(s.holds is not False for s in said)
 

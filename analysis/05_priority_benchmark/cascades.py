@@ -111,7 +111,7 @@ def hierarchies(instances: Sequence[Instance]) -> list[Contender]:
         raise RuntimeError(f"DAQP's Model cannot be set up: flag {flag}")
 
     def kept(rows: Array, upper: Array, lower: Array) -> Array | None:
-        # without `sense` the active set of the last tick would be where this one starts
+        # without `sense` the solver would start from the active set of the last step
         if model.update(A=rows, bupper=upper, blower=lower, sense=sense) < 0:
             return None
         v, _, flag, _ = model.solve()

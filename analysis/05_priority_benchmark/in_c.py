@@ -53,10 +53,10 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-D_POSIX_C_SOURCE=199309L", "-
 
 LEAST = "least distance: 2 equalities, 24 rows"
 CLOSED = "closed form of nsb"
-TICKS: dict[Mode, str] = {mode: f"complete tick of {mode}: 4 tasks, box, 8 rows" for mode in get_args(Mode)}
+TICKS: dict[Mode, str] = {mode: f"complete step of {mode}: 4 tasks, box, 8 rows" for mode in get_args(Mode)}
 
-OURS, OURS_CLOSED = "surctl safe tick, C", "surctl closed form, C"
-OURS_TICKS: dict[Mode, str] = {mode: f"surctl {mode} tick, C" for mode in TICKS}
+OURS, OURS_CLOSED = "surctl safe step, C", "surctl closed form, C"
+OURS_TICKS: dict[Mode, str] = {mode: f"surctl {mode} step, C" for mode in TICKS}
 QRQP, CASADI_CLOSED = "CasADi qrqp, generated C", "CasADi closed form, generated C"
 OSQP = {"OSQP, generated C, tolerance 1e-3 (its default)": 1e-3, "OSQP, generated C, tolerance 1e-6": 1e-6}
 

@@ -37,7 +37,7 @@ _BEYOND = 0.2  # share of instances whose first task asks for what the rows do n
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """One tick.
+    """One step.
 
     Attributes:
         J: (5, 4), the tasks' rows under one another. x: (5,) [m/s, rad/s].

@@ -1,7 +1,7 @@
 """pink and mink on a minimal problem of their own: a robot with the four degrees of freedom of the vehicle.
 
 Both are libraries of inverse kinematics: they weigh tasks instead of ranking them, and evaluate a robot model in
-every tick. On this problem (go to a point and hold the heading, which do not conflict, inside velocity limits) weights
+every step. On this problem (go to a point and hold the heading, which do not conflict, inside velocity limits) weights
 and ranks give the same answer, so that it can be compared; the times are an indicator, not a race of equals.
 """
 

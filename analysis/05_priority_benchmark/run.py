@@ -60,11 +60,15 @@ OURS_IN_C = {LEAST: OURS, CLOSED: OURS_CLOSED} | {TICKS[mode]: OURS_TICKS[mode] 
 
 def main(arguments: list[str]) -> int:
     """Run the study; the exit status."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Time a tick of the priority law against its peers.")
-    parser.add_argument("--quick", action="store_true", help="few ticks and rounds: shows that it runs, not how fast")
+    parser = argparse.ArgumentParser(
+        prog="run.py", description="Compare the time of a step of the priority law with other solvers."
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="few steps and rounds: shows that it runs; times are not reliable"
+    )
     parser.add_argument("--out", type=Path, help="folder of benchmark.png; default: a new temporary one")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--bars", action="store_true", help="a missed bar of speed ends with 1")
+    parser.add_argument("--bars", action="store_true", help="exit status 1 if a speed limit is missed")
     options = parser.parse_args(arguments)
     if options.seed < 0:
         parser.error("--seed is at least 0")
@@ -92,7 +96,7 @@ def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
         runs = [run for run in built if isinstance(run, CompiledRun)]
         race_in_c(runs, rounds=3 if quick else 40)
     in_c = compiled_lines(runs, references)
-    print("\n## One tick, called from Python")
+    print("\n## One step, called from Python")
     print_lines(python, ours=dict.fromkeys(REFERENCES, FAST) | {PEER: PEER_FAST}, mean=False)
     print("\n## Inside C")
     print_lines(in_c, ours=OURS_IN_C, mean=True)
@@ -112,8 +116,8 @@ def bars(lines: dict[str, Line]) -> list[tuple[str, float | None, float, bool]]:
         return lines[who].typical / lines[other].typical if {who, other} <= lines.keys() else None
 
     found: list[tuple[str, float | None, float, bool]] = [
-        ("safe tick from Python, median µs", lines[FAST].median / 1e3, 6.0, True),
-        ("safe tick from Python / DAQP's kept hierarchy", ratio(FAST, KEPT), 1.0, True),
+        ("safe step from Python, median µs", lines[FAST].median / 1e3, 6.0, True),
+        ("safe step from Python / DAQP's kept hierarchy", ratio(FAST, KEPT), 1.0, True),
     ]
     for fast in (PEER_FAST, PEER_FILTER):
         found += [(f"{name} / {fast}", ratio(name, fast), 30.0, False) for name in (PINK, MINK)]

@@ -29,10 +29,10 @@ class Line:
     Attributes:
         name, problem, ours: of the contender.
         typical: the number that ratios are made of [ns]: the median in Python, the mean in C.
-        median, p99: of all single ticks [ns]; p99 holds what other programs did to them.
-        hard: 99th percentile over the ticks, each with its median over the rounds [ns].
-        samples: single ticks timed.
-        asked, silent, off: ticks, those without an answer, and those further than `OFF` from the reference.
+        median, p99: of all single steps [ns]; p99 includes the influence of other programs.
+        hard: 99th percentile over the steps, each with its median over the rounds [ns].
+        samples: number of timed steps.
+        asked, silent, off: number of steps, of steps without a solution, and of solutions off by more than `OFF`.
         gap: largest distance from it.
     """
 
@@ -113,7 +113,7 @@ def print_lines(lines: Sequence[Line], *, ours: Mapping[str, str], mean: bool) -
         counts = (f"{line.gap:.1e}", f"{line.off} of {line.asked}", str(line.silent), str(line.samples))
         figures = map(_number, (*(time / 1e3 for time in times), ratio, 1.0 / ratio))
         rows.append([line.name, line.problem, *figures, *counts])
-    heads = [*(["mean µs"] if mean else []), "median µs", "p99 of ticks µs", "p99 of all µs", "ours / it", "it / ours"]
+    heads = [*(["mean µs"] if mean else []), "median µs", "p99 of steps µs", "p99 of all µs", "ours / it", "it / ours"]
     print_rows(["who", "problem", *heads, "largest difference", f"off by > {OFF:.0e}", "no answer", "samples"], rows)
 
 
@@ -132,7 +132,7 @@ def print_bars(bars: Sequence[tuple[str, float | None, float, bool]]) -> bool:
         good = good and holds
         word = "not measured" if figure is None else "holds" if holds else "**missed**"
         rows.append([text, "" if figure is None else _number(figure), f"{'≤' if below else '≥'} {bar:g}", word])
-    print_rows(["bar", "measured", "wanted", ""], rows)
+    print_rows(["bar", "measured", "required", ""], rows)
     return good
 
 
@@ -146,6 +146,6 @@ def draw(lines: Sequence[Line], path: Path) -> None:
         ax.plot(line.hard / 1e3, at, marker="|", markersize=8, color=colour)
         ax.plot(line.median / 1e3, at, marker="o" if line.ours else "s", markersize=5, color=colour)
     ax.set_xscale("log")
-    dress(ax, title="One tick: median and 99th percentile", x="µs")
+    dress(ax, title="One step: median and 99th percentile", x="µs")
     ax.set_yticks(range(len(shown)), [f"{line.name} · {line.problem}" for line in shown], fontsize=7.5, color=INK)
     ax.figure.figure.savefig(path)

@@ -3,8 +3,8 @@
     python analysis/06_compiled_modes/run.py [--quick] [--n 10000] [--seed 0] [--no-timing]
 
 Prints Markdown. The exit status is 0 if every limit below holds, and 1 otherwise; it is 2 for a bad option, or
-without a C compiler. Times are medians over this machine and are not part of the exit status, but for the bar of the
-safe tick.
+without a C compiler. Times are medians over this machine and are not part of the exit status, except for the limit on
+the safe step.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ MICROSECONDS = 6.0
 
 def main(arguments: list[str]) -> int:
     """Run both parts; return the exit status."""
-    parser = argparse.ArgumentParser(description="compiled ticks: agreement and speed")
+    parser = argparse.ArgumentParser(description="compiled steps: agreement and speed")
     parser.add_argument("--quick", action="store_true", help="60 problems a mode unless --n says otherwise")
     parser.add_argument("--n", type=int, help="random problems a mode; 10,000 if not given")
     parser.add_argument("--seed", type=int, default=0)
@@ -139,7 +139,7 @@ def timing(rounds: int) -> bool:
     problem = _benchmark()
     J = np.vstack([level.J for level in problem.levels])
     x = np.concatenate([level.lower for level in problem.levels])
-    print(f"\n## Time of a tick [µs]: 4 tasks (5 rows), box, 8 barriers; {compiler_version()}\n")
+    print(f"\n## Time of a step [µs]: 4 tasks (5 rows), box, 8 barriers; {compiler_version()}\n")
     print("| mode | solve | J, x and rows written, then solve | from a stack: η and barriers in, v out |")
     print("|---|---|---|---|")
     slowest = 0.0
@@ -151,7 +151,7 @@ def timing(rounds: int) -> bool:
         print(f"| {mode} | {fast:.2f} | {full:.2f} | {_median(step, rounds):.2f} |")
         slowest = full if mode == "projected" else slowest
     held = slowest <= MICROSECONDS
-    print(f"\nBar: mode projected, everything written each tick, at most {MICROSECONDS:g}: {slowest:.2f}", end="")
+    print(f"\nLimit: mode projected, all inputs written in each step, at most {MICROSECONDS:g}: {slowest:.2f}", end="")
     print("." if held else ", FAILED.")
     return held
 

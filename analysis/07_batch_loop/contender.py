@@ -20,10 +20,10 @@ class Contender:
 
     Attributes:
         name: in the tables.
-        fly: a turn; the control periods flown.
-        runs: in a turn.
-        every: rounds for each of its turns.
-        cpu, wall: seconds of each turn, of this process and of the clock. steps: control periods of each turn.
+        fly: runs a turn and returns the number of simulated control periods.
+        runs: number of runs in a turn.
+        every: number of rounds per turn of this contender.
+        cpu, wall: processor time and wall-clock time of each turn [s]. steps: control periods of each turn.
     """
 
     name: str

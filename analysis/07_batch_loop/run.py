@@ -84,10 +84,12 @@ class Config(Strict):
 
 def main(arguments: list[str]) -> int:
     """Run the study; the exit status."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Time the closed loop against its peers.")
-    parser.add_argument("--check", action="store_true", help="few runs: shows that all agree, not how fast they are")
+    parser = argparse.ArgumentParser(
+        prog="run.py", description="Compare the time of the closed loop with other implementations."
+    )
+    parser.add_argument("--check", action="store_true", help="few runs: shows that all agree; times are not reliable")
     parser.add_argument("--out", type=Path, help="folder of results.csv; default: a new temporary one")
-    parser.add_argument("--bars", action="store_true", help="a missed bar of speed ends with 1")
+    parser.add_argument("--bars", action="store_true", help="exit status 1 if a speed limit is missed")
     options = parser.parse_args(arguments)
     try:
         config = load_model(HERE / "config.toml", Config)
@@ -165,7 +167,7 @@ def agree(case: Case, hand: dict[str, HandLoop], config: Config, *, numba: bool)
     print_rows(["the same runs", "largest difference of a figure"], [[n, f"{g:.1e}"] for n, g in gaps.items()])
     wrong = [name for name, size in gaps.items() if not size <= config.tolerance]
     for name in wrong:
-        print(f"\n**Wrong**: {name} flies something else.")
+        print(f"\n**Wrong**: {name} simulates something else.")
     return not wrong
 
 
@@ -226,7 +228,7 @@ def taking_part(case: Case, hand: dict[str, HandLoop], size: Size, seed: int) ->
     ticks = list(ticks_of(case, record))
     for name, make in ((SCIPY, lambda rtol: scipy_step("RK45", rtol)), (CONTROL, control_step)):
         rtol, error = matched(make, ticks)
-        print(f"\n{name}: tolerance {rtol:.0e}, error a tick {error:.1e}.")
+        print(f"\n{name}: tolerance {rtol:.0e}, error per step {error:.1e}.")
         yield Contender(name, other(make(rtol)), 1)
 
 
@@ -286,7 +288,7 @@ def print_bars(contenders: Sequence[Contender], bars: dict[str, float]) -> bool:
         verdict = "not measured" if not ratios else "holds" if measured >= wanted else "**missed**"
         held &= verdict == "holds"
         rows.append([f"{name} / {OURS}", f"{measured:.3g}", f"{wanted:g}", verdict])
-    print_rows(["bar", "measured", "wanted", ""], rows)
+    print_rows(["bar", "measured", "required", ""], rows)
     return held
 
 
@@ -330,11 +332,11 @@ def print_many(case: Case, size: Size, *, wanted: float) -> bool:
             flown = steps_of(table)
     least = {threads: [min(column) for column in zip(*turns, strict=True)] for threads, turns in spent.items()}
     rows = [[str(n), f"{clock:.3g}", f"{cpu:.3g}", f"{flown:.4g}"] for n, (clock, cpu) in least.items()]
-    print_rows(["threads", "s of the clock", "s of the processor", "steps flown"], rows)
+    print_rows(["threads", "wall-clock time [s]", "processor time [s]", "steps simulated"], rows)
     faster = least[1][0] / least[2][0]
     verdict = "holds" if faster >= wanted else "**missed**"
-    row = ["one thread / two, by the clock", f"{faster:.3g}", f"{wanted:g}", verdict]
-    print_rows(["bar", "measured", "wanted", ""], [row])
+    row = ["one thread / two, wall-clock time", f"{faster:.3g}", f"{wanted:g}", verdict]
+    print_rows(["bar", "measured", "required", ""], [row])
     return faster >= wanted
 
 

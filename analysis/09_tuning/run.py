@@ -124,7 +124,7 @@ class Hand:
 
     @classmethod
     def flown(cls, goals: Sequence[Goal], flown: Sequence[Condition], gains: Gains) -> Hand:
-        """Fly them."""
+        """Simulate the runs."""
         sets = {name: np.array([gains[name]]) for name in TUNED}
         arrived = np.isfinite(figures(goals, flown, sets)["effort_n"][0])
         own = [c for c, there in zip(flown, arrived, strict=True) if there]

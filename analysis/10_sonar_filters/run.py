@@ -40,7 +40,7 @@ STILL = 0.02  # m/s
 JUMP = 0.15  # m a step: something entered the beam or left it
 DRAWN = 11  # seed of the faults in the pictures: they begin on the way
 RULES: tuple[StepRule, ...] = ("printed", "corrected")
-# where nothing known stands in the beam, what enters it and what leaves it cannot be told from a fault
+# without a known object in the beam, an object that enters or leaves it looks like a fault
 UNKNOWN: tuple[Kind, ...] = ("obstacle, turning", "tank, turning")
 
 
@@ -111,7 +111,7 @@ def study(config: Config, *, quick: bool, out: Path | None) -> int:
 
 
 def steady(runs: int, seed: int, *, speed: float) -> Stream:
-    """Return runs before an unknown static object at a constant speed [m/s]; at speed 0 from distances of 0.5 to 4 m."""
+    """Return runs before an unknown static object at a constant speed [m/s]; at speed 0 from 0.5 to 4 m."""
     rng = np.random.default_rng(seed)
     time = DT * np.arange(round(16.0 / DT))
     start = rng.uniform(4.0, 4.3, runs) if speed else rng.uniform(0.5, 4.0, runs)
@@ -274,7 +274,9 @@ def print_kind(kind: Kind, runs: int, config: Config) -> bool:
         if fault == "none":
             clean = found
     if kind in UNKNOWN:
-        text = f"{kind}: bound kept in {100 * bars.kept_knowable:g} % of the steps in which a reading could tell"
+        text = (
+            f"{kind}: bound kept in {100 * bars.kept_knowable:g} % of the steps in which a reading has the information"
+        )
         if short:
             print(f"\n{kind}: kept in less than {100 * bars.kept:g} % of all steps (see the README)")
     else:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 FAULTS = ("dropout", "dead", "stuck", "zero", "maximum", "spike", "second echo", "crosstalk", "delay")
-FIRST = 10  # firings that the sensor had to be heard at all
+FIRST = 10  # firings without a fault at the start
 
 
 @dataclass(frozen=True)

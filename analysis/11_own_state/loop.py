@@ -20,7 +20,7 @@ from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parame
 
 DT, HALVES = 0.05, 2  # [s]; calls of the plant in a control period
 APPROACH = 0.3  # [1/s] of the position loop
-CAP = 0.25  # [m/s] of the wish
+CAP = 0.25  # [m/s] of the desired velocity
 _BELIEVED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
 _GIVEN = (("fix", 3), ("fix_fresh", 1), ("yaw", 1), ("yaw_rate", 1), ("tau", 4))
 MODEL = Layout(tuple(Port(name, (4,), "SI", "") for name in _BELIEVED))
@@ -28,9 +28,9 @@ GIVEN = Layout(tuple(Port(name, (size,), "SI", "") for name, size in _GIVEN))
 
 Estimator = Literal["filter", "constant noise", "fixed gain", "as if now", "differences", "truth"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
-"""What the controller is told: the filter's estimate; that of one whose noise does not grow with the believed
-acceleration; of one with the gain that it settles at; of one that takes a late fix for the present; the last fix
-with the difference of the last two; or the truth."""
+"""Estimates that the controller may use: the filter's; that of a filter whose noise does not grow with the modelled
+acceleration; of one with its steady-state gain; of one that ignores the delay of the fixes; the last fix with the
+difference of the last two; or the true state."""
 
 Array = NDArray[np.float64]
 
@@ -97,17 +97,17 @@ def fly(
     estimator: Estimator = "filter",
     k_v: float = 2.0,
 ) -> Flight:
-    """Fly `runs` loops side by side, with noise and directions from the seed.
+    """Simulate `runs` loops together, with noise and directions from the seed.
 
     Args:
-        vehicle: what is flown.
-        believed: what filter and controller believe in.
+        vehicle: the simulated vehicle.
+        believed: the vehicle in the model of filter and controller.
         mission: the reference.
-        runs: how many.
-        seed: the same for every estimator: they meet the same noise.
+        runs: number of runs.
+        seed: the same for every estimator, so that all have the same noise.
         water: default still.
         sensors: default `OwnState()`.
-        estimator: what the controller is told.
+        estimator: the estimate that the controller uses.
         k_v: bandwidth of the velocity loops [1/s].
     """
     rng, water, sensors = np.random.default_rng(seed), water or Water(), sensors or OwnState()

@@ -76,7 +76,7 @@ class Config(Strict):
 
 @dataclass(frozen=True)
 class Figures:
-    """Root mean squares over ticks and runs, of horizontal vectors.
+    """Root mean squares over steps and runs, of horizontal vectors.
 
     Attributes:
         still, moving: error of the position [m] where the reference stands, and where it moves.
@@ -85,7 +85,7 @@ class Figures:
         off_track: true velocity against the reference's [m/s], moving.
         thrust: command, reference at rest [N].
         honest: the larger of position and velocity error, each in the filter's standard deviations.
-        refused: share of the ticks at which the last fix stood refused.
+        refused: share of the steps at which the last fix was rejected.
     """
 
     still: float
@@ -121,7 +121,7 @@ def study(config: Config, size: Size) -> int:
         for name in ESTIMATORS
         for gaps in (False, True)
     }
-    print(f"## What the controller is told ({mass:g} kg, drag {drag:g}, as believed)\n")
+    print(f"## Estimates for the controller ({mass:g} kg, drag {drag:g}, as believed)\n")
     print_figures((f"{name}{', gaps' if gaps else ''}", f) for (name, gaps), f in told.items())
     hulls = {
         (m, d, gaps): measure(config, size, m, d, gaps=gaps)
@@ -268,8 +268,8 @@ def print_statements(
         ("errors in the filter's own deviations, every hull, gaps or not", honest, "", honest <= bars.honest),
         ("a late fix taken for the present: position error, moving, times", now, "", now >= bars.as_if_now),
         ("differences of fixes: velocity error, times", difference, "", difference >= bars.differences),
-        ("after a gap the settled gain knows the place less well: times", fixed, "", fixed >= bars.fixed_gain),
-        ("right fixes that stand refused: share of the ticks", refused, "", refused <= bars.refused),
+        ("ratio of the position error after a gap with the steady-state gain", fixed, "", fixed >= bars.fixed_gain),
+        ("share of the steps with a correct fix rejected", refused, "", refused <= bars.refused),
     ]
     print("| statement | figure | |\n|---|---|---|")
     for text, figure, unit, holds in said:

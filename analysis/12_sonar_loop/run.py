@@ -98,7 +98,7 @@ def ram(block: Block) -> tuple[int, int | None]:
 
 def main(words: list[str]) -> int:
     """Run the study and print the results."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Fly the scenarios through the sonars.")
+    parser = argparse.ArgumentParser(prog="run.py", description="Simulate the scenarios with sonars.")
     parser.add_argument("--quick", action="store_true", help="few seeds, one scenario, two conditions")
     options = parser.parse_args(words)
     config = tomllib.loads(Path(__file__).with_name("config.toml").read_text(encoding="utf-8"))
@@ -127,12 +127,12 @@ def main(words: list[str]) -> int:
     share = operations * INSTRUCTIONS * RATE / CLOCK
     held.append(share <= bars["cortex_share"])
     print(
-        f"- senses: {operations} operations a step, at {INSTRUCTIONS} instructions each and {RATE:g} Hz "
+        f"- perception: {operations} operations per step, at {INSTRUCTIONS} instructions each and {RATE:g} Hz "
         f"{100 * share:.1f} % of a 168 MHz core, bar {100 * bars['cortex_share']:.0f} %: {_word(held[-1])}"
     )
     counted, told = ram(law.perception.block)
     held.append(max(counted, told or 0) <= 1024 * bars["cortex_kb"])
-    stack = f"{told / 1024:.1f} kB with the stack by -Os here" if told else "no compiler tells the stack here"
+    stack = f"{told / 1024:.1f} kB with the stack by -Os here" if told else "no compiler here reports the stack"
     print(
         f"- their memory in float32: state, next state and all arrays {counted / 1024:.1f} kB, {stack}, "
         f"bar {bars['cortex_kb']} kB: {_word(held[-1])}"

@@ -126,7 +126,7 @@ def parameters() -> str:
 
 def main(words: list[str]) -> int:
     """Run the study and print the results."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Fly every law in every scenario.")
+    parser = argparse.ArgumentParser(prog="run.py", description="Simulate every law in every scenario.")
     parser.add_argument("--quick", action="store_true", help="two seeds, one scenario, true positions")
     parser.add_argument("--out", help="folder for the picture")
     options = parser.parse_args(words)

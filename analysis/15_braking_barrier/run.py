@@ -2,8 +2,8 @@
 
     python analysis/15_braking_barrier/run.py [--quick]
 
-Prints Markdown. Ends with 0 when every claim that should be proved is, no flight inside the assumptions touches
-anything, and every rule that keeps less than it should does touch; else with 1; with 2 for a bad option.
+Prints Markdown. The exit status is 0 if every claim is proved as expected, no run within the assumptions collides,
+and every weakened rule collides; otherwise 1; it is 2 for a bad option.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def margins() -> None:
 
 def flights(runs: int) -> bool:
     """Simulate `runs` runs of every proved claim, divided among its obstacles."""
-    print(f"\n{runs} flights a claim:\n\n| vehicle | claim | touched | least clearance | within 0.1 m | braked |")
+    print(f"\n{runs} runs per claim:\n\n| vehicle | claim | collided | least clearance | within 0.1 m | braked |")
     print("|---|---|---|---|---|---|")
     hits = 0
     for vehicle, claim in claims():
@@ -127,7 +127,7 @@ def flights(runs: int) -> bool:
 
 def wrong(runs: int) -> bool:
     """Simulate the weakened rules: all must collide."""
-    print("\n| rule that keeps less | of | before | touched | least clearance |\n|---|---|---|---|---|")
+    print("\n| weakened rule | of | before | collided | least clearance |\n|---|---|---|---|---|")
     good, gains, vehicle = True, load_gains("default"), load_vehicle(VEHICLES[0])
     for case in WRONG:
         claim = braking_claim_named(case.claim, vehicle, gains)

@@ -56,7 +56,7 @@ def trouble() -> dict[str, Sensors]:
 
 
 def mirrored(scenario: Scenario) -> Scenario:
-    """Return the pool with left and right exchanged; waves, noise and drift have the same seeds and are not mirrored."""
+    """Return the pool with left and right exchanged; waves, noise and drift keep their seeds, unmirrored."""
     width, standing = scenario.site[1], scenario.obstacles
     return replace(
         scenario,
@@ -106,7 +106,7 @@ def row(
 
 def main(words: list[str]) -> int:
     """Run the study and print the results."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Take the causes of a slow flight away.")
+    parser = argparse.ArgumentParser(prog="run.py", description="Remove the causes of a slow run one at a time.")
     parser.add_argument("--quick", action="store_true", help="few seeds, nothing changed")
     options = parser.parse_args(words)
     seeds = 8 if options.quick else 200

@@ -34,10 +34,14 @@ def quality(*, quick: bool) -> list[str]:
     low, high = trials.box[:, :4], trials.box[:, 4:]
     near = np.clip(trials.target, low, high)
     least = np.maximum(exact[3][:, 0], 0.0)
-    answers = {"bounded": found[0], "standing still": np.clip(0.0 * near, low, high), "the target in the box": near}
+    answers = {
+        "bounded": found[0],
+        "zero velocity": np.clip(0.0 * near, low, high),
+        "the target clipped to the box": near,
+    }
     best = _task(trials, exact[0])
     lines = [
-        "| what the exact ladder says | problems | answer | hard rows missed, max | soft rows missed beyond it, "
+        "| result of the exact fallback | problems | answer | hard rows missed, max | soft rows missed beyond it, "
         "mean / 95 % / max | task missed beyond it, mean / 95 % |",
         "|---|---|---|---|---|---|",
     ]
@@ -73,7 +77,7 @@ def _task(trials: Trials, v: Array) -> Array:
 def flights(*, quick: bool) -> list[str]:
     """Simulate the same missions with both fallbacks."""
     lines = [
-        "| flight, law guarded in mode projected | movers | exact: time, least clearance | bounded: the same "
+        "| run, law guarded in mode projected | movers | exact: time, least clearance | bounded: the same "
         "| steps, degraded |",
         "|---|---|---|---|---|",
     ]

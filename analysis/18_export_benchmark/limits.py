@@ -40,12 +40,12 @@ _RUNGS = {
     1: "task and rows hold",
     2: "task as well as the rows allow",
     3: "rows opened",
-    BOUNDED: "the answer of constant cost",
+    BOUNDED: "the solution of constant cost",
 }
 _LAWS: tuple[tuple[str, str, Mapping[str, object], bool], ...] = (
-    ("1 obstacle that stands, gains constant", "pool-ahead", {"contacts": 1, "moving": False}, True),
-    ("4 that stand, gains constant", "pool-static", {"contacts": 4, "moving": False}, True),
-    ("8 that may move, gains inputs", "pool-static", {}, False),
+    ("1 static obstacle, gains constant", "pool-ahead", {"contacts": 1, "moving": False}, True),
+    ("4 static obstacles, gains constant", "pool-static", {"contacts": 4, "moving": False}, True),
+    ("8 obstacles that may move, gains as inputs", "pool-static", {}, False),
 )
 
 
@@ -66,7 +66,7 @@ def laws(*, quick: bool, ladder: Fallback = "exact") -> Told:
     obstacles.
     """
     lines = [
-        "| law guarded, mode projected, which knows | rows | flight, min / mean / max | single steps, mean / max "
+        "| law guarded, mode projected, with | rows | run, min / mean / max | single steps, mean / max "
         "| code, B | bytes of Python |",
         "|---|---|---|---|---|---|",
     ]
@@ -131,7 +131,7 @@ def ticks(*, quick: bool, ladder: Fallback = "exact") -> Told:
         f"With every loop at its bound {tick.operations} operations, {longest.max()} instructions when all run to it.",
     ]
     usual = counts[held & (iterations <= 1)]
-    title = f"{_ROWS} rows and a task of 2, {len(counts)} problems that are made to break a solver"
+    title = f"{_ROWS} rows and a task of 2, {len(counts)} numerically hard problems"
     return Told(tuple(lines), title, float(usual.mean()), int(counts.max()), fine, int(longest.max()))
 
 

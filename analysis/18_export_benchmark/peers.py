@@ -38,8 +38,8 @@ def race(*, quick: bool) -> tuple[list[str], NDArray[np.int64], NDArray[np.int64
     lines = [
         "| solver | instructions, min / mean / max | solved | error of 95 % of those |",
         "|---|---|---|---|",
-        _line("surctl, the safe tick with its ladder", outputs[0], counts, exact),
-        _line("surctl, the safe tick with the bounded ladder", cut[0], fewer, exact),
+        _line("surctl, the step with exact fallback", outputs[0], counts, exact),
+        _line("surctl, the step with bounded fallback", cut[0], fewer, exact),
         *(
             _line(f"OSQP {osqp.__version__}, generated, tolerance {eps:g}", *_osqp(trials, eps), exact)
             for eps in (1e-3, 1e-5)

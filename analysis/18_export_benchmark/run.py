@@ -157,7 +157,7 @@ def study(*, quick: bool) -> tuple[str, bool]:
     ]
     given = vectors(single, flight, steps)
     out = [
-        f"{len(given)} steps, of which {len(flight)} are a flight of `pool-ahead`; errors against the law in double.",
+        f"{len(given)} steps, of which {len(flight)} are a run of `pool-ahead`; errors against the law in double.",
         "",
         "| C | guard | M4F | instructions, min / mean / max | max/min | code, B | error of τ, 95 % of steps, N "
         "| decided otherwise | same bytes in |",
@@ -181,18 +181,18 @@ def study(*, quick: bool) -> tuple[str, bool]:
         "",
         *kept.lines,
         "",
-        f"The tick alone, {alone.title}:",
+        f"The step alone, {alone.title}:",
         "",
         *alone.lines,
     ]
     bounded_laws, bounded = laws(quick=quick, ladder="bounded"), ticks(quick=quick, ladder="bounded")
     out += [
         "",
-        "## With limits and the bounded ladder",
+        "## With limits and the bounded fallback",
         "",
         *bounded_laws.lines,
         "",
-        f"The tick alone, {bounded.title}:",
+        f"The step alone, {bounded.title}:",
         "",
         *bounded.lines,
         "",
@@ -207,9 +207,7 @@ def study(*, quick: bool) -> tuple[str, bool]:
     proofs, whole = whole_laws(quick=quick)
     out += ["", "## Proof of whole laws", "", *proofs, "", "## Bars", ""]
     best, worst = lines[1], max(kept.most, alone.most)
-    out += [
-        f"- exact ladder, rows that contradict each other among them: {worst} at most; only the bounded one has a bound"
-    ]
+    out += [f"- exact fallback, contradicting rows included: {worst} at most; only the bounded one has a bound"]
     usual, usual_bounded = lines[0].counted.mean + alone.mean, lines[0].counted.mean + bounded.mean
     held = [
         (f"at most {MOST_INSTRUCTIONS} instructions a step with -Os", best.counted.most <= MOST_INSTRUCTIONS),
@@ -221,28 +219,28 @@ def study(*, quick: bool) -> tuple[str, bool]:
         (f"at least {LEAST_MUTANTS} wrong versions caught", quick or tried - missed >= LEAST_MUTANTS),
     ]
     held += [
-        (f"with limits, in flight, one obstacle that stands: at most {USUAL} in the mean", kept.mean <= USUAL),
-        (f"closed form and a tick of 24 rows that hold: at most {USUAL} in the mean ({usual:.0f})", usual <= USUAL),
+        (f"with limits, in a run, one static obstacle: at most {USUAL} in the mean", kept.mean <= USUAL),
+        (f"closed form and a step of 24 rows that hold: at most {USUAL} in the mean ({usual:.0f})", usual <= USUAL),
         (
-            f"24 rows and 2 equalities that can be kept: at most {USUAL} in the mean, {WORST} at worst",
+            f"24 compatible rows and 2 equalities: at most {USUAL} in the mean, {WORST} at worst",
             apart.mean() <= USUAL and apart.max() <= WORST,
         ),
         (
-            f"bounded ladder, the tick, rows that contradict each other among them: at most {WORST} ({bounded.most})",
+            f"bounded fallback, the step, contradicting rows included: at most {WORST} ({bounded.most})",
             bounded.most <= WORST,
         ),
-        (f"bounded ladder, every loop of the tick at its bound: at most {WORST}", bounded.bound <= WORST),
+        (f"bounded fallback, every loop of the step at its bound: at most {WORST}", bounded.bound <= WORST),
         (
-            f"bounded ladder, laws with obstacles that stand, single steps: at most {WORST} ({bounded_laws.most})",
+            f"bounded fallback, laws with static obstacles, single steps: at most {WORST} ({bounded_laws.most})",
             bounded_laws.most <= WORST,
         ),
         (
-            f"bounded ladder, closed form and a tick of 24 rows that hold: at most {USUAL} in the mean "
+            f"bounded fallback, closed form and a step of 24 rows that hold: at most {USUAL} in the mean "
             f"({usual_bounded:.0f})",
             usual_bounded <= USUAL,
         ),
         (
-            f"bounded ladder, 24 rows and 2 equalities that can be kept: at most {USUAL} in the mean, {WORST} at worst",
+            f"bounded fallback, 24 compatible rows and 2 equalities: at most {USUAL} in the mean, {WORST} at worst",
             cut.mean() <= USUAL and cut.max() <= WORST,
         ),
         ("with limits: the bytes of Python", all(told.same for told in (kept, alone, bounded_laws, bounded))),

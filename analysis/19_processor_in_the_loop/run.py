@@ -58,7 +58,7 @@ class Setup:
     sensing: Sensing
 
     def fly(self, stepper: Stepper, seed: int = 0) -> Run:
-        """One flight."""
+        """One run."""
         return simulate(
             self.scenario,
             self.vehicle,
@@ -115,15 +115,15 @@ def study(*, quick: bool) -> int:
         if sensing == "truth":
             own = setup.fly(Rounded(setup.law).step)
             said.append(
-                (f"the flight of the {PROCESSOR} is that of the law in Python in float", same(own, flights[0].run))
+                (f"the run with the {PROCESSOR} equals that of the law in Python in float", same(own, flights[0].run))
             )
     print_flights(flights)
     said += [
-        ("every answer has the bytes of Python", not any(f.report.differing for f in flights)),
-        ("every step is answered", all(f.report.answered == f.report.steps > 0 for f in flights)),
+        ("every reply has the bytes of Python", not any(f.report.differing for f in flights)),
+        ("every step has a reply", all(f.report.answered == f.report.steps > 0 for f in flights)),
     ]
     if not quick:
-        said.append(("every flight arrives", all(f.run.metrics.reached for f in flights)))
+        said.append(("every run arrives", all(f.run.metrics.reached for f in flights)))
     said += print_faulty(bad)
     print("| statement | |\n|---|---|")
     for text, holds in said:
@@ -143,7 +143,7 @@ def set_up(sensing: Sensing, *, quick: bool) -> Setup:
 
 @contextmanager
 def on_processor(setup: Setup, *, quick: bool) -> Iterator[Line]:
-    """Return a connection to the law in float on the emulated processor; `quick` compiles faster, with equal results."""
+    """Return a connection to the law in float on the emulated processor; `quick` compiles faster."""
     p = law_numbers(setup.scenario, setup.gains, setup.vehicle)
     bundle = build_bundle(closed_form(setup.law, real="float32"), setup.law.gains.unpack(p), real="float32")
     target = emulated_target(PROCESSOR)
@@ -200,10 +200,10 @@ def same(mine: Run, other: Run) -> bool:
 
 def print_flights(flights: Sequence[Flight]) -> None:
     """Print one row per run."""
-    print(f"## Flights of `{SCENARIO}`, seed 0\n")
+    print(f"## Runs of `{SCENARIO}`, seed 0\n")
     print(
-        "| law | controller | numbers | steps | answered | with other bytes | flight | least clearance [m] |"
-        " numbers of state a step | answer, mean [ms] |"
+        "| law | controller | numbers | steps | answered | with other bytes | run | least clearance [m] |"
+        " numbers of state a step | reply, mean [ms] |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|")
     for f in flights:
@@ -217,13 +217,11 @@ def print_flights(flights: Sequence[Flight]) -> None:
 
 def print_faulty(bad: Sequence[tuple[LinkFaults, Sequence[Flight]]]) -> list[tuple[str, bool]]:
     """Print one row per fault; return the statements about them."""
-    print("## Bad lines, law with true positions, a command believed for 0.25 s\n")
-    print(
-        "| line | flights | arrived | collided | mean time [s] | least clearance [m] | periods with zero thrust [%] |"
-    )
+    print("## Bad connections, law with true positions, a command held for 0.25 s\n")
+    print("| connection | runs | arrived | collided | mean time [s] | least clearance [m] | zero thrust [%] |")
     print("|---|---|---|---|---|---|---|")
     for faults, flights in bad:
-        what = f"loss {faults.loss:g} each way" if faults.loss else f"answers {faults.delay:g} s late"
+        what = f"loss {faults.loss:g} each way" if faults.loss else f"replies {faults.delay:g} s late"
         metrics = [f.run.metrics for f in flights]
         seconds, least = np.mean([m.time_s for m in metrics]), min(m.min_clearance_m for m in metrics)
         zero = 100 * sum(f.report.failsafe for f in flights) / sum(f.report.steps for f in flights)
@@ -235,7 +233,10 @@ def print_faulty(bad: Sequence[tuple[LinkFaults, Sequence[Flight]]]) -> list[tup
     print()
     everything = [f for _, flights in bad for f in flights]
     return [
-        ("on a bad line, too, every answer has the bytes of Python", not any(f.report.differing for f in everything)),
+        (
+            "with a bad connection, too, every reply has the bytes of Python",
+            not any(f.report.differing for f in everything),
+        ),
         (
             "lost messages are counted where messages are lost, and nowhere else",
             all((sum(f.report.lost) > 0) == (faults.loss > 0) for faults, flights in bad for f in flights),

@@ -43,12 +43,12 @@ class Mutant(Strict):
     """A mutant: one error in one file.
 
     Attributes:
-        id: its name.
-        room: what it belongs to.
-        file: where it is.
-        changes: what is wrong, in words.
+        id: name of the mutant.
+        room: the part of the code to which it belongs.
+        file: the file that contains the error.
+        changes: description of the error.
         old: text that is in the file exactly once.
-        new: what stands there instead.
+        new: its replacement.
         tests: files or node ids, at least one of which must fail.
         quick: whether it is one of the handful.
     """
@@ -256,7 +256,7 @@ def told(mutants: Sequence[Mutant], results: Sequence[Result]) -> str:
         rows.append(f"| `{mutant.id}` | {place} | {mutant.changes} | {noticed.replace('|', '∣')} |")
     caught, seconds = sum(r.caught for r in results), sum(r.seconds for r in results)
     lines = [f"{caught} of {len(results)} mutants are caught, in {seconds:.0f} s of processor time.", ""]
-    lines += ["| room | mutants | caught |", "|---|---|---|"]
+    lines += ["| part | mutants | caught |", "|---|---|---|"]
     lines += [f"| {room} | {len(which)} | {sum(which)} |" for room, which in rooms.items()]
     lines += ["", "| mutant | file | what is wrong | noticed first by |", "|---|---|---|---|", *rows]
     return "\n".join(lines)

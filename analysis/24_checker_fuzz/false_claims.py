@@ -168,7 +168,7 @@ def shadowed(draw: random.Random) -> Forged:
 
 
 def holed(draw: random.Random) -> Forged:
-    """Claim that is false on a small part of the box, which the tree omits, marks as excluded, or loses by bisection."""
+    """Claim that is false on a small part of the box, which the tree omits, excludes, or loses by bisection."""
     c = draw.uniform(0.2, 0.9)
     width = 10 ** -draw.uniform(1, 6)
     text, at = f"1 - ((x - {c!r})/{width!r})^2", {"x": mpf(repr(c))}

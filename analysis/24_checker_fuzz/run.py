@@ -207,7 +207,10 @@ def main(words: Sequence[str] | None = None) -> int:
     held_, sound = functions(points, given.seed, given.workers)
     forged, safe = forgeries(claims, given.seed)
     lines = ["| function | points | outside of the range | took |", "|---|---|---|---|", *held_, ""]
-    lines += ["| false in its | claims | accepted | by as little as | true twins accepted |", "|---|---|---|---|---|"]
+    lines += [
+        "| false in its | claims | accepted | by as little as | corresponding true claims accepted |",
+        "|---|---|---|---|---|",
+    ]
     text = "\n".join([*lines, *forged])
     print(text)
     if given.write:

@@ -1,7 +1,7 @@
 """The loop as it is written in Python: the toolkit's world, sonar and law, the plant integrated by somebody else.
 
-One solve a control period, with its middle asked for, where the second sonar fires. The plant is plain Python floats:
-for twelve states that is several times as fast as arrays.
+The plant is solved once per control period, with output also at its middle, when the second sonar fires. The plant is
+in plain Python floats: for twelve states this is several times as fast as arrays.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def _stepped(step: Step) -> Callable[..., None]:
 def matched(make: Callable[[float], Step], ticks: Sequence[tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
     """The largest tolerance, a power of 10, with which `make` is as accurate as the toolkit's RK4, and its error.
 
-    Errors are the largest over the ticks (state, thrust, disturbance, parameters), against DOP853 at 1e-13.
+    Errors are the largest over the steps (state, thrust, disturbance, parameters), against DOP853 at 1e-13.
     """
     exact = scipy_step("DOP853", 1e-13)
     right = [exact(x, tau, d, d, p)[1] for x, tau, d, p in ticks]
