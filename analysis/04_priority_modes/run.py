@@ -148,7 +148,7 @@ def strict_with_limits(count: int, seed: int) -> bool:
         got, other = solve(problem, mode="lexicographic"), daqp_hierarchy(problem)
         gaps = np.array([level.residual(got.v) - level.residual(other) for level in problem.levels])
         first = gaps[np.flatnonzero(np.abs(gaps) > 1e-8)[:1]]
-        # what it takes from a row or a level above, within its tolerance, it gains below, many times over
+        # a small violation of a row or a level above, within its tolerance, gives a large gain below
         taken = max(max(row.lower - row.a @ other, row.a @ other - row.upper) for row in problem.rows)
         taken = max(taken, -float(gaps.min(initial=0.0)))
         worse = first.size > 0 and first[0] > 0 and taken <= 1e-10

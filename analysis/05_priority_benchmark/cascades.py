@@ -26,7 +26,7 @@ __all__ = ["cascades", "hierarchies", "others"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-# the solvers that qpsolvers knows and that are meant for small dense problems; settings where the default is too loose
+# solvers of qpsolvers for small dense problems, with settings where the default is too loose
 SETTINGS: dict[str, dict[str, Any]] = {
     "daqp": {},
     "piqp": {},
@@ -36,7 +36,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "osqp": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20_000},
 }
 _WHY = {"quadprog": "not installed (GPL: in no extra of this project)"}
-_REGULAR = 1e-6  # from 1e-8 to 1e-10 DAQP gives up on some levels; with more the answers are off
+_REGULAR = 1e-6  # from 1e-8 to 1e-10 DAQP fails on some levels; with larger values its solutions are wrong
 _INFINITE = 1e30
 
 
@@ -71,7 +71,7 @@ def _cascade(solver: str, settings: dict[str, Any]) -> Callable[..., Array | Non
                 break
             reduced = J @ free
             P = reduced.T @ reduced + _REGULAR * np.eye(free.shape[1])
-            # v keeps the rows; what is missed by rounding would make the next level infeasible
+            # v fulfils the rows; a violation by rounding would make the next level infeasible
             slack = np.maximum(h - G @ v, 0.0)
             problem = qpsolvers.Problem(form(P), reduced.T @ (J @ v - x), form(G @ free), slack)
             found = qpsolvers.solve_problem(problem, solver=solver, **settings)
@@ -84,7 +84,7 @@ def _cascade(solver: str, settings: dict[str, Any]) -> Callable[..., Array | Non
 
     def quiet(tasks: list[tuple[Array, Array]], G: Array, h: Array) -> Array | None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a level without an answer is counted, not warned about
+            warnings.simplefilter("ignore")  # a level without a solution is counted, without a warning
             return run(tasks, G, h)
 
     return quiet
@@ -99,7 +99,9 @@ def hierarchies(instances: Sequence[Instance]) -> list[Contender]:
     sense = np.zeros(at[-1], dtype=np.intc)
     ticks = []
     for i in instances:
-        length = np.linalg.norm(i.J, axis=1)  # rows of length 1: DAQP would weigh the rows of a task by theirs
+        length = np.linalg.norm(
+            i.J, axis=1
+        )  # rows of length 1: otherwise DAQP weights the rows of a task by their lengths
         rows = np.ascontiguousarray(np.vstack([i.A, i.J / length[:, None]]))
         upper = np.concatenate([BOX[1], i.upper, i.x / length])
         lower = np.concatenate([BOX[0], np.maximum(i.lower, -_INFINITE), i.x / length])
@@ -134,7 +136,7 @@ def others(instances: Sequence[Instance]) -> list[Contender]:
     solver = ca.conic("last", "qrqp", {"h": ca.Sparsity.diag(N), "a": dense}, options)
     H, ticks = ca.DM.eye(N), list[tuple[Any, ...] | None]()
     for i in instances:
-        if solve(i.problem).status != "optimal":  # where the first task cannot be met this QP has no answer
+        if solve(i.problem).status != "optimal":  # if the first task cannot be fulfilled, this QP is infeasible
             ticks.append(None)
             continue
         levels = i.problem.levels

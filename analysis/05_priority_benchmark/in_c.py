@@ -61,7 +61,7 @@ QRQP, CASADI_CLOSED = "CasADi qrqp, generated C", "CasADi closed form, generated
 OSQP = {"OSQP, generated C, tolerance 1e-3 (its default)": 1e-3, "OSQP, generated C, tolerance 1e-6": 1e-6}
 
 _EQUAL, _M = 2, 24
-_PART = 3e5  # ns in one go: short, so that few are interrupted by other programs
+_PART = 3e5  # ns per batch: short, so that other programs interrupt few batches
 
 
 @dataclass(eq=False)

@@ -32,7 +32,7 @@ HARD = 4
 BOX = np.array([[-0.6, -0.5, -0.4, -0.8], [0.6, 0.5, 0.4, 0.8]])
 """Lower and upper bounds of the velocities [m/s, rad/s]."""
 
-_BEYOND = 0.2  # share of instances whose first task asks for what the rows do not allow
+_BEYOND = 0.2  # share of instances whose first task cannot be fulfilled within the rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ def peers(count: int, *, seed: int) -> list[Contender | Missing]:
     rng = np.random.default_rng(seed)
     poses = np.column_stack([rng.uniform(-2, 2, (count, 3)), rng.uniform(-1, 1, count)])
     targets = poses.copy()
-    # the heading is to be held: with a turn their frame task asks for a screw motion, which is another problem
+    # hold the heading: with a turn their frame task requires a screw motion, which is another problem
     targets[:, :3] += 0.01 * rng.normal(size=(count, 3))
     ticks = list(zip(poses, targets, strict=True))
     found: list[Contender | Missing] = [

@@ -49,7 +49,7 @@ PACKAGES = (
     *("pin", "pin-pink", "mujoco", "mink"),
 )
 
-# whom the answers to a problem are compared with: somebody who shares as little as possible with the others of ours
+# reference of each problem: a contender that shares as little code as possible with our other contenders
 REFERENCES = {mode: f"surctl solve: {mode}" for mode in get_args(Mode)} | {
     NSB: "numpy nested pinv",
     STRICT: KEPT,

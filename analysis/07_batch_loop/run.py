@@ -49,7 +49,7 @@ OURS, REFERENCE, THREADS = "simulate_batch", "simulate", "2 threads"
 MAP, ACCUM, NUMBA, HAND = "CasADi map", "CasADi mapaccum", "numba", "hand-written C"
 SCIPY, CONTROL = "scipy solve_ivp", "python-control"
 PACKAGES = ("numpy", "casadi", "scipy", "control", "numba")
-VARIED = ("k_v", "lookahead", "k_psi", "k1")  # gains that a turn draws anew for every run, by up to a tenth
+VARIED = ("k_v", "lookahead", "k_psi", "k1")  # gains that a turn varies at random for every run, by up to 10 %
 _DT = 0.05
 
 

@@ -18,11 +18,11 @@ KINDS: tuple[Kind, ...] = ("wall", "obstacle", "wall, turning", "obstacle, turni
 
 DT = 0.05  # s, control step
 EVERY = 2  # steps from one firing of a sensor to its next
-START = 4.3  # m, from the apex to what is approached
+START = 4.3  # m, from the apex to the wall or obstacle
 BRAKING = 0.05  # m/s²
 BOX = (0.3, 1.6)  # m, along x and y
 FAR = 1e3  # m, walls of open water
-# two of the four sensors: one is under test, the other lends its readings to crosstalk
+# two of the four sensors: one is tested, the other is the source of crosstalk
 ARRAY = SonarArray(azimuths=(0.0, pi / 2), order=(0, 1), firing_period=0.05)
 
 
@@ -99,7 +99,7 @@ def approach(
         expected = _ranges(*measured, heading + rng.normal(0, 0.01, x.shape), walls, nothing)
     else:
         expected = np.full(truth.shape, 2 * ARRAY.maximum)
-    if not turning:  # beside the robot something goes along with it
+    if not turning:  # an object moves along beside the robot
         truth[..., 1] = rng.uniform(0.5, 3.0, runs)[:, None]
         expected[..., 1] = 2 * ARRAY.maximum
     along = np.cos(heading[..., None] + np.array(ARRAY.azimuths))

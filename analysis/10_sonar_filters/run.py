@@ -33,12 +33,12 @@ from surctl.sensing.ranging.filters import StepRule
 
 Array = NDArray[np.float64]
 CONFIG = Path(__file__).with_name("config.toml")
-WARM = 5.0  # s before errors count
+WARM = 5.0  # s before errors are counted
 OFF = 0.1  # m, from which a faulty reading shows; the widest gate
 WITHIN = round(0.3 / DT)  # steps
 STILL = 0.02  # m/s
-JUMP = 0.15  # m a step: something entered the beam or left it
-DRAWN = 11  # seed of the faults in the pictures: they begin on the way
+JUMP = 0.15  # m per step: an object entered or left the beam
+DRAWN = 11  # seed of the faults in the pictures: they begin during the approach
 RULES: tuple[StepRule, ...] = ("printed", "corrected")
 # without a known object in the beam, an object that enters or leaves it looks like a fault
 UNKNOWN: tuple[Kind, ...] = ("obstacle, turning", "tank, turning")
@@ -116,7 +116,7 @@ def steady(runs: int, seed: int, *, speed: float) -> Stream:
     time = DT * np.arange(round(16.0 / DT))
     start = rng.uniform(4.0, 4.3, runs) if speed else rng.uniform(0.5, 4.0, runs)
     truth = np.repeat((start[:, None] - speed * time)[..., None], ARRAY.size, axis=2)
-    truth[..., 1] = 3.0 * ARRAY.maximum  # the other sensor hears nothing
+    truth[..., 1] = 3.0 * ARRAY.maximum  # the other sensor gets no echo
     closing = np.zeros_like(truth)
     closing[..., 0] = speed + rng.normal(0, 0.01, truth.shape[:2])
     fired = truth[:, ::EVERY]

@@ -23,7 +23,7 @@ from surctl.sensing import Delivery, OwnState
 from surctl.vehicle import Vehicle, load_vehicle
 
 CONFIG = Path(__file__).with_name("config.toml")
-SETTLING = 3.0  # [s] at the beginning that count for nothing
+SETTLING = 3.0  # [s] at the beginning that are not evaluated
 AFTER = 0.5  # [s] that count as after a gap
 
 

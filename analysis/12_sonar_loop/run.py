@@ -24,7 +24,7 @@ from surctl.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances
 from surctl.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch
 from surctl.vehicle import load_vehicle
 
-INSTRUCTIONS = 2  # of a Cortex-M4F for an operation: the rule that the cost rests on
+INSTRUCTIONS = 2  # of a Cortex-M4F per operation: assumption of the cost estimate
 RATE, CLOCK = 20.0, 168e6  # steps a second, Hz
 HEAVY = {"plant.m11": 125.0, "plant.m22": 125.0, "plant.Fu_max": 4.25, "plant.Fv_max": 4.25}
 SLOW_TO_TURN = {"plant.Nr": 1.0, "plant.Nrr": 3.0, "plant.Fr_max": 0.425}

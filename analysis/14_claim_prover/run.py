@@ -95,7 +95,7 @@ def main(arguments: list[str]) -> int:
     ):
         print(f"| {name} | {told.row(ours.seconds) if isinstance(told, Told) else f'{told} | – | – |'}")
     print(f"| dReal | {RECORDED} | – | left ≤ right + δ |")
-    # quick, on whatever machine and whatever else it does, the time is printed and decides nothing
+    # with --quick the time does not decide: the machine may be slow or busy
     return 0 if (met or quick) and all(r.accepted for r in rows) else 1
 
 
@@ -172,7 +172,7 @@ def drake_24() -> Told | str:
     program = MathematicalProgram()
     e2, u, delta = found = program.NewIndeterminates(3, "x")
     rest = e2 * u * (e2 + delta) - u * e2 * e2  # (right - left) S, with sin(atan2(e2 + delta, R)) = (e2 + delta)/S
-    kept = e2 * delta  # products of what is not negative in the domain, as Schmüdgen's theorem takes them
+    kept = e2 * delta  # products of functions that are non-negative on the domain, as in Schmüdgen's theorem
     for held in (kept, u - 0.02, 0.25 - u, (u - 0.02) * kept, (e2 + 0.25) * (2 - e2), (delta + 0.2) * (0.2 - delta)):
         rest = rest - program.NewSosPolynomial(Variables(found), 2)[0].ToExpression() * held
     program.AddSosConstraint(Polynomial(rest, Variables(found)))

@@ -23,7 +23,7 @@ from surctl.vehicle import load_vehicle
 from surctl.verification.region import REGION_CLAIMS, RegionProof, prove_statement
 
 VEHICLE, GAINS = "sur540-flooded", "default"
-LEVEL = 0.9  # of the lesser of the falsifier's level and that at which thrust first binds: every claim that has both
+LEVEL = 0.9  # share of the smaller of the falsifier's level and the saturation level, for every claim that has both
 CODAC_SECONDS = 30.0
 HEADS = ("claim", "rate", "y_e from", "at its rest", "extent", "settles", "of falsifier", "of thrust", "proof", "check",
          "size", "bar")  # fmt: skip

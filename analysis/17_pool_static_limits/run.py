@@ -24,7 +24,7 @@ from surctl.vehicle import Vehicle, load_vehicle
 
 NAME = "pool-static"
 MARGINS = (0.04, 0.03, 0.02)
-MANY = 1000  # seeds that a margin and sensors in trouble are judged by: 200 would show no collision
+MANY = 1000  # seeds for the rows on margins and worse sensors: 200 would show no collision
 EXACT = {"noise_sd": 1e-4, "bias": 0.0, "bits": 14}
 
 

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 _LADDERS: tuple[Fallback, Fallback] = ("exact", "bounded")
 _RUNGS = {1: "task and rows hold", 2: "task as well as the rows allow", 3: "rows opened"}
-# those in which rows contradict each other, or the task
+# problems in which rows contradict each other or the task
 _FLIGHTS = (("pool-behind", "predict"), *((f"pool-speed-{speed}", "barrier") for speed in ("015", "020", "025")))
 
 

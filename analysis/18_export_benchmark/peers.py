@@ -26,7 +26,7 @@ PROBLEM = "4 velocities, 2 equalities, 24 rows, all of which can be kept; solved
 Array = NDArray[np.float64]
 
 _N, _P, _M = 4, 2, 24
-_RIGHT = 1e-3  # of 1 + max |v|: an answer further off is none
+_RIGHT = 1e-3  # relative to 1 + max |v|: a solution off by more counts as unsolved
 _FLOATS = "".join(f"#define {word} {word}f\n" for word in ("sqrt", "fabs", "fmin", "fmax"))
 
 
@@ -114,7 +114,7 @@ static void one(const float *record, float *answer)
 def _qrqp(trials: Trials) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     A, lower, upper = _bounds(trials)
     rows = _M - _N + _P
-    # in floats it seldom ends where it has not ended soon: not its default of 1000
+    # in floats it seldom converges after many iterations, so not its default of 1000
     options = {"constr_viol_tol": 1e-5, "dual_inf_tol": 1e-5, "max_iter": 100, "error_on_fail": False}
     options |= {f"print_{what}": False for what in ("iter", "header", "info")}
     function = ca.conic("generated", "qrqp", {"h": ca.Sparsity.diag(_N), "a": ca.Sparsity.dense(rows, _N)}, options)

@@ -30,7 +30,7 @@ from surctl.export.process import code_bytes
 from surctl.export.trial import trial_steps
 from surctl.ir import Program, compile_program, replay
 
-_DECIDED = 0.01  # [N] from which a step of the law in floats was decided otherwise than in doubles
+_DECIDED = 0.01  # [N] difference from which a step in floats counts as decided otherwise than in doubles
 BUILDS = ("gcc-O0", "gcc-O3", "gcc-native", "clang-O2", "cortex-m4f", "cortex-m7")
 QUICK = ("gcc-O0", "cortex-m4f")
 MOST_INSTRUCTIONS, SPREAD, MOST_BYTES, LEAST_MUTANTS = 1200, 1.10, 4500, 20
@@ -87,7 +87,7 @@ def measure(contender: Contender, reference: Contender, given: Records, names: t
     counted = size = None
     for name in names:
         flags = tuple(level if f == "-O2" and name.startswith("cortex") else f for f in TARGETS[name].flags)
-        target = replace(TARGETS[name], flags=(*flags, "-w"))  # other generators' C does not compile without warnings
+        target = replace(TARGETS[name], flags=(*flags, "-w"))  # the C of other generators compiles only with warnings
         with tempfile.TemporaryDirectory() as scratch:
             built, counts = built_for(host, target, Path(scratch))
             rows = built.run(rounded, load=load)

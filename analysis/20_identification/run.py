@@ -33,7 +33,7 @@ from surctl.vehicle import (
 SEED = 20
 SURGE = 1000  # seed of the first log of surge alone
 PERIOD = 0.1  # s between rows
-FINE = 8  # steps of the integration a row, finer than the fit's own
+FINE = 8  # integration steps per row, finer than in the fit
 NOISE = (0.005, 0.005, 0.005, 0.01, 0.005, 0.005, 0.005, 0.01)  # m, rad, m/s, rad/s
 BAR = 0.93  # of 95 %
 

@@ -33,7 +33,7 @@ from surctl.vehicle import load_vehicle
 
 SEEDS, RUNS, WORLDS = 200, 2000, 500
 MOST_ERROR = {"tank": 0.04, "pool": 0.08}  # [m] rms of a series
-MOST_LATE = 0.005  # share of a scenario's runs that reach no target in time
+MOST_LATE = 0.005  # share of a scenario's runs beyond the time limit
 LEAST_REACHED = 0.95  # of the drawn worlds
 LOST = FaultChances(dropout=0.05)
 
@@ -57,7 +57,7 @@ def nominal(names: list[str], seeds: int) -> tuple[list[str], dict[str, bool]]:
         runs = simulate_batch(case, seeds=np.arange(seeds), threads=2)
         reached, hit = (int(runs.column(which).sum()) for which in ("reached", "collided"))
         took, error = runs.column("time_s"), runs.column("path_error_m")
-        error = error[np.isfinite(error)]  # a run that avoids to its end has none
+        error = error[np.isfinite(error)]  # a run that avoids obstacles to its end has no path error
         squares[name.split("-")[0]] += list(error**2)
         touched, late = touched + hit, max(late, (seeds - reached - hit) / seeds)
         paper = case.scenario.paper

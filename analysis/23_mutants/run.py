@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = Path(__file__).with_name("mutants.toml")
 COPIED = ("surctl", "tests", "pyproject.toml")
 KNOWN = Path("surctl-out") / "mutants.jsonl"
-OWN_CACHE = "surctl/ir/"  # what these files compile wrongly must not be found by the others
+OWN_CACHE = "surctl/ir/"  # wrong code that these files compile must not be cached for the other tests
 
 
 class Mutant(Strict):

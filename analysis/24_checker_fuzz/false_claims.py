@@ -54,7 +54,7 @@ def sealed(
         "constraints": list(constraints), "slack": 0.0, "variables": variables,
     }  # fmt: skip
     margin = f"({left}) - ({right})"
-    for name, (low, high) in box.items():  # a variable of no width is its decimal
+    for name, (low, high) in box.items():  # a variable of zero width equals its decimal
         margin = re.sub(rf"\b{re.escape(name)}\b", f"({low!r})", margin) if low == high else margin
     plain = {
         "choice": "", "numerator": margin, "denominators": [],
@@ -119,7 +119,7 @@ def monotone(draw: random.Random) -> Forged:
         side = side[up], side[up]
     at = {"x": mpf(repr(side[up]))}
     bound, twin = short_of(worth(text, at), draw)
-    # acos and sqrt have no slope at the end of their domain: there the value decides
+    # acos and sqrt have no derivative at the end of their domain: there the value decides
     rule = "n" if side[0] == side[1] else draw.choice("nm")
     return forged("bound", text, bound, {"x": side}, at, twin, tree=tree(rule, 1, draw, 4))
 
@@ -151,7 +151,7 @@ def overflow(draw: random.Random) -> Forged:
     if text == "x/x" and min(map(abs, box["x"])) == 0:
         text = "1 + x - x"
     rules = {"tree": tree(draw.choice("nm"), 1, draw, 3)}
-    if draw.random() < 0.5:  # a constraint that holds, called broken
+    if draw.random() < 0.5:  # a constraint that holds, marked as violated
         told = f"select({'-' if sign < 0 else ''}x, {far}, -1, 1)"
         rules = {"constraints": [told], "tree": tree(draw.choice("ij"), 1, draw, 3)}
     return forged("overflow", text, "0.5", box, at, **rules)
@@ -174,12 +174,12 @@ def holed(draw: random.Random) -> Forged:
     text, at = f"1 - ((x - {c!r})/{width!r})^2", {"x": mpf(repr(c))}
     bound, _ = short_of(mpf(1), draw)
     whole, low, high = "", 0.0, 1.0
-    for _ in range(40):  # down to the part where it is false
+    for _ in range(40):  # bisect down to the part where the claim is false
         middle = (low + high) / 2
         whole, low, high = (whole + "0", low, middle) if c < middle else (whole + "0n", middle, high)
         if high - low < width / 40:
             break
-    # what stands to the right of each half taken comes after
+    # the right part of each chosen half follows later
     rest = "n" * (2 * whole.count("0") + 1 - len(whole) - 1)
     last = draw.choice(["", "i", "j", "m", "n", "0nn", "00nnn", "1nn", "c"])
     return forged(

@@ -16,9 +16,9 @@ __all__ = ["LUCK", "MOST_OBSTACLES", "OWN_METRICS", "Array", "luck_of", "scene_o
 Array: TypeAlias = NDArray[np.float64]
 
 MOST_OBSTACLES = 16
-LUCK = 3 + 3 * MOST_OBSTACLES  # numbers a run: wave direction and phase, drift direction and phase of every obstacle
+LUCK = 3 + 3 * MOST_OBSTACLES  # numbers per run: wave direction and phase, drift direction and phase of every obstacle
 _CORNERS = list(METRICS).index("missed_corner_m")
-OWN_METRICS = len(METRICS) - 1  # all but that one, in their order: a path of one leg has no corner
+OWN_METRICS = len(METRICS) - 1  # all metrics except the missed corner, in order: a path of one leg has no corner
 _WAYPOINTS = 8
 _DT = 0.05
 
