@@ -16,11 +16,12 @@ def _(mo):
     mo.md(r"""
     # From a vehicle file to C code
 
-    The whole chain on one robot, in about 20 s: read a vehicle, linearise it, stack tasks, watch a limit bind,
-    refute a claim of the paper, fly a mission, sweep two gains, and export the controller that flew as C.
+    This notebook shows the complete workflow for one robot in about 20 s: read a vehicle, linearise it, stack tasks,
+    add limits, refute a claim of the paper, simulate a mission, sweep two gains, and export the controller as C.
 
     Frames: world {E} has x along the tank, y to the left, z **up**; body {B} has x forward, y left, z up; ψ is
-    counter-clockwise. Pose η = (x, y, z, ψ), velocity ν = (u, v, w, r) in {B}, thrust τ. SI units and radians.
+    counter-clockwise. The pose is η = (x, y, z, ψ), the velocity in {B} is ν = (u, v, w, r), and the thrust is τ.
+    Units are SI units and radians.
     """)
     return
 
@@ -40,11 +41,10 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 1. A vehicle says where its numbers come from
+    ## 1. A vehicle file gives the source of each number
 
-    The paper prints a mass in air and a diameter, nothing else. So every other number of its robot is derived or
-    chosen, and the file says which: a table without `provenance` is refused. A range is what the number may
-    plausibly be.
+    The paper prints only a mass in air and a diameter. Every other number of its robot is derived or chosen, and the
+    file states which; a table without `provenance` is an error. A range gives the plausible values of a number.
     """)
     return
 
@@ -66,8 +66,8 @@ def _(mo):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Drag $X_u u + X_{uu} u^2$ against 5 N of thrust gives the top speed, and 95 kg against 5 N gives the stopping
-    distance. The second number is the one to remember: this robot is heavy, and a law that forgets it collides.
+    The top speed follows from the drag $X_u u + X_{uu} u^2$ and 5 N of thrust. The stopping distance follows from
+    95 kg of mass and 5 N of thrust. It is long, since the robot is heavy: a law that ignores the inertia collides.
     """)
     return
 
@@ -86,8 +86,8 @@ def _(np, steady_speed, vehicle):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    `linearise` gives a python-control `StateSpace` about trimmed motion, with signals by name. Take one channel out
-    and read its poles: the drag at 0.15 m/s, and the thrust lag of 0.3 s.
+    `linearise` returns a python-control `StateSpace` about trimmed motion, with named signals. The surge channel has
+    two poles: one from the drag at 0.15 m/s, and one from the thrust lag of 0.3 s.
     """)
     return
 
@@ -109,9 +109,9 @@ def _(mo):
     mo.md(r"""
     ## 2. Three tasks, one velocity
 
-    A task is any CasADi expression σ(η) with a target and a gain; its Jacobian is found by differentiation.
-    Priority is the order. Here: keep 0.8 m away from a buoy; go to a waypoint; look at the buoy. The first is
-    written by hand, to show that nothing more is needed.
+    A task is any CasADi expression σ(η) with a target and a gain; surctl computes its Jacobian by differentiation.
+    The order of the tasks is their priority. The three tasks here are: keep 0.8 m away from a buoy, go to a waypoint,
+    look at the buoy. The first task is written by hand; the other two come from the library.
     """)
     return
 
@@ -132,8 +132,8 @@ def _(ca):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    At one pose the stack becomes numbers: levels $J_i\,\nu = \dot\sigma_{i,d} + K_i\tilde\sigma_i$, and rows that
-    limit ν. The problem is plain data; print it before you solve it.
+    At a given pose the stack becomes numerical data: one level $J_i\,\nu = \dot\sigma_{i,d} + K_i\tilde\sigma_i$ for
+    each task, and rows that limit ν. You can print the problem before you solve it.
     """)
     return
 
@@ -148,7 +148,7 @@ def _():
 @app.cell
 def _(Level, ca, eta, np):
     def level_at(task, pose):
-        """One task at one pose, as numbers."""
+        """Return the Jacobian and the reference of a task at a pose as arrays."""
         values = ca.Function("level", [eta], [task.jacobian(), task.reference()])(pose)
         return Level(task.name, *(np.array(value) for value in values))
 
@@ -168,10 +168,10 @@ def _(Row, VelocityBox, build_problem, ca, level_at, np, stack):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    The paper's law (16), null-space-based behaviours (`nsb`), knows no limits. `projected` is the same sweep of
-    projections with its last one kept inside the rows by a QP: equal to (16) where nothing binds, and where
-    something does, it says **what gave up how much, because of which row**. The first task comes through whole; the
-    lower ones pay.
+    The paper's law (16), null-space-based behaviours (`nsb`), ignores limits. The mode `projected` makes the same sweep
+    of projections, but a QP keeps the velocity within the limits. If no limit binds, it equals (16). Otherwise
+    `explain()` names **which task is not fulfilled, by how much, and which limit is the cause**. Here the first task
+    is fulfilled completely, and the lower tasks are not.
     """)
     return
 
@@ -179,10 +179,10 @@ def _(mo):
 @app.cell
 def _(np, problem, solve):
     for _mode in ("nsb", "projected"):
-        _found = solve(problem, mode=_mode)
-        print(f"{_mode:<10} nu = {np.round(_found.v, 4)}")
-        print(f"{'':<10} residuals: { ({k: round(r, 4) for k, r in _found.residuals.items()}) }")
-        print(f"{'':<10} {_found.explain()}\n")
+        _solution = solve(problem, mode=_mode)
+        print(f"{_mode:<10} nu = {np.round(_solution.v, 4)}")
+        print(f"{'':<10} residuals: { ({k: round(r, 4) for k, r in _solution.residuals.items()}) }")
+        print(f"{'':<10} {_solution.explain()}\n")
     return
 
 
@@ -191,9 +191,10 @@ def _(mo):
     mo.md(r"""
     ## 3. A claim of the paper, refuted
 
-    The paper closes its tracking law with $V_1 = \tfrac12(x_e^2 + y_e^2 + z_e^2)$ and says $\dot V_1 \le 0$
-    everywhere. A claim is an inequality over a box; the falsifier samples the box, then climbs with exact
-    gradients. It can refute. When it finds nothing it says `not refuted`, which is no proof.
+    For its tracking law the paper uses $V_1 = \tfrac12(x_e^2 + y_e^2 + z_e^2)$ and claims $\dot V_1 \le 0$ everywhere.
+    A claim is an inequality over a box of variables. The falsifier samples the box, and then increases the violation
+    along exact gradients. It can only refute a claim. If it finds no counterexample, its verdict is `not refuted`,
+    which is not a proof.
     """)
     return
 
@@ -216,20 +217,21 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Do not take the falsifier's word: fly its counterexample on the kinematic loop. The surge $(U_d - k_1
-    x_e)\sqrt{y_e^2 + \Delta^2}/\Delta$ is negative there, the robot swims backwards, and $V_1$ grows.
+    A simulation of the kinematic loop confirms the counterexample. At this point the surge command $(U_d - k_1
+    x_e)\sqrt{y_e^2 + \Delta^2}/\Delta$ is negative, the robot moves backwards, and $V_1$ grows.
     """)
     return
 
 
 @app.cell
 def _(counterexample, plt, refuted, replay):
-    flown = replay(refuted, counterexample)
-    print(f"confirmed: {flown.confirmed}; {flown.name} {flown.watched[0]:.3g} -> {flown.watched[-1]:.3g} {flown.unit}")
+    confirmation = replay(refuted, counterexample)
+    _first, _last = confirmation.watched[0], confirmation.watched[-1]
+    print(f"confirmed: {confirmation.confirmed}; {confirmation.name} {_first:.3g} -> {_last:.3g} {confirmation.unit}")
     _, _ax = plt.subplots(figsize=(6.0, 2.6), layout="constrained")
-    _ax.plot(flown.time, flown.watched)
+    _ax.plot(confirmation.time, confirmation.watched)
     _ax.set_xlabel("time [s]")
-    _ax.set_ylabel(f"{flown.name} [{flown.unit}]")
+    _ax.set_ylabel(f"{confirmation.name} [{confirmation.unit}]")
     _ax.grid(visible=True, alpha=0.4)
     _ax
     return
@@ -238,11 +240,11 @@ def _(counterexample, plt, refuted, replay):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 4. Fly
+    ## 4. Simulate a mission
 
-    `pool-static` is the paper's pool with four drifting cylinders, flown by the 0.40 m hull that fits it. The law
-    is told the true positions here (`sensing="truth"`); through the four sonars it is harder, and `surctl simulate
-    --sensing sonar` shows it. One seed fixes drift and waves.
+    `pool-static` is the paper's pool with four drifting cylinders. The robot is a hull of 0.40 m diameter that fits
+    the gaps. With `sensing="truth"` the law gets the true positions. Missions with the four sonars are harder: see
+    `surctl simulate pool-static --sensing sonar`. The seed determines drift and waves.
     """)
     return
 
@@ -272,9 +274,10 @@ def _(plt, run):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Read a metric before you trust it. The least clearance is taken over the whole run, and this run *starts* with
-    its hull 0.05 m from two walls: no gain can make that figure larger. The path error leaves out avoidance, from
-    the command until the robot is back within 0.10 m of its path, and in this run it is hardly ever back.
+    Check the definition of a metric before you use it. The least clearance is the minimum over the whole run, and this
+    run *starts* with the hull 0.05 m from two walls: no gain can increase this minimum. The path error omits
+    avoidance, from the avoidance command until the robot is back within 0.10 m of its path. In this run the robot is
+    rarely that close to its path.
     """)
     return
 
@@ -286,7 +289,7 @@ def _(run, scenario):
     away = scenario.follower().track(run.record.eta[:, :2])
     left_out = avoidance_intervals(run.telemetry("avoiding")[:, 0], away)
     print(f"clearance: {run.record.clearance[0]:.3f} m at the start, {run.metrics.min_clearance_m:.3f} m at the least")
-    print(f"path error: {run.metrics.path_error_m:.3f} m, taken over {100 * (1 - left_out.mean()):.1f} % of the ticks")
+    print(f"path error: {run.metrics.path_error_m:.3f} m, taken over {100 * (1 - left_out.mean()):.1f} % of the steps")
     print(f"largest distance to the path, avoidance included: {away.max():.2f} m")
     return
 
@@ -296,12 +299,13 @@ def _(mo):
     mo.md(r"""
     ## 5. Sweep two gains
 
-    Four points are enough to see how it works: each is flown, its loop margins are computed, and the feasible point
-    (arrives, touches nothing, delay margin of at least 0.2 s, disk margin of at least 0.6) with the least score is
-    picked. The score is the deviation from the path over the whole run, in hull radii, plus the time over the ideal
-    time. The path error is not in it: it leaves avoidance out, and the gains change how much that is. `lookahead` is
-    how far ahead on the path the robot aims; `k_v` is the bandwidth of its velocity loops. The study
-    `analysis/02_gain_sweep` flies 30 points in four scenarios, and shows how little separates the best of them.
+    This sweep has only four points. For each point surctl simulates the mission and computes the loop margins. A point
+    is feasible if the robot arrives without a collision, with a delay margin of at least 0.2 s and a disk margin of at
+    least 0.6. The sweep picks the feasible point with the smallest score. The score is the deviation from the path
+    over the whole run, in hull radii, plus the ratio of the time to the ideal time. The score does not use the path
+    error, since the path error omits avoidance, and the gains change the duration of avoidance. `lookahead` is the
+    distance ahead on the path at which the robot aims; `k_v` is the bandwidth of its velocity loops. The study
+    `analysis/02_gain_sweep` sweeps 30 points in four scenarios, and shows that the best points differ little.
     """)
     return
 
@@ -326,12 +330,12 @@ def _(gains, robot, scenario):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 6. Export the law that flew, and check it
+    ## 6. Export the simulated law, and check it
 
-    The controller is one symbolic object. What was simulated is lowered to an instruction list and printed as C99:
-    no heap, nothing but standard headers, a guard that turns any NaN into zero thrust and a negative status, and a
-    self-test. What flew here is told all positions; `surctl export` ships the law that senses for itself, in the same
-    way, unless it is told `--sensing truth`.
+    The controller is one symbolic object. surctl lowers the simulated law to an instruction list and writes it as
+    C99 without heap, with standard headers only. A guard turns any NaN into zero thrust and a negative status, and the
+    code contains a self-test. The law of this notebook gets all positions as inputs. The command `surctl export`
+    exports the law with sonars by default; `--sensing truth` exports the law of this notebook.
     """)
     return
 
@@ -351,9 +355,9 @@ def _(Path, law, robot, scenario, simulate, swept, tempfile):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Software in the loop: compile the C, load the first state, and let it step **on its own state** through the
-    whole recorded flight, against Python. Then put a NaN into every state, input and gain, one after another. This
-    cell needs a C compiler.
+    Software in the loop: this cell compiles the C and loads the first state. The C then steps **on its own state**
+    through the whole recorded run, and each step is compared with Python. Then each state, input and gain in turn is
+    set to NaN. This cell needs a C compiler.
     """)
     return
 
@@ -371,9 +375,11 @@ def _(mo):
     mo.md(r"""
     ## Where to go from here
 
-    - your own robot: `surctl list --show sur540-flooded > my-vehicle.toml`, edit, `surctl study my-vehicle.toml`
-    - your own mission: a scenario file; `surctl lint my-scenario.toml` says what cannot work before you fly it
-    - the claims in full: `analysis/01_two_claims`; the sweep in full: `analysis/02_gain_sweep`
+    - For your own robot, run `surctl list --show sur540-flooded > my-vehicle.toml`, edit the file, and run `surctl
+      study my-vehicle.toml`.
+    - For your own mission, write a scenario file; `surctl lint my-scenario.toml` reports problems before you simulate
+      it.
+    - `analysis/01_two_claims` is the full study of the claims, `analysis/02_gain_sweep` that of the sweep.
     """)
     return
 

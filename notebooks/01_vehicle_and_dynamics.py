@@ -16,13 +16,13 @@ def _(mo):
     mo.md(r"""
     # A vehicle and its dynamics
 
-    What moves, how it is written down, and what follows from its numbers before any controller is designed. It takes
-    a few seconds.
+    This notebook shows how a vehicle file describes a vehicle, and which properties follow from its parameters before
+    you design a controller. It takes a few seconds.
 
     ## 1. Numbers with a source and a range
 
-    A vehicle is a TOML file. Each number says where it comes from and how far it may be off; the paper prints mass in
-    air, diameter and speed, and all else here is derived.
+    A vehicle is a TOML file. Each number has a source and a range of possible values. The paper prints mass in air,
+    diameter and speed; the other numbers of this vehicle are derived.
     """)
     return
 
@@ -56,10 +56,11 @@ def _(mo):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 2. What a sphere's geometry gives
+    ## 2. Parameters from the geometry of a sphere
 
-    Most of the inertia is water: inside the hull, and moved around it (added mass, half the displaced water for a
-    sphere). Move the flooded fraction: mass in air hardly matters.
+    Most of the inertia comes from water: the water inside the hull, and the added mass of the water around it (for a
+    sphere, half the displaced water). Change the flooded fraction with the slider: the mass in air has little
+    influence.
     """)
     return
 
@@ -86,8 +87,8 @@ def _(mo):
     mo.md(r"""
     ## 3. The equations, as CasADi sees them
 
-    $M\dot\nu + C(\nu)\nu + D(\nu)\nu = \tau$, with thrust that follows its command by a lag, in water that may move.
-    The plant is an expression; its Jacobians are exact.
+    The equation of motion is $M\dot\nu + C(\nu)\nu + D(\nu)\nu = \tau$. The thrust follows its command with a lag, and
+    there may be a current. The plant is a CasADi expression, so its Jacobians are exact.
     """)
     return
 
@@ -98,12 +99,12 @@ def _(build_plant, linearise, np, plant_parameters, vehicle):
     print("states:", ", ".join(linearise(vehicle, np.zeros(4)).state_labels))
 
     def rate(nu, thrust):
-        """d/dt of (u, v, w, r) in still water."""
+        """Return the time derivative of (u, v, w, r) in still water."""
         _x = np.concatenate([np.zeros(4), nu, thrust])
         return np.asarray(plant.ode(_x, thrust, 0, p)).ravel()[4:8]
 
     _turning = rate([0.15, 0.0, 0.0, 0.3], np.zeros(4))
-    print(f"cruising at 0.15 m/s and turning at 0.3 rad/s: sway is pushed by {_turning[1]:.4f} m/s²")
+    print(f"cruising at 0.15 m/s and turning at 0.3 rad/s: sway acceleration {_turning[1]:.4f} m/s²")
 
     return (rate,)
 
@@ -111,9 +112,9 @@ def _(build_plant, linearise, np, plant_parameters, vehicle):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    That last number is the Coriolis term: in the body's frame the water's speed turns away, and $m_{11} u r$ has to
-    be held by the sway thrusters. Half of the thrust of this vehicle goes there at 0.18 rad/s; the law limits its yaw
-    rate for this reason.
+    The last number is the Coriolis term: in the rotating body frame the velocity turns, and the sway thrusters must
+    provide the force $m_{11} u r$. At a yaw rate of 0.18 rad/s this force is half the sway thrust of this vehicle. The
+    law therefore limits the yaw rate.
     """)
     return
 
@@ -121,16 +122,16 @@ def _(mo):
 @app.cell
 def _(np, plt, vehicle):
     _r = np.linspace(0.0, 0.5, 101)
-    _need = vehicle["m11"] * 0.15 * _r
+    _force = vehicle["m11"] * 0.15 * _r
     _, _ax = plt.subplots(figsize=(6.0, 2.8), layout="constrained")
-    _ax.plot(_r, _need, label="sway thrust at 0.15 m/s")
-    _ax.axhline(vehicle["Fv_max"], color="0.4", linestyle="--", label="largest")
+    _ax.plot(_r, _force, label="required sway thrust at 0.15 m/s")
+    _ax.axhline(vehicle["Fv_max"], color="0.4", linestyle="--", label="largest sway thrust")
     _ax.set_xlabel("yaw rate [rad/s]")
     _ax.set_ylabel("force [N]")
     _ax.legend()
     _ax.grid(visible=True, alpha=0.4)
     _half = 0.5 * vehicle["Fv_max"] / (vehicle["m11"] * 0.15)
-    print(f"yaw rate at which half the sway thrust is gone: {_half:.2f} rad/s")
+    print(f"yaw rate that needs half the sway thrust: {_half:.2f} rad/s")
     _ax
     return
 
@@ -140,8 +141,8 @@ def _(mo):
     mo.md(r"""
     ## 4. Stopping
 
-    Integrated with python-control from 0.2 m/s with full thrust astern, and with the lag. An obstacle must be known
-    about this much earlier, whatever the guidance law says.
+    This cell simulates a stop from 0.2 m/s with python-control: full thrust astern, thrust lag included. For any
+    guidance law, the robot must detect an obstacle at least this distance ahead.
     """)
     return
 
@@ -156,10 +157,10 @@ def _(np, plant_system, plt, vehicle):
     _start[4] = 0.2
     _astern = np.zeros((4, len(_time)))
     _astern[0] = -vehicle["Fu_max"]
-    _answer = control.input_output_response(_system, _time, _astern, _start)
-    _x, _u = _answer.states[0], _answer.states[4]
+    _response = control.input_output_response(_system, _time, _astern, _start)
+    _x, _u = _response.states[0], _response.states[4]
     _stopped = int(np.argmax(_u <= 0.0))
-    print(f"from 0.2 m/s it stands after {_time[_stopped]:.1f} s and {_x[_stopped]:.2f} m")
+    print(f"from 0.2 m/s the robot stops after {_time[_stopped]:.1f} s and {_x[_stopped]:.2f} m")
     _, _ax = plt.subplots(figsize=(6.0, 2.8), layout="constrained")
     _ax.plot(_time[: _stopped + 1], _u[: _stopped + 1])
     _ax.set_xlabel("time [s]")
@@ -174,9 +175,9 @@ def _(mo):
     mo.md(r"""
     ## 5. Poles against speed
 
-    The faster it goes the more drag damps it: the slowest motion is at rest, and a controller tuned at cruise has
-    least damping there. Linear models are `StateSpace` objects with named signals; everything python-control does
-    works on them.
+    Drag damps the vehicle more at higher speed. At rest the surge pole is slowest, and a controller tuned at cruise
+    speed has the least damping there. The linear models are `StateSpace` objects with named signals, so that you can
+    use all functions of python-control on them.
     """)
     return
 
@@ -185,7 +186,7 @@ def _(mo):
 def _(linearise, np, plt, vehicle):
     _speeds = np.linspace(0.0, 0.25, 26)
     _models = [linearise(vehicle, np.array([s, 0.0, 0.0, 0.0])) for s in _speeds]
-    _slow = [model.A[4, 4] for model in _models]  # d(du/dt)/du: straight ahead surge stands alone
+    _slow = [model.A[4, 4] for model in _models]  # d(du/dt)/du: at straight motion surge is decoupled
     print(f"surge pole: {_slow[0]:.4f} 1/s at rest, {_slow[15]:.4f} 1/s at 0.15 m/s")
     _, _ax = plt.subplots(figsize=(6.0, 2.6), layout="constrained")
     _ax.plot(_speeds, _slow)
@@ -199,7 +200,7 @@ def _(linearise, np, plt, vehicle):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Next: [priorities](02_priorities.py), and for a vehicle of your own the guide [add a
+    Next: [priorities](02_priorities.py). To add your own vehicle, read the guide [add a
     vehicle](guides/add-a-vehicle.md).
     """)
     return

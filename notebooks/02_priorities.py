@@ -14,15 +14,15 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    # Priorities: null-space behaviours, and what limits do to them
+    # Priorities: null-space-based behaviours with and without limits
 
-    Several tasks want the one velocity there is. The paper's law (16) gives the first its way and lets each next one
-    act in what is left, its null space. This notebook shows where that is strict priority, where it is not, and what
-    changes when velocity is limited. It takes a few seconds.
+    Several tasks compete for one velocity command. The paper's law (16) fulfils the first task, and each further task
+    acts in the null space of the tasks above it. This notebook shows where the law equals strict priority, where it
+    does not, and how limits on the velocity change it. It takes a few seconds.
 
     ## 1. Three tasks
 
-    A task is an expression σ(η) with a target; Jacobians come from differentiation.
+    A task is an expression σ(η) with a target. surctl computes its Jacobian by differentiation.
     """)
     return
 
@@ -49,10 +49,11 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 2. Is it strict priority?
+    ## 2. Is the law strict priority?
 
-    Commutators of the projectors answer: where they vanish, each level is served as well as the levels above allow.
-    `diagnose` tries it as expressions first, then over a region, and names where a Jacobian loses rank.
+    Where the commutators of the projectors vanish, the law fulfils each level as well as the levels above allow: this
+    is strict priority. `diagnose` examines the commutators symbolically first, then numerically over a region, and
+    names poses at which a Jacobian loses rank.
     """)
     return
 
@@ -67,10 +68,11 @@ def _(Stack, diagnose, go, keep_off, look):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 3. The null space, drawn
+    ## 3. A plot of the null space
 
-    In the plane of x and y: what `keep_off` asks is along the line to the buoy; what it leaves free is across. `go`
-    keeps only that part. Arrows: the velocity of the whole stack; behind them, how much of `go` is given up.
+    In the horizontal plane, `keep_off` determines the velocity along the line to the buoy. The velocity across this
+    line is free, and `go` can use only this component. The arrows show the velocity of the whole stack. The colour
+    shows the residual of `go`.
     """)
     return
 
@@ -81,8 +83,8 @@ def _(Stack, assemble, buoy, eta, go, keep_off, np, plt, solve):
     _x, _y = np.meshgrid(np.linspace(-0.6, 2.6, 22), np.linspace(-0.9, 1.3, 16))
     _v, _lost = np.zeros((2, *_x.shape)), np.zeros(_x.shape)
     for _k in np.ndindex(_x.shape):
-        _found = solve(assembly.problem({"eta": [_x[_k], _y[_k], -0.15, 0.0]}), mode="nsb")
-        _v[:, *_k], _lost[_k] = _found.v[:2], _found.residuals["go"]
+        _solution = solve(assembly.problem({"eta": [_x[_k], _y[_k], -0.15, 0.0]}), mode="nsb")
+        _v[:, *_k], _lost[_k] = _solution.v[:2], _solution.residuals["go"]
     _, _ax = plt.subplots(figsize=(8.0, 4.6), layout="constrained")
     _map = _ax.pcolormesh(_x, _y, _lost, cmap="Blues", shading="nearest")
     _ax.quiver(_x, _y, *_v, angles="xy")
@@ -91,7 +93,7 @@ def _(Stack, assemble, buoy, eta, go, keep_off, np, plt, solve):
     _ax.set_xlabel("x [m]")
     _ax.set_ylabel("y [m]")
     _ax.set_aspect("equal")
-    plt.colorbar(_map, ax=_ax, label="given up by go [m/s]")
+    plt.colorbar(_map, ax=_ax, label="residual of go [m/s]")
     _ax
     return
 
@@ -99,15 +101,16 @@ def _(Stack, assemble, buoy, eta, go, keep_off, np, plt, solve):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Inside the dashed circle `keep_off` pushes out. It is an equality, however: far from the buoy it pulls *towards*
-    the circle. That is what the paper's (17)–(20) does with each sonar sub-task, and why it must be switched; a
-    barrier need not be.
+    Inside the dashed circle, `keep_off` moves the robot outwards. Since this task is an equality, outside the circle it
+    moves the robot *towards* the circle. The sonar sub-tasks of the paper's (17)–(20) have the same property, so they
+    must be switched off far from obstacles. A barrier needs no switching.
 
     ## 4. Limits
 
-    A box on the velocity and a wall at x ≤ 1.5 m. `nsb` does not know of them. `projected` serves each level within
-    them; `lexicographic` is the same by a cascade of least-squares problems; `filter` moves the null-space answer as
-    little as it must.
+    This example adds bounds on the velocity and a wall at x = 1.5 m. The mode `nsb` ignores these limits. `projected`
+    fulfils each level as well as the limits and the levels above allow, by one sweep of projections. `lexicographic`
+    solves a cascade of least-squares problems. `filter` takes the velocity within the limits that is
+    nearest to that of `nsb`.
     """)
     return
 
@@ -130,11 +133,11 @@ def _(Barrier, Stack, VelocityBox, assemble, eta, keep_off, look, mo, pull, solv
     bounded = assemble(Stack((keep_off, _go, look)), [_box, _wall], inputs={"eta": eta})
     _rows = ["| mode | u | v | r | keep_off | go | look | |", "|---|---|---|---|---|---|---|---|"]
     for _mode in ("nsb", "filter", "projected", "lexicographic"):
-        _found = solve(bounded.problem({"eta": [1.4, -0.4, -0.15, 0.0]}), mode=_mode)
-        _left = " | ".join(f"{_found.residuals[name]:.3f}" for name in ("keep_off", "go", "look"))
-        _u, _v, _, _r = _found.v
-        _rows.append(f"| {_mode} | {_u:.3f} | {_v:.3f} | {_r:.3f} | {_left} | {_found.explain()} |")
-        print(f"{_mode}: {_found.explain()}")
+        _solution = solve(bounded.problem({"eta": [1.4, -0.4, -0.15, 0.0]}), mode=_mode)
+        _left = " | ".join(f"{_solution.residuals[name]:.3f}" for name in ("keep_off", "go", "look"))
+        _u, _v, _, _r = _solution.v
+        _rows.append(f"| {_mode} | {_u:.3f} | {_v:.3f} | {_r:.3f} | {_left} | {_solution.explain()} |")
+        print(f"{_mode}: {_solution.explain()}")
     mo.md("\n".join(_rows))
 
     return (bounded,)
@@ -145,7 +148,8 @@ def _(mo):
     mo.md(r"""
     ## 5. Compiled
 
-    The same stack as a tick of a few microseconds, without allocation: what the loops fly and what is exported as C.
+    The same stack can be compiled. A control step then takes a few microseconds and allocates no memory. Closed-loop
+    simulations and the exported C use this compiled step.
     """)
     return
 
@@ -164,7 +168,7 @@ def _(bounded, solve):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Next: [which stability claims hold](03_stability_claims.py); how to choose a mode: `analysis/choosing.md`.
+    Next: [which stability claims hold](03_stability_claims.py). `analysis/choosing.md` explains how to choose a mode.
     """)
     return
 

@@ -16,10 +16,10 @@ def _(mo):
     mo.md(r"""
     # Which stability claims hold, and how far
 
-    A stability claim is an inequality over a domain. This notebook takes the paper's claims one by one: it refutes
-    the printed ones by a point that can be flown, proves what holds in their place, and goes on from the kinematic
-    loop to the robot with its mass, drag and thrust limits: a region of attraction with a certificate that another
-    program accepts. It takes about 20 s.
+    A stability claim is an inequality over a domain. This notebook examines claims of the paper. It refutes printed
+    claims by counterexamples that can be simulated, and proves their corrections. These claims are about the kinematic
+    loop. For the robot with mass, drag and thrust limits, the notebook proves a region of attraction, with a
+    certificate that an independent program accepts. It takes about 20 s.
     """)
     return
 
@@ -27,11 +27,11 @@ def _(mo):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 1. Every claim of the paper, as printed and as it holds
+    ## 1. Claims of the paper, printed and corrected
 
-    With $V_1 = \tfrac12(x_e^2 + y_e^2 + z_e^2)$ and the surge command of (12) the paper concludes $\dot V_1 \le 0$
-    everywhere. A falsifier samples the domain and climbs; a prover halves boxes, with every rounding outwards, after it
-    has rewritten the expression exactly. Neither trusts the other.
+    With $V_1 = \tfrac12(x_e^2 + y_e^2 + z_e^2)$ and the surge command of (12), the paper concludes $\dot V_1 \le 0$
+    everywhere. A falsifier samples the domain and follows gradients to a violation. A prover rewrites the expression
+    exactly and bisects boxes in interval arithmetic. Falsifier and prover work independently of each other.
     """)
     return
 
@@ -46,14 +46,14 @@ def _(mo):
     gains, vehicle = load_gains("default"), load_vehicle("sur540-flooded")
     names = ["v1-printed", "v1-corrected", "course-printed", "course-corrected", "v2-printed", "v2-static"]
     verdicts = {c.name: decide(c, seed=0) for c in claims(gains.values, names)}
-    _rows = ["| claim | equation | verdict | where it fails, or who accepts it |", "|---|---|---|---|"]
+    _rows = ["| claim | equation | verdict | counterexample, or time of the check |", "|---|---|---|---|"]
     for _name, _v in verdicts.items():
         if _v.counterexample is not None:
             _at = ", ".join(f"{k} = {x:.3g}" for k, x in _v.counterexample.values.items())
-            _told = f"{_at}: exceeded by {_v.counterexample.margin:.3g} {_v.claim.unit}"
+            _detail = f"{_at}: exceeded by {_v.counterexample.margin:.3g} {_v.claim.unit}"
         else:
-            _told = f"the checker, in {1e3 * check_document(_v.certificate).seconds:.0f} ms"
-        _rows.append(f"| `{_name}` | {_v.claim.equation} | {_v.verdict} | {_told} |")
+            _detail = f"accepted by the checker in {1e3 * check_document(_v.certificate).seconds:.0f} ms"
+        _rows.append(f"| `{_name}` | {_v.claim.equation} | {_v.verdict} | {_detail} |")
         print(f"{_name}: {_v.verdict}")
     mo.md("\n".join(_rows))
     return check_document, claims, gains, decide, vehicle, verdicts
@@ -62,11 +62,11 @@ def _(mo):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 2. A counterexample is a flight
+    ## 2. Simulation of a counterexample
 
-    The claim fails only where $x_e > v_d/k_1$: the printed surge command turns round there, and a robot that flies
-    backwards along its line of sight is steered *away* from the path. Left, the slice of the domain where it fails;
-    right, the motion from the counterexample.
+    The claim `v1-printed` fails only where $x_e > v_d/k_1$. There the printed surge command is negative, and a robot
+    that moves backwards along its line of sight is steered *away* from the path. The left plot shows a slice of the
+    domain with the region where the claim fails. The right plot shows the motion from the counterexample.
     """)
     return
 
@@ -92,7 +92,8 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    The look-ahead Δ of (9) does not mend it: move it, and the claim fails elsewhere.
+    No value of the look-ahead Δ of (9) makes the claim true: change it with the slider, and the claim fails at another
+    point.
     """)
     return
 
@@ -107,20 +108,20 @@ def _(mo):
 @app.cell
 def _(claims, gains, lookahead, mo, decide):
     (_claim,) = claims({**gains.values, "lookahead": lookahead.value}, ["v1-printed"])
-    _found = decide(_claim, seed=0).counterexample
-    mo.md(f"Worst by {_found.margin:.3g} {_claim.unit} at y_e = {_found.values['y_e']:.3g} m.")
+    _worst = decide(_claim, seed=0).counterexample
+    mo.md(f"Largest violation: {_worst.margin:.3g} {_claim.unit} at y_e = {_worst.values['y_e']:.3g} m.")
     return
 
 
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 3. The robot that flies: a region of attraction
+    ## 3. A region of attraction of the dynamic loop
 
-    Velocities do not follow their commands at once. With mass, drag and thrust limits the question becomes: from how
-    far beside a straight leg does the cruise come back, at a rate $\dot V \le -aV$, whatever the true mass and drag
-    within 20 %, whatever the heading does, with saturated thrust? The search proposes $V = \xi^\top P\xi$; the checker
-    decides, in exact arithmetic.
+    A real robot does not follow its velocity commands immediately. The region claim states from how far beside a
+    straight leg the robot returns with $\dot V \le -aV$. It includes mass, drag and saturated thrust, and holds for
+    mass and drag off by up to 20 % and for any heading. A search proposes $V = \xi^\top P\xi$, and the checker decides
+    in exact arithmetic whether the claim holds.
     """)
     return
 
@@ -140,19 +141,19 @@ def _(check_document, gains, vehicle):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 4. How close it settles when something pushes
+    ## 4. The path error under a disturbance force
 
-    Waves and thrust errors are a force that changes as it likes. More force, a wider floor: the gain from force to
-    offset.
+    Waves and thrust errors act as a bounded disturbance force that may vary arbitrarily. A larger force gives a larger
+    bound on the final path error.
     """)
     return
 
 
 @app.cell
 def _(RegionStatement, gains, mo, prove_statement, vehicle):
-    _rows = ["| force [N] | from [m] | settles along, across [m] |", "|---|---|---|"]
+    _rows = ["| force [N] | region of attraction: offset [m] | final error along, across [m] |", "|---|---|---|"]
     for _force in (0.0, 0.25, 0.5):
-        _statement = RegionStatement(name="pushed", force_n=_force, rate_per_s=0.01, attempts=20)
+        _statement = RegionStatement(name="disturbed", force_n=_force, rate_per_s=0.01, attempts=20)
         _proof = prove_statement(_statement, vehicle, gains)
         _rows.append(
             f"| {_force:g} | {_proof.offset:.3f} | {_proof.ultimate_bound[0]:.3f}, {_proof.ultimate_bound[1]:.3f} |"
@@ -165,8 +166,8 @@ def _(RegionStatement, gains, mo, prove_statement, vehicle):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    What none of this covers: sensing, curved paths, obstacles that move fast, and surge and sway of different mass.
-    Each certificate names its own exclusions, and `notebooks/guides/what-is-proved.md` lists them all.
+    These proofs do not cover sensing, curved paths, fast obstacles, or different masses in surge and sway. Each
+    certificate lists its own exclusions, and `notebooks/guides/what-is-proved.md` lists all of them.
     """)
     return
 

@@ -16,13 +16,13 @@ def _(mo):
     mo.md(r"""
     # Sweep and tune
 
-    Gains are chosen on what is flown and on loop margins at once, and the choice is then attacked by fresh runs. Here
-    with the law `closed_form` in one scenario, so that it takes seconds; `surctl sweep` and `surctl tune` do the same
-    over all scenarios.
+    surctl chooses gains by simulated runs and loop margins together, and then tries to refute the choice with new runs.
+    This notebook uses the law `closed_form` in one scenario, so that it takes seconds. `surctl sweep` and `surctl
+    tune` do the same over all scenarios.
 
-    ## 1. The landscape
+    ## 1. A grid sweep
 
-    Twenty points: each is flown through the compiled closed loop, and its loop margins are computed.
+    For each of twenty points, surctl simulates the mission with the compiled closed loop and computes the loop margins.
     """)
     return
 
@@ -52,12 +52,13 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Faster velocity loops arrive sooner and lose margin: the disk margin falls under 0.6 at the right edge. That is
-    the trade; no point of the grid ends it, and a finer grid would only cost more.
+    Faster velocity loops let the robot arrive sooner, but reduce the stability margin: at the right edge of the grid
+    the disk margin is below 0.6. A finer grid costs more and does not remove this trade-off.
 
     ## 2. Where the poles go
 
-    The locus of the closed-loop poles over one gain, sampling and thrust lag included. Move the cruise speed.
+    The plot shows the locus of the closed-loop poles over one gain, with sampling and thrust lag included. Change the
+    cruise speed with the slider.
     """)
     return
 
@@ -87,8 +88,8 @@ def _(mo):
     mo.md(r"""
     ## 3. Goals, and a search
 
-    A goal is a metric with a limit: hard ones hold over every run, soft ones are brought low. Normalised values are 1
-    at the limit. The search is seeded: the same request gives the same gains.
+    A goal is a metric with a limit. Hard goals must hold in every run. The search makes the values of soft goals as
+    small as possible. Normalised values are 1 at the limit. The search has a seed: equal requests give equal gains.
     """)
     return
 
@@ -127,9 +128,9 @@ def _(mo):
     mo.md(r"""
     ## 4. Goals that cannot be met together
 
-    Ask for a robust loop and a delay that no loop with 0.3 s of thrust lag bears while it is that quick. The tuner
-    does not return its least bad guess as if it were an answer: it names a smallest set of demands that do not hold
-    together.
+    These goals require a robust loop, a fast mission, and a delay margin that no such fast loop with 0.3 s of thrust
+    lag can have. The tuner does not present its best attempt as a solution. It names a minimal set of goals that cannot
+    be met together.
     """)
     return
 
@@ -142,17 +143,17 @@ def _(Goal, Request, gain_ranges, gains, runs, summary, tune):
         Goal("robust", "disk_margin", "1", 0.6, "at least", "hard"),
     )
     _ranges = gain_ranges(gains, ["k_v", "k_r", "lookahead", "kappa"])
-    _tried = tune(Request(_greedy, runs, gains, _ranges), trials=32, rounds=1, runs=0)
-    print(f"all hard goals met: {_tried.result.feasible}")
-    print(summary(_tried)[-1])
+    _tuned = tune(Request(_greedy, runs, gains, _ranges), trials=32, rounds=1, runs=0)
+    print(f"all hard goals met: {_tuned.result.feasible}")
+    print(summary(_tuned)[-1])
     return
 
 
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Next: [export and processor in the loop](05_export.py). On a page with sliders: `surctl tune --page`; how to write
-    goals: [the guide](guides/tune.md).
+    Next: [export and processor in the loop](05_export.py). `surctl tune --page` opens a tuning page with sliders. The
+    [guide](guides/tune.md) explains how to write goals.
     """)
     return
 

@@ -16,14 +16,14 @@ def _(mo):
     mo.md(r"""
     # Export, and the processor in the loop
 
-    The controller that flew becomes C99 that gives the same bytes: on this machine under any compiler, and on an
-    emulated Cortex-M4F that runs the scenario itself. Here with the law `closed_form`, in float32. It takes half a
-    minute, and needs a C compiler; the last part also QEMU and an ARM compiler.
+    surctl exports the simulated controller as C99. The C gives the same bytes as Python on this machine with any
+    compiler, and on an emulated Cortex-M4F that controls the simulated robot. This notebook uses the law `closed_form`
+    in float32. It takes half a minute and needs a C compiler; the last part also needs QEMU and an ARM compiler.
 
     ## 1. From the symbolic law to instructions
 
-    The gains become constants, the mathematical library is replaced by exact polynomials, and the law is a list of
-    operations.
+    The export turns the gains into constants, replaces functions of the mathematical library by polynomials in basic
+    operations, and lowers the law to a list of instructions.
     """)
     return
 
@@ -50,20 +50,21 @@ def _():
     box = operating_envelope(law, mission, vehicle, law.gains)
     board = build_bundle(closed_form(law, real="float32"), law.gains.unpack(p), real="float32", envelope=box)
 
-    def fly(stepper=None):
-        """The mission with true positions, by the law itself or by whatever steps in its place."""
+    def run_mission(stepper=None):
+        """Simulate the mission with true positions, with the law itself or with `stepper` in its place."""
         return simulate(mission, vehicle, gains=gains, law=law, sensing="truth", seed=0, stepper=stepper)
 
     for _name, _file in files.items():
         print(f"{_file.sha256[:12]}  {_file.path.stat().st_size:>7} bytes  {_name}")
 
-    return board, box, bundle, files, fly, folder, law, p, shipped, shutil
+    return board, box, bundle, files, folder, law, p, run_mission, shipped, shutil
 
 
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    The C is meant to be read: literals are exact, nothing is allocated, and a guard stands around the step.
+    The exported C is readable: numbers are exact literals, no memory is allocated, and a guard checks the inputs and
+    outputs of each step.
     """)
     return
 
@@ -79,43 +80,43 @@ def _(mo):
     mo.md(r"""
     ## 2. Software in the loop
 
-    A whole flight, replayed through the compiled C on its own state, step by step against Python in the same
-    precision; then NaN and infinity in every state and input, one after another. A negative status and zero thrust is
-    the only right answer to those.
+    The compiled C replays a whole run on its own state, and each step is compared with Python in the same precision.
+    Then each state and input in turn is set to NaN and to infinity. For these values the C must return a negative
+    status and zero thrust.
     """)
     return
 
 
 @app.cell
-def _(bundle, fly, folder, shipped):
+def _(bundle, folder, run_mission, shipped):
     from surctl.export import Records, as_records, build_controller, compare_runs
 
-    run = fly()
+    run = run_mission()
     _empty = run.record.law_parameters[:0]
-    flight = as_records(shipped, Records(run.record.law_state, run.record.law_input, _empty))
+    records = as_records(shipped, Records(run.record.law_state, run.record.law_input, _empty))
     controller = build_controller(shipped, bundle, folder / "sil")
-    (_report,) = compare_runs(controller, [flight])
+    (_report,) = compare_runs(controller, [records])
     print(_report.summary().replace(str(folder), "."))
 
-    return controller, flight, run
+    return controller, records, run
 
 
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 3. The same bytes, whatever compiles it
+    ## 3. The same bytes with each compiler
 
-    The flight and hundreds of steps around it, under two levels of optimisation of one compiler; `surctl export
-    --check` does it with gcc, clang, three Cortex-M and 100,000 steps.
+    This cell compares the recorded run and 500 steps with varied states and inputs, at two optimisation levels of one
+    compiler. `surctl export --check` does the same with gcc, clang, three Cortex-M processors and 100,000 steps.
     """)
     return
 
 
 @app.cell
-def _(controller, flight):
+def _(controller, records):
     from surctl.export import TARGETS, check_builds
 
-    checked = check_builds(controller, [flight], [TARGETS["gcc-O0"], TARGETS["gcc-O3"]], steps=500)
+    checked = check_builds(controller, [records], [TARGETS["gcc-O0"], TARGETS["gcc-O3"]], steps=500)
     for _build in checked.builds:
         print(f"{_build.target}: {_build.differing} differing steps")
 
@@ -127,25 +128,25 @@ def _(mo):
     mo.md(r"""
     ## 4. Processor in the loop
 
-    The bundle, compiled for a Cortex-M4F and started in QEMU. Python simulates the water and the robot, the processor
-    answers with thrust, and each answer is compared with Python in float32 to the last bit.
+    The exported C is compiled for a Cortex-M4F and started in QEMU. Python simulates the robot, and the emulated
+    processor computes the thrust. Each thrust is compared with Python in float32 to the last bit.
     """)
     return
 
 
 @app.cell
-def _(board, box, checked, fly, folder, law, p, run, shutil):
+def _(board, box, checked, folder, law, p, run, run_mission, shutil):
     from surctl.export import LinkedLaw, LinkFaults, emulated, emulated_target
 
     if checked.passed and shutil.which("qemu-system-arm") and shutil.which("arm-none-eabi-gcc"):
         with emulated(board, emulated_target("cortex-m4f"), folder / "board") as _line:
             _linked = LinkedLaw(law, p, _line, LinkFaults(), box)
-            _flown = fly(_linked)
-            _said = _linked.report()
-        print(f"{_flown.metrics.stopped_because} after {_said.answered} steps on the processor")
-        print(f"{_said.differing} of them differ from Python; it took {run.metrics.time_s:.2f} s there, too")
+            _linked_run = run_mission(_linked)
+            _report = _linked.report()
+        print(f"{_linked_run.metrics.stopped_because} after {_report.answered} steps on the processor")
+        print(f"{_report.differing} of them differ from Python; the run in Python also took {run.metrics.time_s:.2f} s")
     else:
-        print("no QEMU or no ARM compiler: this part was left out")
+        print("no QEMU or no ARM compiler: this part is skipped")
     shutil.rmtree(folder)
     return
 
@@ -153,7 +154,7 @@ def _(board, box, checked, fly, folder, law, p, run, shutil):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Next: [a vehicle of your own](06_your_own_vehicle.py); in detail: [the guide](guides/export.md).
+    Next: [a vehicle of your own](06_your_own_vehicle.py). The [guide](guides/export.md) explains the export in detail.
     """)
     return
 

@@ -14,15 +14,16 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    # A vehicle of your own: a BlueROV2, from nothing to code
+    # A vehicle of your own: a BlueROV2, from its data to C code
 
-    A vehicle that is no sphere, with published numbers; a mission of one's own; gains, what can be said about them,
-    and C. Nothing here is read from the library but the default gains to start from. It takes about a minute.
+    This notebook describes a vehicle that is not a sphere, from published data, and a new mission. It tunes the gains,
+    proves claims about the loop, and exports C. From the library it uses only the default gains and goals. It takes
+    about a minute.
 
     ## 1. The vehicle
 
-    Masses with added mass and drag as identified by Wu (2018); the ranges of ±15 % are ours, since the thesis gives
-    none and another identification of the same vehicle differs by more.
+    Masses (with added mass) and drag are those identified by Wu (2018). The thesis gives no ranges, so ±15 % is our
+    choice; another identification of the same vehicle differs by more.
     """)
     return
 
@@ -63,10 +64,10 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Surge and sway have different masses. That matters: turning while going ahead pushes such a hull sideways, and the
-    claims about regions of attraction, which take one mass for both, refuse it further down instead of pretending.
+    This vehicle has different masses in surge and sway. When it turns while moving ahead, a sideways force acts on the
+    hull. The claims about regions of attraction assume equal masses, so section 5 reports them as not applicable.
 
-    ## 2. The mission, and what cannot work in it
+    ## 2. The mission, and a check of the scenario file
     """)
     return
 
@@ -114,8 +115,8 @@ def _(folder, rov):
         encoding="utf-8",
     )
     basin = load_scenario(str(folder / "basin.toml"))
-    _found = findings(basin, rov)
-    print("\n".join(f"{f.level}: {f.text}" for f in _found) or "nothing speaks against it")
+    _findings = findings(basin, rov)
+    print("\n".join(f"{f.level}: {f.text}" for f in _findings) or "no problem found")
 
     return (basin,)
 
@@ -125,8 +126,8 @@ def _(mo):
     mo.md(r"""
     ## 3. The default gains on this vehicle
 
-    They were chosen for a hull five times as heavy. Margins of each loop, at the worst of masses and drag off by 15
-    %:
+    The default gains were chosen for a hull five times as heavy. This cell computes the least margins of the loops for
+    masses and drag off by up to 15 %.
     """)
     return
 
@@ -139,7 +140,7 @@ def _(rov):
     start = load_gains("default")
 
     def margins(values):
-        """Least delay and disk margin over the loops, at the worst of ±15 %."""
+        """Return the least delay margin [s] and disk margin over loops and ±15 %, and whether all loops are stable."""
         _all = worst_margins(rov, values, uncertainty=0.15, cruise=0.2, dt=0.05)
         return min(m.delay_margin_s for m in _all), min(m.disk_margin for m in _all), all(m.stable for m in _all)
 
@@ -154,8 +155,8 @@ def _(mo):
     mo.md(r"""
     ## 4. Tune
 
-    Arrive and keep clear for every draw of the vehicle; margins for the nominal one; then arrive soon with little
-    thrust.
+    The hard goals are: arrive without a collision for every sampled vehicle, and sufficient margins for the nominal
+    vehicle. The soft goals are a short time and little thrust.
     """)
     return
 
@@ -191,12 +192,12 @@ def _(basin, margins, rov, start):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    ## 5. What can be proved, and what cannot
+    ## 5. Which claims can be proved
 
-    The region claim and the rule that bounds the approach speed assume one mass in surge and sway: they say that they
-    are not applicable to this hull, and why. The linear side says what the unequal masses cost: the Munk moment turns
-    the hull, and beyond the bearable speed the loop is unstable. What does not rest on the mass is proved: that
-    tracking converges where the commanded velocity is followed.
+    The region claim and the braking claim assume equal masses in surge and sway. They report that they are not
+    applicable to this hull, and why. The linear analysis shows the effect of unequal masses: the Munk moment turns the
+    hull, and above the bearable speed the loop is unstable. The claim `v1-corrected` does not depend on the mass and is
+    proved: path following converges if the velocity equals its command.
     """)
     return
 
@@ -228,7 +229,7 @@ def _(basin, gains, rov):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    What is not proved is flown: masses, drag and obstacles drawn at random.
+    Simulations examine what the proofs do not cover: here masses and drag are drawn at random.
     """)
     return
 
@@ -244,7 +245,7 @@ def _(basin, gains, plt, rov):
     _drawn = {f"plant.{k}": rov[k] * _rng.uniform(0.85, 1.15, 200) for k in ("m11", "m22", "m44", "Xuu", "Yvv", "Nrr")}
     _runs = simulate_batch(Case(basin, rov, gains), _drawn, seeds=np.arange(200))
     _least = _runs.column("min_clearance_m").min()
-    print(f"200 drawn vehicles: {int(_runs.column('reached').sum())} arrive, least clearance {_least:.3f} m")
+    print(f"200 random vehicles: {int(_runs.column('reached').sum())} arrive, least clearance {_least:.3f} m")
     run = simulate(basin, rov, gains=gains, sensing="truth", seed=0)
     plot_run(run, ax=plt.subplots(figsize=(8.0, 4.4), layout="constrained")[1])
 
@@ -256,7 +257,7 @@ def _(mo):
     mo.md(r"""
     ## 6. Code
 
-    The law that flew, in float32, with its guard, replayed over this flight.
+    This cell exports the simulated law in float32, and compares the C with Python over the recorded run.
     """)
     return
 
@@ -270,12 +271,12 @@ def _(folder, run):
 
     law = build_law()
     _shipped = closed_form(law, real="float32")
-    _flight = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+    _records = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
     _bundle = build_bundle(_shipped, law.gains.unpack(run.record.law_parameters), real="float32")
     _written = write_bundle(_bundle, folder / "code")
     _size = sum(len(_bundle.files[file]) for file in _bundle.sources)
     print(f"{len(_written)} files, the controller has {_size // 1000} kB of source")
-    _report = software_in_the_loop(law, _flight)
+    _report = software_in_the_loop(law, _records)
     print(f"SIL {_report.steps} steps: {'passed' if _report.passed else 'FAILED'}, difference {_report.tau.mixed:.1e}")
     shutil.rmtree(folder)
     return
@@ -284,7 +285,7 @@ def _(folder, run):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    The same by commands: [add a vehicle](guides/add-a-vehicle.md), [tune](guides/tune.md),
+    These guides do the same with commands: [add a vehicle](guides/add-a-vehicle.md), [tune](guides/tune.md),
     [verify](guides/verify.md), [export](guides/export.md).
     """)
     return

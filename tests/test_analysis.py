@@ -157,7 +157,7 @@ def test_the_sweep_holds_what_its_readme_says(swept: tuple[subprocess.CompletedP
     assert done.returncode == 0, done.stdout + done.stderr
     said = {row[0]: row[2] for row in table(done.stdout) if len(row) == 3}
     assert said.pop("statement") == ""
-    assert sorted(said.values()) == ["holds"] * 6 + ["not asked"]
+    assert sorted(said.values()) == ["holds"] * 6 + ["not decided"]
 
 
 def test_the_sweep_s_table(swept: tuple[subprocess.CompletedProcess[str], Path]) -> None:

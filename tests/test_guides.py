@@ -167,9 +167,9 @@ def test_the_readme_is_short_and_has_the_two_commands() -> None:
     assert indented == ["pip install . && surctl study", 'pip install -e ".[dev]" && pytest']
 
 
-def test_the_architecture_has_the_rooms_in_their_order() -> None:
+def test_the_architecture_has_the_packages_in_their_order() -> None:
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
-    (layers,) = [each["layers"] for each in config if each["name"] == "one direction through the rooms"]
+    (layers,) = [each["layers"] for each in config if each["name"] == "one direction through the packages"]
     page = (ROOT / "notebooks" / "guides" / "architecture.md").read_text(encoding="utf-8")
     rows = [re.findall(r"`(\w+)`", line.split("|")[1]) for line in page.splitlines() if line.startswith("| `")]
-    assert rows == [[room.strip().removeprefix("surctl.") for room in layer.split("|")] for layer in layers]
+    assert rows == [[name.strip().removeprefix("surctl.") for name in layer.split("|")] for layer in layers]

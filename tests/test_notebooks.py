@@ -28,9 +28,9 @@ PRINTED = {
     ),
     "01_vehicle_and_dynamics": (
         "surge mass 39.7 kg",
-        "sway is pushed by -0.0450 m/s²",
-        "half the sway thrust is gone: 0.18 rad/s",
-        "from 0.2 m/s it stands after 3.4 s and 0.34 m",
+        "sway acceleration -0.0450 m/s²",
+        "yaw rate that needs half the sway thrust: 0.18 rad/s",
+        "from 0.2 m/s the robot stops after 3.4 s and 0.34 m",
         "surge pole: -0.0211 1/s at rest, -0.2105 1/s at 0.15 m/s",
     ),
     "02_priorities": (
@@ -62,7 +62,7 @@ PRINTED = {
         "default gains: UNSTABLE",
         "tuned gains: stable",
         "the checker accepts it: True",
-        "200 drawn vehicles: 200 arrive",
+        "200 random vehicles: 200 arrive",
         "passed, difference 0.0e+00",
     ),
 }

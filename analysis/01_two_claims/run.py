@@ -2,7 +2,7 @@
 
     python analysis/01_two_claims/run.py [--quick]
 
-Prints Markdown. Ends with 0 when every verdict is the expected one and every figure agrees, else with 1.
+Prints Markdown. The exit status is 0 if every verdict is the expected one and every figure agrees, and 1 otherwise.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ CONFIG = Path(__file__).with_name("config.toml")
 
 
 class Config(Strict):
-    """What config.toml holds."""
+    """The contents of config.toml."""
 
     seed: int
     samples: int
@@ -43,7 +43,7 @@ class Config(Strict):
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     unknown = [a for a in arguments if a != "--quick"]
     if unknown:
         print(f"{unknown[0]}: unknown option; the only one is --quick", file=sys.stderr)
@@ -56,7 +56,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(config: Config, *, quick: bool) -> int:
-    """Verdicts and figures; 0 when all come out as expected."""
+    """Print verdicts and figures; return 0 if all are as expected."""
     samples = config.samples // (8 if quick else 1)
     verdicts = [decide(claim, samples=samples, seed=config.seed) for claim in claims(config.gains)]
     replays_hold = print_verdicts(verdicts)
@@ -67,7 +67,7 @@ def study(config: Config, *, quick: bool) -> int:
 
 
 def expected_figures(config: Config) -> dict[str, float]:
-    """The figures of config.toml, and those that a formula gives: −δ (E11), e2* (E12), the lines of (12) (E18)."""
+    """Return the expected figures: those of config.toml, and −δ (E11), e2* (E12), lines of (12) (E18) from formulas."""
     setting, printed = setting_from(config.gains), Setting()
     x, y = 0.1, 0.4
     apart = (printed.speed - printed.k1 * x) / printed.lookahead * y * (math.hypot(y, printed.lookahead) - y)
@@ -80,7 +80,7 @@ def expected_figures(config: Config) -> dict[str, float]:
 
 
 def print_verdicts(verdicts: list[Verdict]) -> bool:
-    """One row a claim; whether every counterexample was confirmed by its replay."""
+    """Print one row per claim; return whether the replays confirm all counterexamples."""
     confirmed = True
     print("| claim | says | errata | expected | verdict | worst margin | share of samples | replay |")
     print("|---|---|---|---|---|---|---|---|")
@@ -89,7 +89,7 @@ def print_verdicts(verdicts: list[Verdict]) -> bool:
         if v.counterexample is not None:
             run = replay(c, v.counterexample)
             confirmed = confirmed and run.confirmed
-            # `watched` is empty where a claim bounds no rate: the margin alone is the evidence
+            # `watched` is empty if the claim bounds no rate: then only the margin shows the violation
             path = (
                 f"{run.name} {run.watched[0]:.4g} → {run.watched[-1]:.4g} {run.unit}"
                 if run.watched.size
@@ -111,9 +111,9 @@ def print_verdicts(verdicts: list[Verdict]) -> bool:
 
 
 def tracking_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str, tuple[str, float]]:
-    """Figures of V1: value by key, with what it is."""
+    """Return the figures of V1: description and value by key."""
     printed = verdicts["v1-printed"]
-    # two starts: only the share of the samples is asked for
+    # two starts suffice: only the share of the samples is used
     fine = falsify(printed.claim, samples=config.fraction_samples, starts=2, seed=config.seed)
     cap_x, cap_y = first_violation_under_cap(verdicts["v1-speed-cap"].claim, config.seed)
     return {
@@ -130,7 +130,7 @@ def tracking_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str, 
 
 
 def avoidance_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str, tuple[str, float]]:
-    """Figures of V2: value by key, with what it is."""
+    """Return the figures of V2: description and value by key."""
     printed, obstacle, clockwise = (verdicts[n] for n in ("v2-printed", "v2-obstacle", "v2-clockwise"))
     at = clockwise.witnesses[0].values
     receding, approaching = obstacle.witnesses
@@ -157,13 +157,13 @@ def avoidance_figures(verdicts: dict[str, Verdict], config: Config) -> dict[str,
 
 
 def lines_of_12() -> float:
-    """First less second line of (12) (E18) [m²/s], each as printed."""
+    """Return the first minus the second line of (12) (E18) [m²/s], both as printed."""
     found = e18().numbers
     return found["line_1"] - found["line_2"]
 
 
 def first_violation_under_cap(claim: Claim, seed: int) -> tuple[float, float]:
-    """(x_e, |y_e|) [m] of the violation nearest to the target, by shrinking the box until none is found."""
+    """Return (x_e, |y_e|) [m] of the violation nearest to the target: shrink the box until it has no violation."""
 
     def box(x: float) -> Claim:
         return claim.on({"x_e": (-x, 0.0), "z_e": (0.0, 0.0), "turn": (0.0, 0.0)})
@@ -174,24 +174,24 @@ def first_violation_under_cap(claim: Claim, seed: int) -> tuple[float, float]:
 
 
 def sway_offset(claim: Claim, seed: int) -> float:
-    """Largest y_e [m] that still grows, surge 0.15 and sway 0.05 m/s."""
+    """Return the largest y_e [m] that still grows at surge 0.15 m/s and sway 0.05 m/s."""
     still = {"u": (0.15, 0.15), "v": (0.05, 0.05)}
     top = claim.variables[0].upper
     return bisect(lambda y: refuted(claim.on({**still, "y_e": (y, top)}), seed), 0.01, top)
 
 
 def settles(claim: Claim, values: dict[str, float], least: float) -> float:
-    """e2 < 0 [m] at which l̇ = V̇2/e2 changes its sign, the other values held."""
+    """Return the e2 < 0 [m] at which l̇ = V̇2/e2 changes its sign, with all other values fixed."""
     return bisect(lambda e2: evaluate(claim, {**values, "e2": e2})[0] / e2 < 0, -1e-3, least)
 
 
 def refuted(claim: Claim, seed: int) -> bool:
-    """Whether a small search refutes the claim."""
+    """Return whether a small search refutes the claim."""
     return falsify(claim, samples=512, starts=4, seed=seed).verdict == "refuted"
 
 
 def bisect(holds: Callable[[float], bool], yes: float, no: float, *, width: float = 1e-4) -> float:
-    """The last value towards `no` for which `holds`; NaN unless it holds at `yes` and not at `no`."""
+    """Return the last value from `yes` towards `no` where `holds`; NaN unless it holds at `yes` and fails at `no`."""
     if not holds(yes) or holds(no):
         return float("nan")
     while abs(yes - no) > width:
@@ -201,7 +201,7 @@ def bisect(holds: Callable[[float], bool], yes: float, no: float, *, width: floa
 
 
 def print_figures(found: dict[str, tuple[str, float]], expected: dict[str, float], tolerance: float) -> bool:
-    """One row a figure; whether all agree."""
+    """Print one row per figure; return whether all agree."""
     agree = set(found) == set(expected)
     print("\n| figure | expected | computed | off by | |\n|---|---|---|---|---|")
     for key, (what, value) in found.items():
@@ -215,7 +215,7 @@ def print_figures(found: dict[str, tuple[str, float]], expected: dict[str, float
 
 
 def cell(text: str) -> str:
-    """Text for a cell of a Markdown table, in which a bar would end the cell."""
+    """Escape the bars of a text for a cell of a Markdown table."""
     return text.replace("|", "\\|")
 
 

@@ -1,8 +1,8 @@
-"""Study 2: what look-ahead and velocity bandwidth trade against each other, and which point a grid sweep picks.
+"""Study 2: the trade-off that look-ahead and velocity bandwidth set, and the point that a grid sweep picks.
 
     python analysis/02_gain_sweep/run.py [--quick] [--out DIR]
 
-Prints Markdown and saves the sweep as CSV. Ends with 0 when every statement holds, else with 1.
+Prints Markdown and saves the sweep as CSV. The exit status is 0 if every statement holds, and 1 otherwise.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from surctl.verification import loop_margins
 
 CONFIG = Path(__file__).with_name("config.toml")
 SHOWN = ("deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "delay_margin_s", "disk_margin", "score")
-ROUNDING = 1e-9  # margins that do not depend on k_v differ in their last digits, and not on every machine
+ROUNDING = 1e-9  # margins that do not depend on k_v may differ in their last digits, depending on the machine
 
 
 class Grid(Strict):
-    """One grid and what every point of it flies."""
+    """A grid, and the scenarios and seeds that are simulated at every point."""
 
     lookahead: tuple[float, ...]
     k_v: tuple[float, ...]
@@ -44,7 +44,7 @@ class Grid(Strict):
 
 
 class Config(Strict):
-    """What config.toml holds."""
+    """The contents of config.toml."""
 
     gains: str
     workers: int
@@ -56,7 +56,7 @@ class Config(Strict):
 
 @dataclass(frozen=True)
 class Flown:
-    """One scenario at one point, over the seeds: least clearances, means, share of ticks that the path error counts."""
+    """Results of a scenario at a point over the seeds: least clearances, means, share of steps in the path error."""
 
     scenario: str
     lookahead: float
@@ -71,7 +71,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Statement:
-    """What the README says, and whether this run bears it out; None where this grid cannot tell."""
+    """A statement of the README and whether this run confirms it; None if this grid cannot decide it."""
 
     text: str
     holds: bool | None
@@ -79,9 +79,9 @@ class Statement:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="run.py", description="Sweep lookahead and k_v, and check what is said of it."
+        prog="run.py", description="Sweep lookahead and k_v, and check the statements of the README."
     )
     parser.add_argument("--quick", action="store_true", help="a small grid and one scenario")
     parser.add_argument("--out", type=Path, help="folder of sweep.csv; default: a new temporary one")
@@ -96,7 +96,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(config: Config, grid: Grid, out: Path) -> int:
-    """Sweep, print, save; 0 when every statement holds."""
+    """Sweep, print and save; return 0 if every statement holds."""
     gains = load_gains(config.gains)
     swept = run_sweep(config, grid, gains)
     print_table(swept)
@@ -118,7 +118,7 @@ def study(config: Config, grid: Grid, out: Path) -> int:
 
 
 def run_sweep(config: Config, points: Grid, gains: Gains) -> SweepTable:
-    """The sweep of the grid; progress goes to stderr."""
+    """Return the sweep of the grid; print progress on stderr."""
     axes = (Axis("lookahead", points.lookahead), Axis("k_v", points.k_v))
     scenarios = [load_scenario(name) for name in points.scenarios]
     cases = [Case(s, load_vehicle(s.vehicle), gains) for s in scenarios]
@@ -126,12 +126,12 @@ def run_sweep(config: Config, points: Grid, gains: Gains) -> SweepTable:
 
 
 def tell(line: str) -> None:
-    """Progress on stderr."""
+    """Print progress on stderr."""
     print(f"  {line}", file=sys.stderr)
 
 
 def points(swept: SweepTable) -> Iterator[tuple[int, int, float, float]]:
-    """(i, j, lookahead, k_v) of every point."""
+    """Yield (i, j, lookahead, k_v) of every point."""
     for i, lookahead in enumerate(swept.axes[0].values):
         for j, k_v in enumerate(swept.axes[1].values):
             yield i, j, lookahead, k_v
@@ -145,7 +145,7 @@ def print_rows(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
 
 def print_table(swept: SweepTable) -> None:
-    """One row a point."""
+    """Print one row per point."""
     header = ["lookahead [m]", "k_v [1/s]", *(f"{name} [{swept.units[name]}]" for name in SHOWN), ""]
     rows = []
     for i, j, lookahead, k_v in points(swept):
@@ -155,7 +155,7 @@ def print_table(swept: SweepTable) -> None:
 
 
 def remark(swept: SweepTable, i: int, j: int) -> str:
-    """Why a point may not be picked, or that it was."""
+    """Return why a point is infeasible, or that it was picked."""
     if (i, j) == swept.picked:
         return "**picked**"
     reasons = {
@@ -168,13 +168,13 @@ def remark(swept: SweepTable, i: int, j: int) -> str:
 
 
 def ranking(swept: SweepTable, by: str = "score") -> list[tuple[int, int]]:
-    """Feasible points, least first."""
+    """Return the feasible points, smallest score first."""
     feasible = [(i, j) for i, j, *_ in points(swept) if swept.column("feasible")[i, j] > 0.5]
     return sorted(feasible, key=lambda p: float(np.nan_to_num(swept.column(by)[p], nan=np.inf)))
 
 
 def print_pick(swept: SweepTable, what: str, watched: Mapping[str, Gains]) -> None:
-    """The picked point and the next ones, how far behind the watched ones are, and what each figure would pick."""
+    """Print the picked and the next points, the gap of the named points, and the point that each figure would pick."""
     order, score = ranking(swept), swept.column("score")
     print(f"\n{what}: {len(order)} of {score.size} points are feasible.")
     for place, point in enumerate(order, 1):
@@ -189,14 +189,14 @@ def print_pick(swept: SweepTable, what: str, watched: Mapping[str, Gains]) -> No
 
 
 def name_of(swept: SweepTable, point: tuple[int, int]) -> str:
-    """The point's gains with units, and whether it lies on the edge of the grid."""
+    """Return the gains of the point with units, and the axes on whose edge it lies."""
     named = ", ".join(f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in zip(swept.axes, point, strict=True))
     edges = [a.name for a, k in zip(swept.axes, point, strict=True) if k in (0, len(a.values) - 1)]
     return f"{named} (edge in {' and '.join(edges)})" if edges else named
 
 
 def save(swept: SweepTable, path: Path) -> None:
-    """The whole sweep as CSV, one line a point."""
+    """Write the whole sweep as CSV, one line per point."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["lookahead_m", "k_v_per_s", *swept.columns, "picked"])
@@ -206,7 +206,7 @@ def save(swept: SweepTable, path: Path) -> None:
 
 
 def fly_cross(gains: Gains, grid: Grid) -> Iterator[Flown]:
-    """Every scenario by itself, along both axes through the gain file's point."""
+    """Return the results of each scenario along both axes through the point of the gain file."""
     lookahead, k_v = gains["lookahead"], gains["k_v"]
     cross = {(lookahead, other) for other in grid.k_v} | {(other, k_v) for other in grid.lookahead}
     for name in grid.scenarios:
@@ -215,7 +215,7 @@ def fly_cross(gains: Gains, grid: Grid) -> Iterator[Flown]:
 
 
 def fly(name: str, lookahead: float, k_v: float, *, gains: Gains, seeds: Sequence[int]) -> Flown:
-    """One scenario with these two gains, over the seeds."""
+    """Simulate one scenario with these two gains over the seeds."""
     scenario = load_scenario(name)
     vehicle, law = load_vehicle(scenario.vehicle), build_law()
     chosen = gains.with_values({"lookahead": lookahead, "k_v": k_v})
@@ -234,7 +234,7 @@ def fly(name: str, lookahead: float, k_v: float, *, gains: Gains, seeds: Sequenc
 
 
 def obstacle_clearance(run: Run) -> float:
-    """Least distance hull to obstacle [m]; unlike the metric it leaves the walls out."""
+    """Return the least distance from hull to obstacles [m]; unlike the metric it omits walls."""
     found = [
         body.shape.nearest(at)[0]
         for at, bodies in zip(run.record.eta[:, :2], run.record.obstacles, strict=True)
@@ -244,23 +244,23 @@ def obstacle_clearance(run: Run) -> float:
 
 
 def counted(run: Run) -> float:
-    """Share of the ticks that the path error is taken over: those outside avoidance intervals."""
+    """Return the share of the steps that the path error uses: those outside avoidance intervals."""
     away = run.scenario.follower().track(run.record.eta[:, :2])
     return float(np.mean(~avoidance_intervals(run.telemetry("avoiding")[:, 0], away)))
 
 
 def print_flown(flown: Sequence[Flown]) -> None:
-    """One row a scenario and point."""
+    """Print one row per scenario and point."""
     header = ["scenario", "lookahead [m]", "k_v [1/s]", "clearance [m]", "of it to obstacles [m]", "time [s]"]
     rows = []
     for f in flown:
         row = [f.scenario, f"{f.lookahead:g}", f"{f.k_v:g}", f"{f.clearance:.4f}", f"{f.to_obstacles:.4f}"]
         rows.append([*row, f"{f.time:.2f}", f"{f.deviation:.4f}", f"{f.path_error:.4f}", f"{100 * f.counted:.1f} %"])
-    print_rows([*header, "deviation [m]", "path error [m]", "ticks it counts"], rows)
+    print_rows([*header, "deviation [m]", "path error [m]", "steps it counts"], rows)
 
 
 def statements(config: Config, grid: Grid, swept: SweepTable, flown: Sequence[Flown], gains: Gains) -> list[Statement]:
-    """Everything the README says of trends, against this run; the first k_v is the slow one."""
+    """Return the README's statements on trends, each compared with this run; the first k_v is the slowest."""
     delay, deviation = swept.column("delay_margin_s"), swept.column("deviation_m")[:, 1:]
     beyond = delay[:, np.array(grid.k_v) >= config.knee]
     slow = f"k_v = {grid.k_v[0]:g} 1/s"
@@ -282,31 +282,31 @@ def statements(config: Config, grid: Grid, swept: SweepTable, flown: Sequence[Fl
 
 
 def along(flown: Sequence[Flown], gains: Gains, scenario: str, axis: str, figure: str, *, rises: bool) -> Statement:
-    """A figure of one scenario rises, or falls, at every step along one axis through the gain file's point."""
+    """Check that a figure of a scenario rises, or falls, at every step along an axis through the gain file's point."""
     values = line(flown, gains, scenario, axis, figure)
-    word = {"to_obstacles": "clearance to obstacles", "counted": "share of ticks that the path error counts"}[figure]
+    word = {"to_obstacles": "clearance to obstacles", "counted": "share of steps that the path error counts"}[figure]
     text = f"{scenario}: the {word} {'rises' if rises else 'falls'} with every step of {axis}"
     if values.size == 0:
-        return Statement(text, None, "not flown")
+        return Statement(text, None, "not simulated")
     return Statement(text, rising(values if rises else -values), span(values, "m" if figure == "to_obstacles" else ""))
 
 
 def line(flown: Sequence[Flown], gains: Gains, scenario: str, axis: str, figure: str) -> NDArray[np.float64]:
-    """The figure along one axis, the other gain as in the gain file."""
+    """Return the figure along one axis, with the other gain as in the gain file."""
     other = "k_v" if axis == "lookahead" else "lookahead"
     chosen = [f for f in flown if f.scenario == scenario and getattr(f, other) == gains[other]]
     return np.array([getattr(f, figure) for f in sorted(chosen, key=lambda f: float(getattr(f, axis)))])
 
 
 def same_clearance(config: Config, flown: Sequence[Flown], gains: Gains) -> Statement:
-    """Look-ahead has next to no say in the clearance."""
+    """Check that look-ahead has almost no effect on the clearance."""
     values = line(flown, gains, "tank-static", "lookahead", "to_obstacles")
     text = f"tank-static: lookahead moves the clearance by less than {1000 * config.same_clearance:g} mm"
     return Statement(text, bool(np.ptp(values) < config.same_clearance), f"{1000 * np.ptp(values):.3f} mm")
 
 
 def limiting_loops(gains: Gains, grid: Grid) -> Statement:
-    """Which loop has the least delay margin at both ends of k_v, the other gains as in the gain file."""
+    """Check which loop has the least delay margin at both ends of k_v, with the other gains as in the gain file."""
     dt, ends = build_law().dt, []
     for k_v in (grid.k_v[0], grid.k_v[-1]):
         values = gains.with_values({"k_v": k_v}).values
@@ -320,19 +320,19 @@ def limiting_loops(gains: Gains, grid: Grid) -> Statement:
 
 
 def rising(values: NDArray[np.float64]) -> bool:
-    """Whether every step along the last axis goes up, by more than rounding; not for a NaN."""
+    """Return whether every step along the last axis rises by more than rounding; False for a NaN."""
     return bool((np.diff(values) > ROUNDING).all())
 
 
 def span(values: NDArray[np.float64], unit: str) -> str:
-    """First to last of a line, least to largest of a table."""
+    """Return the first and last value of a line, or the least and largest of a table, as text."""
     ends = (values[0], values[-1]) if values.ndim == 1 else (values.min(), values.max())
     return f"{ends[0]:.4g} … {ends[1]:.4g} {unit}".strip()
 
 
 def print_statements(said: Sequence[Statement]) -> bool:
-    """One row a statement; whether none failed."""
-    words = {True: "holds", False: "**does not hold**", None: "not asked"}
+    """Print one row per statement; return whether none failed."""
+    words = {True: "holds", False: "**does not hold**", None: "not decided"}
     print_rows(["statement", "figure", ""], [(s.text, s.figure, words[s.holds]) for s in said])
     return all(s.holds is not False for s in said)
 

@@ -1,4 +1,4 @@
-/* Times one solve of the same problems, ours and DAQP's core, turn by turn, in one process.
+/* Times our solver and DAQP's core on the same problems, alternately, in one process.
  *
  *     race PROBLEMS N M P ROUNDS
  *
@@ -96,7 +96,7 @@ int main(int argc, char **argv)
         double clock = 0.0;
         for (int c = 0; c < count; ++c) { const double a = now(); clock += now() - a; }
         for (int i = 0; i < count * n; ++i) { gap = fmax(gap, fabs(ours[i] - theirs[i])); }
-        /* the clock's own cost is taken off the two that hold it */
+        /* subtract the time of reading the clock from the two times that include it */
         printf("%.3f %.3f %.3f %.3e %.0f\n", (middle - begin) / count, (core - clock) / count,
                (end - middle - 2.0 * clock) / count, gap, bad);
     }

@@ -1,9 +1,10 @@
-"""Study 3: the least-distance ladder on problems that are meant to break it, and its speed against DAQP's core.
+"""Study 3: the least-distance solver on numerically hard problems, and its speed compared with DAQP's core.
 
     python analysis/03_least_distance/run.py [--quick] [--n 100000] [--referee 500] [--seed 0] [--no-race]
 
-Prints Markdown. Ends with 0 when every bar below holds, else with 1; with 2 for a bad option, or without a C
-compiler. The race needs the DAQP that ships with CasADi; both sides solve the same problems in one process, in turns.
+Prints Markdown. The exit status is 0 if every limit below holds, and 1 otherwise; it is 2 for a bad option, or
+without a C compiler. The timing needs the DAQP that ships with CasADi; both solvers solve the same problems in one
+process, alternately.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ Array = NDArray[np.float64]
 
 
 def main(arguments: list[str]) -> int:
-    """Run both parts; the exit status."""
-    parser = argparse.ArgumentParser(description="least-distance ladder: robustness and speed")
-    parser.add_argument("--quick", action="store_true", help="2,000 problems unless --n says otherwise, a short race")
+    """Run both parts; return the exit status."""
+    parser = argparse.ArgumentParser(description="least-distance solver: robustness and speed")
+    parser.add_argument("--quick", action="store_true", help="2,000 problems (default of --n) and a short timing")
     parser.add_argument("--n", type=int, help="random problems; 100,000 if not given")
     parser.add_argument(
-        "--referee", type=int, help="problems of rungs 2 and 3 each that are refereed; 500 if not given"
+        "--referee", type=int, help="problems of stages 2 and 3 each for the reference solver (default 500)"
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-race", action="store_true", help="skip the timing")
@@ -67,7 +68,7 @@ def main(arguments: list[str]) -> int:
 
 
 def robustness(count: int, seed: int) -> bool:
-    """Every bar over `count` problems; whether any failed."""
+    """Check every limit over `count` problems; return whether any failed."""
     tick = compile_block(safe_step(N, P, M))
     worst: dict[str, float] = {}
     rungs = np.zeros((len(FAMILIES), CLAMPED + 1), dtype=int)
@@ -90,7 +91,7 @@ def robustness(count: int, seed: int) -> bool:
 
 
 def compared(worst: dict[str, float]) -> bool:
-    """Prints the facts beside their bars; whether any failed."""
+    """Print the facts with their limits; return whether any failed."""
     print("\n| fact | worst | bar | |\n|---|---|---|---|")
     failed = False
     for name, value in worst.items():
@@ -102,14 +103,16 @@ def compared(worst: dict[str, float]) -> bool:
 
 
 def single(count: int, seed: int) -> bool:
-    """The same ladder in float, on problems rounded to it; whether a bar failed."""
+    """Check the same solver in float on rounded problems; return whether a limit failed."""
     tick = compile_block(safe_step(N, P, M, precision=FLOAT32), real="float32")
     double = compile_block(safe_step(N, P, M))
     worst: dict[str, float] = {}
     rungs = np.zeros((2, CLAMPED + 1), dtype=int)
     for at, first in enumerate(range(0, count, CHUNK)):
         trials = draw_trials(min(CHUNK, count - first), n=N, p=P, m=M, seed=seed * 1_000_003 + 500_000 + at)
-        wanted = double(*trials.arrays)  # as drawn: rounded, box and box rows differ by more than double forgives
+        wanted = double(
+            *trials.arrays
+        )  # in double as drawn: after rounding, box and box rows differ by more than the tolerance
         rounded = [array.astype(np.float32) for array in trials.arrays]
         trials = Trials(*(array.astype(np.float64) for array in rounded), trials.features)
         outputs = tick(*rounded)
@@ -129,14 +132,14 @@ def single(count: int, seed: int) -> bool:
             "float32: number with a hard row missed by more than 1e-5": float(
                 (np.where(soft, -1.0, missed).max(axis=1) > 1e-5).sum()
             ),
-            "float32: soft row missed beyond the opening": float((np.where(soft, missed, -1.0) - opening).max()),
+            "float32: soft row missed beyond the relaxation": float((np.where(soft, missed, -1.0) - opening).max()),
             "float32: difference from float64 where both meet": float(gap[both].max(initial=0.0)),
             "float32: the same without near-parallel rows": float(
                 gap[both & ~trials.features[:, FAMILIES.index("parallel")]].max(initial=0.0)
             ),
             "float32: number met that float64 does not meet": float(((status == MET) & (wanted[4][:, 0] != MET)).sum()),
             "float32: number that only float64 meets": float(((status != MET) & (wanted[4][:, 0] == MET)).sum()),
-            "float32: iterations over all rungs": float(outputs[5].max()),
+            "float32: iterations over all stages": float(outputs[5].max()),
         }
         for name, value_ in facts.items():
             combine = sum if "number" in name else max
@@ -155,24 +158,24 @@ BARS = {
     "float32: number outside the box": 0,
     "float32: number clamped": 0,
     "float32: hard row missed": 1e-4,
-    "float32: soft row missed beyond the opening": 1e-3,
+    "float32: soft row missed beyond the relaxation": 1e-3,
     "number not finite": 0,
     "number clamped": 0,
     "hard row missed": 1e-9,
-    "soft row missed beyond the opening": 1e-9,
+    "soft row missed beyond the relaxation": 1e-9,
     "KKT residual where met": 1e-8,
     "difference from DAQP where both solve": 1e-8,
     "number that DAQP solves and we do not": 0,
-    **{f"{name}: opening above the least one": 1e-8 for name in ("limited", "relaxed")},
+    **{f"{name}: relaxation above the least one": 1e-8 for name in ("limited", "relaxed")},
     **{f"{name}: task above the least one, where it is clear": 1e-8 for name in ("limited", "relaxed")},
     **{f"{name}: v away from the nearest, where it is clear": 1e-8 for name in ("limited", "relaxed")},
     "iterations, rows fixed": CAP - 1,
-    "iterations, opening free": OPEN_CAP - 1,
+    "iterations, rows relaxed": OPEN_CAP - 1,
 }
 
 
 def answers(trials: Trials, outputs: list[Array]) -> dict[str, float]:
-    """What can be said of each answer without a second solver."""
+    """Check each solution without a second solver."""
     v, active, multipliers, opening, status, _ = outputs
     A, lower, upper, soft = trials.unit()
     value = np.einsum("kij,kj->ki", A, v)
@@ -183,13 +186,13 @@ def answers(trials: Trials, outputs: list[Array]) -> dict[str, float]:
         "number not finite": float((~np.isfinite(v).all(axis=1)).sum()),
         "number clamped": float((status == CLAMPED).sum()),
         "hard row missed": float(missed[~soft].max()),
-        "soft row missed beyond the opening": float((np.where(soft, missed, -1.0) - opening).max()),
+        "soft row missed beyond the relaxation": float((np.where(soft, missed, -1.0) - opening).max()),
         "KKT residual where met": float(verdict.worst().max()),
     }
 
 
 def referee(trials: Trials, outputs: list[Array]) -> dict[str, float]:
-    """DAQP with tight settings; its answers count where they hold, and where both solve they are compared."""
+    """Solve with DAQP at tight settings; compare its valid solutions with ours where both solve a problem."""
     A, lower, upper, _ = trials.unit()
     J = trials.J.reshape(len(A), P, N)
     length = np.linalg.norm(J, axis=2)
@@ -218,36 +221,36 @@ def referee(trials: Trials, outputs: list[Array]) -> dict[str, float]:
 
 
 def lower_rungs(count: int, seed: int) -> bool:
-    """`count` answers of rung 2 and as many of rung 3, by a referee that shares no code; whether a bar failed."""
+    """Compare `count` solutions of stage 2 and of stage 3 with a reference solver; return whether a limit failed."""
     trials = draw_trials(8 * count + 200, n=N, p=P, m=M, seed=seed * 1_000_003 + 999_983)
     outputs = compile_block(safe_step(N, P, M))(*trials.arrays)
     worst: dict[str, float] = {}
-    print(f"\n## {count} problems each of rungs 2 and 3 before a referee\n")
-    print("| rung | feature | problems | opening | task, where clear | task | v |\n|" + 7 * "---|")
+    print(f"\n## {count} problems each of stages 2 and 3, compared with a reference solver\n")
+    print("| stage | feature | problems | relaxation | task, where clear | task | v |\n|" + 7 * "---|")
     for rung, name in ((LIMITED, "limited"), (RELAXED, "relaxed")):
         chosen = np.flatnonzero(outputs[4][:, 0] == rung)[:count]
         found = np.array([astuple(one) for one in examine(trials[chosen], outputs[0][chosen], outputs[3][chosen, 0])])
         opening, task, weight, distance = found.T
         has = dict(zip(FAMILIES, trials.features[chosen].T, strict=True))
-        # near-parallel rows leave the task to rounding; so do a far target and task rows of unlike lengths together
+        # near-parallel rows, or a far target with task rows of different lengths, make the task ill-conditioned
         clear = (weight <= 100) & ~(has["parallel"] & (rung == RELAXED)) & ~(has["scaled"] & has["far"])
         facts = np.column_stack([opening, np.where(clear, task, 0.0), task, distance])
         for k, feature in enumerate(FAMILIES):
             shown = facts[trials.features[chosen, k]]
             cells = " | ".join(f"{value:.1e}" for value in np.nanmax(np.vstack([shown, 0 * facts[:1]]), axis=0))
             print(f"| {name} | {feature} | {len(shown)} | {cells} |")
-        worst[f"{name}: opening above the least one"] = np.nanmax(opening)
+        worst[f"{name}: relaxation above the least one"] = np.nanmax(opening)
         worst[f"{name}: task above the least one, where it is clear"] = np.nanmax(facts[:, 1])
         worst[f"{name}: task above the least one"] = np.nanmax(facts[:, 2])
         worst[f"{name}: v away from the nearest, where it is clear"] = np.nanmax(np.where(clear, distance, 0.0))
         worst[f"{name}: v away from the nearest"] = np.nanmax(distance)
         worst[f"{name}: number of tasks more than 1e-8 above"] = float((task > 1e-8).sum())
-        worst[f"{name}: number that the referee cannot solve"] = float(np.isnan(found).any(axis=1).sum())
+        worst[f"{name}: number that the reference solver cannot solve"] = float(np.isnan(found).any(axis=1).sum())
     return compared(worst)
 
 
 def iterations(trials: Trials) -> dict[str, float]:
-    """Most iterations of the kernels that a tick is made of, each on its own."""
+    """Return the most iterations of each kernel of a step."""
     A, lower, upper, soft = trials.unit()
     rows = np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2)
     rows = in_blocks(rows)
@@ -259,12 +262,12 @@ def iterations(trials: Trials) -> dict[str, float]:
         "iterations, rows fixed": float(
             fixed(rows, np.hstack([trials.target, zero]), [0.0], np.eye(N).reshape(-1))[4].max()
         ),
-        "iterations, opening free": float(opened(rows, np.hstack([goal, zero - 1e3]), [0.0])[4].max()),
+        "iterations, rows relaxed": float(opened(rows, np.hstack([goal, zero - 1e3]), [0.0])[4].max()),
     }
 
 
 def race(count: int = 2000, rounds: int = 60) -> None:
-    """Ours and DAQP's core on problems whose first rung holds, in turns, medians."""
+    """Time our solver and DAQP's core alternately on problems that the first stage solves; print medians."""
     if not (Path(casadi.__file__).parent / "include" / "daqp" / "api.h").exists():
         print("\nNo race: this CasADi comes without DAQP's headers.")
         return
@@ -290,7 +293,7 @@ def race(count: int = 2000, rounds: int = 60) -> None:
 
 
 def build(folder: Path, source: str) -> Path:
-    """The race's program."""
+    """Return the program that times both solvers."""
     names = "const double *a, const double *b, const double *c, const double *d, const double *e, double *v, double *s"
     local = f"double active[{N}], multipliers[{N}], opening[1], count[1];"
     body = f"{{ {local} tick(a, b, c, d, e, v, active, multipliers, opening, s, count); }}"

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def loop(s: float, *, turning: bool, demand: float, sets: bool = False) -> PriorityProblem:
-    """The problem at s in [0, 1]; rows start and stop to bind, and never contradict the box.
+    """Return the problem at s in [0, 1]; rows become active and inactive, and never contradict the box.
 
     Args:
         turning: Jacobians and barriers turn; otherwise only references and bounds move.
@@ -58,16 +58,20 @@ MAY_JUMP = {
     ("Jacobians turn too, task 1 out of reach", "`projected`"),
     *((name, "`lexicographic`") for name in LOOPS if name != "references and bounds move"),
 }
-"""A first task that is held back is met best at one corner of the rows, and at another one when it has turned."""
+"""Loops on which mode `projected` may jump: the best corner of the limits changes when the first task's Jacobian
+turns.
+"""
 
 
 def answer(s: float, *, where: str, how: str) -> Array:
-    """v at one point of a loop."""
+    """Return v at one point of a loop."""
     return solve(loop(s, **LOOPS[where]), **SETTINGS[how]).v
 
 
 def lipschitz(where: str, how: str, points: int) -> tuple[float, float]:
-    """Largest |v(s + Δs) − v(s)|/Δs over a whole loop, with so many points and with twice as many."""
+    """Return the largest |v(s + Δs) − v(s)|/Δs over a whole loop, for the given number of points and for twice as
+    many.
+    """
     path = np.array([answer(s, where=where, how=how) for s in np.linspace(0.0, 1.0, 2 * points + 1)])
     coarse, fine = (np.linalg.norm(np.diff(some, axis=0), axis=1).max() for some in (path[::2], path))
     return float(coarse * points), float(fine * 2 * points)

@@ -1,8 +1,8 @@
-"""Study 4: do the four priority modes keep what they promise, and what does each cost a task?
+"""Study 4: do the four priority modes have their stated properties, and how large are the residuals of the tasks?
 
     python analysis/04_priority_modes/run.py [--quick] [--n 10000] [--seed 0]
 
-Prints Markdown. Ends with 0 when every bar holds, else with 1; with 2 for a bad option.
+Prints Markdown. The exit status is 0 if every limit holds, 1 otherwise, and 2 for a bad option.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ JUMP = 1.6
 
 @dataclass
 class Facts:
-    """Largest value of each fact, and its bar (None: shown only)."""
+    """Largest value of each fact, and its limit (None: without a limit)."""
 
     bars: dict[str, float | None] = field(default_factory=dict)
     values: dict[str, float] = field(default_factory=dict)
 
     def largest(self, name: str, value: float, *, bar: float | None) -> None:
-        """Keep the largest; a NaN stays."""
+        """Store the largest value of a fact; a NaN is never replaced."""
         self.bars[name] = bar
         known = self.values.get(name, 0.0)
         self.values[name] = known if value <= known else value
 
     def count(self, name: str, happened: bool, *, bar: float | None) -> None:
-        """One more, if it happened."""
+        """Increase the count of a fact if it occurred."""
         self.bars[name] = bar
         self.values[name] = self.values.get(name, 0.0) + happened
 
     def report(self) -> bool:
-        """Print; whether every bar holds."""
+        """Print the facts; return whether every limit holds."""
         print("| fact | worst | bar | |\n|---|---|---|---|")
         good = True
         for name, value in self.values.items():
@@ -60,7 +60,7 @@ class Facts:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run all parts; the exit status."""
+    """Run all parts; return the exit status."""
     parser = argparse.ArgumentParser(description="the four priority modes: exactness, cost, continuity")
     parser.add_argument("--quick", action="store_true", help="50 problems unless --n says otherwise")
     parser.add_argument("--n", type=int, help="random problems; 10,000 if not given")
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def without_limits(count: int, seed: int) -> bool:
-    """The modes against the printed formula, a cascade of pseudo-inverses, and the theorem on commutators."""
+    """Compare the modes with the printed formula, a cascade of pseudo-inverses, and the theorem on commutators."""
     rng, facts = np.random.default_rng([seed, 1]), Facts()
     for _ in range(count):
         made = draw_levels(rng, most=8)
@@ -104,7 +104,7 @@ def without_limits(count: int, seed: int) -> bool:
 
 
 def theorem(made: list[Level], rng: np.random.Generator, facts: Facts) -> None:
-    """NSB equals strict priority for every reference if and only if the commutators vanish."""
+    """Check that NSB equals strict priority for every reference if and only if the commutators vanish."""
     said = equals_strict_priority([level.J for level in made])
     apart, size = 0.0, 1.0
     for _ in range(3):
@@ -118,7 +118,7 @@ def theorem(made: list[Level], rng: np.random.Generator, facts: Facts) -> None:
 
 
 def with_limits(count: int, seed: int) -> bool:
-    """Every mode on problems whose rows often contradict each other, judged by the optimality conditions."""
+    """Check every mode by the optimality conditions on problems whose rows often contradict each other."""
     rng, facts = np.random.default_rng([seed, 2]), Facts()
     for k in range(count):
         problem = draw_problem(rng)
@@ -135,20 +135,20 @@ def with_limits(count: int, seed: int) -> bool:
 
 
 def _missed(problem: PriorityProblem, v: Array) -> float:
-    """Largest violation of an actuator row, row of length 1."""
+    """Return the largest violation of an actuator row of length 1."""
     hard = [row for row in problem.rows if row.kind == "actuator"]
     return max(max(row.lower - row.a @ v, row.a @ v - row.upper) / float(np.linalg.norm(row.a)) for row in hard)
 
 
 def strict_with_limits(count: int, seed: int) -> bool:
-    """`lexicographic` against DAQP's own hierarchy, on rows of length 1 with limits and sets that agree."""
+    """Compare `lexicographic` with DAQP's hierarchical solver, on rows of length 1 with compatible limits and sets."""
     rng, facts = np.random.default_rng([seed, 3]), Facts()
     for _ in range(count):
         problem = inequality_problem(rng)
         got, other = solve(problem, mode="lexicographic"), daqp_hierarchy(problem)
         gaps = np.array([level.residual(got.v) - level.residual(other) for level in problem.levels])
         first = gaps[np.flatnonzero(np.abs(gaps) > 1e-8)[:1]]
-        # what it takes from a row or a level above, within its tolerance, it gains below, many times over
+        # a small violation of a row or a level above, within its tolerance, gives a large gain below
         taken = max(max(row.lower - row.a @ other, row.a @ other - row.upper) for row in problem.rows)
         taken = max(taken, -float(gaps.min(initial=0.0)))
         worse = first.size > 0 and first[0] > 0 and taken <= 1e-10
@@ -160,7 +160,7 @@ def strict_with_limits(count: int, seed: int) -> bool:
 
 
 def continuous(points: int, steps: int) -> bool:
-    """Lipschitz estimates along smooth loops, at two resolutions, and chatter on a barrier over so many steps."""
+    """Print Lipschitz estimates along smooth loops at two resolutions, and the chatter on a barrier."""
     print(f"\n## Along smooth loops of problems: largest |Δv|/Δs with {points} and with {2 * points} points\n")
     print("| loop | answer | coarse | fine | |\n|---|---|---|---|---|")
     good = True
@@ -179,7 +179,7 @@ def continuous(points: int, steps: int) -> bool:
 
 
 def prices(count: int, seed: int) -> None:
-    """What each mode leaves of each task, on the same problems."""
+    """Print the residual of each task in each mode, on the same problems."""
     rng = np.random.default_rng([seed, 4])
     problems = [four_tasks(rng) for _ in range(count)]
     print(f"\n## Median residual of tasks 1–4 over {count} problems: box, 4 barriers, 4 tasks of 1–2 rows\n")
@@ -199,7 +199,7 @@ def prices(count: int, seed: int) -> None:
 
 
 def four_tasks(rng: np.random.Generator) -> PriorityProblem:
-    """Tasks that ask for more than the box gives now and then, and barriers that hold the velocity 0."""
+    """Return tasks that sometimes need more than the box allows, and barriers that allow zero velocity."""
     tasks = []
     for i in range(4):
         J = np.array([unit(rng) for _ in range(rng.integers(1, 3))])

@@ -26,7 +26,7 @@ __all__ = ["cascades", "hierarchies", "others"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-# the solvers that qpsolvers knows and that are meant for small dense problems; settings where the default is too loose
+# solvers of qpsolvers for small dense problems, with settings where the default is too loose
 SETTINGS: dict[str, dict[str, Any]] = {
     "daqp": {},
     "piqp": {},
@@ -36,7 +36,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "osqp": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20_000},
 }
 _WHY = {"quadprog": "not installed (GPL: in no extra of this project)"}
-_REGULAR = 1e-6  # from 1e-8 to 1e-10 DAQP gives up on some levels; with more the answers are off
+_REGULAR = 1e-6  # from 1e-8 to 1e-10 DAQP fails on some levels; with larger values its solutions are wrong
 _INFINITE = 1e30
 
 
@@ -54,7 +54,7 @@ def cascades(instances: Sequence[Instance]) -> list[Contender | Missing]:
 
 
 def _one_sided(instance: Instance) -> tuple[Array, Array]:
-    """G, h of G v ≤ h, with all rows and the box."""
+    """Return G and h of G v ≤ h with all rows and the box."""
     A = np.vstack([np.eye(N), instance.A])
     lower, upper = np.append(BOX[0], instance.lower), np.append(BOX[1], instance.upper)
     below = np.isfinite(lower)
@@ -71,7 +71,7 @@ def _cascade(solver: str, settings: dict[str, Any]) -> Callable[..., Array | Non
                 break
             reduced = J @ free
             P = reduced.T @ reduced + _REGULAR * np.eye(free.shape[1])
-            # v keeps the rows; what is missed by rounding would make the next level infeasible
+            # v fulfils the rows; a violation by rounding would make the next level infeasible
             slack = np.maximum(h - G @ v, 0.0)
             problem = qpsolvers.Problem(form(P), reduced.T @ (J @ v - x), form(G @ free), slack)
             found = qpsolvers.solve_problem(problem, solver=solver, **settings)
@@ -84,20 +84,24 @@ def _cascade(solver: str, settings: dict[str, Any]) -> Callable[..., Array | Non
 
     def quiet(tasks: list[tuple[Array, Array]], G: Array, h: Array) -> Array | None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a level without an answer is counted, not warned about
+            warnings.simplefilter("ignore")  # a level without a solution is counted, without a warning
             return run(tasks, G, h)
 
     return quiet
 
 
 def hierarchies(instances: Sequence[Instance]) -> list[Contender]:
-    """DAQP's hierarchical QP: in one call, and with a `Model` set up once and updated."""
+    """Return DAQP's hierarchical QP as two contenders: one call per step, and a `Model` that is set up once and
+    updated.
+    """
     n, at = N, N + ROWS + np.cumsum([0, *LEVELS])
     breaks = at.astype(np.intc)
     sense = np.zeros(at[-1], dtype=np.intc)
     ticks = []
     for i in instances:
-        length = np.linalg.norm(i.J, axis=1)  # rows of length 1: DAQP would weigh the rows of a task by theirs
+        length = np.linalg.norm(
+            i.J, axis=1
+        )  # rows of length 1: otherwise DAQP weights the rows of a task by their lengths
         rows = np.ascontiguousarray(np.vstack([i.A, i.J / length[:, None]]))
         upper = np.concatenate([BOX[1], i.upper, i.x / length])
         lower = np.concatenate([BOX[0], np.maximum(i.lower, -_INFINITE), i.x / length])
@@ -109,7 +113,7 @@ def hierarchies(instances: Sequence[Instance]) -> list[Contender]:
         raise RuntimeError(f"DAQP's Model cannot be set up: flag {flag}")
 
     def kept(rows: Array, upper: Array, lower: Array) -> Array | None:
-        # without `sense` the active set of the last tick would be where this one starts
+        # without `sense` the solver would start from the active set of the last step
         if model.update(A=rows, bupper=upper, blower=lower, sense=sense) < 0:
             return None
         v, _, flag, _ = model.solve()
@@ -126,13 +130,13 @@ def hierarchies(instances: Sequence[Instance]) -> list[Contender]:
 
 
 def others(instances: Sequence[Instance]) -> list[Contender]:
-    """CasADi's active-set QP from Python for the last projection, and (16) with numpy's pinv, as printed."""
+    """Return two contenders: CasADi's active-set QP for the last projection, and the printed (16) with numpy's pinv."""
     dense = ca.Sparsity.dense(ROWS + LEVELS[0], N)
     options = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     solver = ca.conic("last", "qrqp", {"h": ca.Sparsity.diag(N), "a": dense}, options)
     H, ticks = ca.DM.eye(N), list[tuple[Any, ...] | None]()
     for i in instances:
-        if solve(i.problem).status != "optimal":  # where the first task cannot be met this QP has no answer
+        if solve(i.problem).status != "optimal":  # if the first task cannot be fulfilled, this QP is infeasible
             ticks.append(None)
             continue
         levels = i.problem.levels

@@ -1,4 +1,4 @@
-"""Who takes part in the race, and how a turn is timed."""
+"""Contenders of the benchmark, and the timing of their turns."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Contender:
-    """Somebody who answers ticks.
+    """A solver or library that takes part in the benchmark.
 
     Attributes:
-        name: in the tables.
-        problem: what is solved: contenders with the same word are compared with one another.
-        run: the arguments of one tick → v (n,), or None without an answer. This is timed.
-        ticks: the arguments of each tick, made beforehand; None where this problem cannot be posed.
-        ours: whether it is this toolkit.
-        read: the answer and the arguments of its tick → v in the coordinates that answers are compared in; not timed.
+        name: its name in the tables.
+        problem: the name of the solved problem; contenders with the same problem are compared.
+        run: the timed function: the arguments of one step → v (n,), or None without a solution.
+        ticks: the arguments of each step, prepared beforehand; None if this problem cannot be posed.
+        ours: whether it belongs to this toolkit.
+        read: solution and arguments of its step → v in the coordinates of the comparison; not timed.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Contender:
 
 @dataclass(frozen=True)
 class Missing:
-    """Somebody who could have taken part."""
+    """A contender that could not take part, and the reason."""
 
     name: str
     reason: str = "not installed"
@@ -47,18 +47,18 @@ class Missing:
 
 @dataclass
 class Timing:
-    """What has been answered to each tick, by its number (None: no answer), and ns of single ticks, round by round."""
+    """Solutions by the number of the step (None: no solution), and times of single steps [ns], round by round."""
 
     answers: dict[int, Array | None] = field(default_factory=dict)
     ns: list[int] = field(default_factory=list)
 
     def rounds(self) -> Array:
-        """(rounds, ticks that could be posed) [ns]; only whole rounds are run."""
+        """Times (rounds, possible steps) [ns]; only complete rounds are run."""
         return np.array(self.ns, dtype=float).reshape(-1, len(self.answers))
 
 
 def warm_up(contenders: Sequence[Contender]) -> dict[str, Timing]:
-    """Every contender answers every tick once, untimed; the answers are copied."""
+    """Let every contender solve every step once without timing; copy the solutions."""
     timings = {}
     for contender in contenders:
         timing = timings[contender.name] = Timing()
@@ -70,16 +70,16 @@ def warm_up(contenders: Sequence[Contender]) -> dict[str, Timing]:
 
 
 def race(contenders: Sequence[Contender], timings: dict[str, Timing], *, rounds: int, turn: int, budget: float) -> None:
-    """Time single ticks: `turn` of them each, then the next contender, and so on, `rounds` times over all ticks.
+    """Time single steps: each contender runs `turn` steps, then the next one, `rounds` times over all steps.
 
-    After `budget` seconds of its own a contender sits out the rounds that are left.
+    After `budget` seconds of its own a contender omits the remaining rounds.
     """
     count = max((len(contender.ticks) for contender in contenders), default=0)
     gc.collect()
     gc.disable()
     try:
         for turned in range(rounds):
-            # nobody always runs after the same one
+            # a contender must not always run after the same one
             order = [*contenders[turned % len(contenders) :], *contenders[: turned % len(contenders)]]
             active = [c for c in order if sum(timings[c.name].ns) < budget * 1e9]
             for first in range(0, count, turn):
@@ -91,7 +91,7 @@ def race(contenders: Sequence[Contender], timings: dict[str, Timing], *, rounds:
 
 def _turn(contender: Contender, ns: list[int], ticks: Sequence[tuple[Any, ...] | None]) -> None:
     run, posed = contender.run, [tick for tick in ticks if tick is not None]
-    for tick in posed[-2:]:  # untimed: the first ticks would pay for what the contender before has left in the caches
+    for tick in posed[-2:]:  # untimed: the first steps depend on the caches that the last contender left
         run(*tick)
     for tick in posed:
         begin = perf_counter_ns()

@@ -1,4 +1,4 @@
-"""This toolkit's fast path: a compiled tick of each mode, its buffers written and read from Python."""
+"""This toolkit's fast path: a compiled step of each mode, with buffers that Python writes and reads."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def tick_block(mode: Mode, n: int, levels: tuple[int, ...], m: int) -> Routine:
-    """The compiled tick of a mode for levels of so many rows, and m rows of limits."""
+    """The compiled step of a mode for levels with the given numbers of rows, and m limit rows."""
     return priority_step(mode, n=n, levels=tuple(map(LevelShape, levels)), rows=m)
 
 
@@ -45,7 +45,7 @@ def fast_tick(mode: Mode, levels: tuple[int, ...], *, box: Array, rows: int) -> 
 
 
 def sweep_function(n: int, levels: tuple[int, ...]) -> ca.Function:
-    """(J, x) → v of the law (16), as a CasADi function: what CasADi generates C from, and we."""
+    """Return (J, x) → v of the law (16) as a CasADi function, from which CasADi and surctl generate C."""
     J, x, parts, at = ca.SX.sym("J", n * sum(levels)), ca.SX.sym("x", sum(levels)), [], 0
     for k in levels:
         parts.append((ca.reshape(J[at * n : (at + k) * n], n, k).T, x[at : at + k]))
@@ -54,5 +54,5 @@ def sweep_function(n: int, levels: tuple[int, ...]) -> ca.Function:
 
 
 def sweep_block(n: int, levels: tuple[int, ...]) -> Program:
-    """The same, as an instruction list."""
+    """Return the same law as an instruction list."""
     return lower(sweep_function(n, levels))

@@ -53,15 +53,15 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-D_POSIX_C_SOURCE=199309L", "-
 
 LEAST = "least distance: 2 equalities, 24 rows"
 CLOSED = "closed form of nsb"
-TICKS: dict[Mode, str] = {mode: f"complete tick of {mode}: 4 tasks, box, 8 rows" for mode in get_args(Mode)}
+TICKS: dict[Mode, str] = {mode: f"complete step of {mode}: 4 tasks, box, 8 rows" for mode in get_args(Mode)}
 
-OURS, OURS_CLOSED = "surctl safe tick, C", "surctl closed form, C"
-OURS_TICKS: dict[Mode, str] = {mode: f"surctl {mode} tick, C" for mode in TICKS}
+OURS, OURS_CLOSED = "surctl safe step, C", "surctl closed form, C"
+OURS_TICKS: dict[Mode, str] = {mode: f"surctl {mode} step, C" for mode in TICKS}
 QRQP, CASADI_CLOSED = "CasADi qrqp, generated C", "CasADi closed form, generated C"
 OSQP = {"OSQP, generated C, tolerance 1e-3 (its default)": 1e-3, "OSQP, generated C, tolerance 1e-6": 1e-6}
 
 _EQUAL, _M = 2, 24
-_PART = 3e5  # ns in one go: short, so that few are interrupted by other programs
+_PART = 3e5  # ns per batch: short, so that other programs interrupt few batches
 
 
 @dataclass(eq=False)
@@ -90,7 +90,7 @@ class CompiledRun:
     single: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Solve all problems once, and see how long that takes."""
+        """Solve all problems once, and store the time."""
         self.library.many.restype = ctypes.c_double
         self.library.many.argtypes = [*[ctypes.c_long] * 4, *[ctypes.c_void_p] * 3]
         self.records = np.ascontiguousarray(self.records)
@@ -104,13 +104,15 @@ class CompiledRun:
         self.repeats = max(1, round(0.5 * _PART / whole))
 
     def run(self, first: int, last: int, *, repeats: int = 1, ns: Array | None = None) -> float:
-        """ns a solve of the problems first … last − 1; with `ns` (last − first,) each by itself."""
+        """Return the time per solve of the problems first … last − 1 [ns]; if `ns` (last − first,) is given, store
+        each time in it.
+        """
         place = None if ns is None else ns.ctypes.data
         data, out = self.records[first:].ctypes.data, self._out[first:].ctypes.data
         return float(self.library.many(last - first, self.records.shape[1], self.width, repeats, data, out, place))
 
     def mean(self) -> float:
-        """ns a solve: of each part the median over the rounds, and the mean of these."""
+        """Return the time per solve [ns]: the mean over the parts of the median over the rounds."""
         sizes = np.diff(self.parts)
         return float(np.median(self.batches, axis=0) @ sizes / sizes.sum())
 
@@ -118,7 +120,9 @@ class CompiledRun:
 def compiled(
     instances: list[Instance], *, count: int, seed: int, folder: Path
 ) -> tuple[list[CompiledRun | Missing], dict[str, Array]]:
-    """All of them, built in `folder`, and their problems solved once; and by problem what the answers should be."""
+    """Build all contenders in `folder` and let them solve their problems once; return them, and the reference
+    solutions by problem.
+    """
     trials = _met(count, seed)
     problems = [instance.problem for instance in instances]
     references = {
@@ -148,7 +152,7 @@ def compiled(
 
 
 def race_in_c(runs: list[CompiledRun], *, rounds: int) -> None:
-    """Batches in turns, then single solves in turns."""
+    """Run batches alternately, then single solves alternately."""
     clock = _clock_cost(runs[0])
     for _ in range(rounds):
         for run in runs:
@@ -160,7 +164,7 @@ def race_in_c(runs: list[CompiledRun], *, rounds: int) -> None:
 
 
 def _clock_cost(run: CompiledRun) -> float:
-    """What the clock adds to a single solve [ns]: single solves against the batch."""
+    """Return the time that reading the clock adds to a single solve [ns], from single solves and the batch."""
     count = len(run.records)
     singles, batches = [], []
     for _ in range(20):
@@ -172,14 +176,14 @@ def _clock_cost(run: CompiledRun) -> float:
 
 
 def _met(count: int, seed: int) -> Trials:
-    """Random problems whose first rung holds, as in study 3."""
+    """Return random problems that the first stage solves, as in study 3."""
     trials = draw_trials(2 * count + 50, n=N, p=_EQUAL, m=_M, seed=seed, mixed=False)
     status = compile_block(safe_step(N, _EQUAL, _M))(*trials.arrays)[4][:, 0]
     return trials[np.flatnonzero(status == MET)[:count]]
 
 
 def _daqp(trials: Trials) -> Array:
-    """The nearest points by DAQP with tight settings: the referee."""
+    """Return the nearest points by DAQP at tight settings as reference."""
     A, lower, upper = _bounds(trials)
     sense = np.append(np.zeros(_M), np.full(_EQUAL, 5)).astype(np.intc)
     points = []
@@ -190,13 +194,13 @@ def _daqp(trials: Trials) -> Array:
 
 
 def _table(instance: Instance) -> Array:
-    """Rows of the complete tick: the box, then the others."""
+    """Return the rows of the complete step: the box, then the others."""
     box = np.column_stack([np.eye(N), *BOX, np.zeros(N)])
     return np.vstack([box, instance.table]).reshape(-1)
 
 
 def _bounds(trials: Trials) -> tuple[Array, Array, Array]:
-    """A (count, m + p, n), lower and upper with the equalities last."""
+    """Return A (count, m + p, n), lower and upper, with the equalities last."""
     rows = trials.rows.reshape(len(trials.rows), _M, N + 3)
     A = np.concatenate([rows[..., :N], trials.J.reshape(-1, _EQUAL, N)], axis=1)
     lower, upper = (np.concatenate([rows[..., k], trials.x], axis=1) for k in (N, N + 1))
@@ -204,14 +208,14 @@ def _bounds(trials: Trials) -> tuple[Array, Array, Array]:
 
 
 def _conic(trials: Trials) -> Array:
-    """Records of CasADi's conic: g, a by columns, lba, uba, lbx, ubx; the first n rows are the box."""
+    """Return records for CasADi's conic: g, a by columns, lba, uba, lbx, ubx; the first n rows are the box."""
     A, lower, upper = _bounds(trials)
     a = np.swapaxes(A[:, N:], 1, 2).reshape(len(A), -1)
     return np.hstack([-trials.target, a, lower[:, N:], upper[:, N:], lower[:, :N], upper[:, :N]])
 
 
 def _split(trials: Trials) -> Array:
-    """Records of OSQP: q, l, u, the values of A by columns, of the box rows only the diagonal."""
+    """Return records for OSQP: q, l, u, and the values of A by columns, with only the diagonal of the box rows."""
     A, lower, upper = _bounds(trials)
     kept = _pattern().astype(bool)
     return np.hstack([-trials.target, lower, upper, np.swapaxes(A, 1, 2)[:, kept.T]])

@@ -1,4 +1,4 @@
-"""The problems that every contender is given: the toolkit's own stack at random poses, a box, and eight rows."""
+"""The problems of the benchmark: the toolkit's task stack at random poses, a box, and eight rows."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ ROWS = 8
 """Inequality rows beside the box: four two-sided ones of the thrust, four one-sided ones of barriers."""
 
 HARD = 4
-"""The first of these rows may not open when rows contradict each other."""
+"""The first of these rows must not be relaxed when rows contradict each other."""
 
 BOX = np.array([[-0.6, -0.5, -0.4, -0.8], [0.6, 0.5, 0.4, 0.8]])
 """Lower and upper bounds of the velocities [m/s, rad/s]."""
 
-_BEYOND = 0.2  # share of instances whose first task asks for what the rows do not allow
+_BEYOND = 0.2  # share of instances whose first task cannot be fulfilled within the rows
 
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """One tick.
+    """One step.
 
     Attributes:
         J: (5, 4), the tasks' rows under one another. x: (5,) [m/s, rad/s].
@@ -54,25 +54,25 @@ class Instance:
 
     @property
     def table(self) -> Array:
-        """(8, 7): A, lower, upper, and 1 for rows that may open."""
+        """Return (8, 7): A, lower, upper, and 1 for rows that may be relaxed."""
         soft = np.arange(ROWS) >= HARD
         return np.column_stack([self.A, self.lower, self.upper, soft])
 
     @property
     def tasks(self) -> list[tuple[Array, Array]]:
-        """(J, x) of each task."""
+        """Return (J, x) of each task."""
         return [(level.J, level.x) for level in self.problem.levels]
 
 
 def draw_instances(count: int, *, seed: int) -> list[Instance]:
-    """`count` random ticks; in four of five the first task can be met inside the rows."""
+    """Return `count` random steps; in four of five the first task can be fulfilled within the rows."""
     rng = np.random.default_rng(seed)
     evaluate = _stack()
     return [_draw(rng, evaluate) for _ in range(count)]
 
 
 def _stack() -> ca.Function:
-    """(η, waypoint (3,), heading, echo (2,)) → J, x of the four tasks."""
+    """Return the function (η, waypoint (3,), heading, echo (2,)) → J, x of the four tasks."""
     eta, goal, psi, echo = ca.SX.sym("eta", 4), ca.SX.sym("goal", 3), ca.SX.sym("psi"), ca.SX.sym("echo", 2)
     tasks = (
         clearance_task(eta, echo, margin=0.3),
@@ -98,7 +98,7 @@ def _draw(rng: np.random.Generator, evaluate: ca.Function) -> Instance:
 
 
 def _rows(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """A, lower, upper, and a point inside all of them; 0 is inside as well."""
+    """Return A, lower, upper, and a point that fulfils all rows; 0 fulfils them too."""
     A = rng.normal(size=(ROWS, N))
     A[:HARD] = np.eye(N) + 0.3 * A[:HARD]  # a thruster acts along one axis, mostly
     A[HARD:, 3] = 0.0  # turning on the spot changes no distance

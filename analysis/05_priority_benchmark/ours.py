@@ -1,4 +1,4 @@
-"""This toolkit's contenders: the Python API in every mode and with every kind of backend, and the fast path."""
+"""This toolkit's contenders: the Python interface in every mode and with every backend, and the fast path."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ __all__ = ["FAST", "PROJECTED", "STRICT", "ours"]
 Array: TypeAlias = NDArray[np.float64]
 
 FAST = "surctl fast path: projected"
-"""The contender that bars and ratios are about."""
+"""The contender to which speed limits and ratios refer."""
 
 NSB, PROJECTED, STRICT = "nsb", "projected", "lexicographic"
-"""Problems, named as the modes: the law without limits; with its last projection inside them; strict priority."""
+"""Names of the problems: the law without limits, the law with its last projection within the limits, strict priority.
+"""
 
 
 def ours(instances: Sequence[Instance]) -> list[Contender]:
-    """All of them; a mode that `solve` has not is not there."""
+    """Return all contenders of this toolkit; modes that `solve` does not have are omitted."""
     problems = [(instance.problem,) for instance in instances]
     found = [Contender(f"surctl solve: {mode}", mode, _api(mode), problems, ours=True) for mode in get_args(Mode)]
     for name, backend in (("own", "own"), ("PersistentDaqp", PersistentDaqp()), ("PersistentOsqp", PersistentOsqp())):

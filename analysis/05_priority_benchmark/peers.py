@@ -1,7 +1,7 @@
 """pink and mink on a minimal problem of their own: a robot with the four degrees of freedom of the vehicle.
 
 Both are libraries of inverse kinematics: they weigh tasks instead of ranking them, and evaluate a robot model in
-every tick. On this problem (go to a point and hold the heading, which do not conflict, inside velocity limits) weights
+every step. On this problem (go to a point and hold the heading, which do not conflict, inside velocity limits) weights
 and ranks give the same answer, so that it can be compared; the times are an indicator, not a race of equals.
 """
 
@@ -41,11 +41,11 @@ _MJCF = """<mujoco><option timestep="0.01"/><worldbody><body name="vehicle">
 
 
 def peers(count: int, *, seed: int) -> list[Contender | Missing]:
-    """`count` poses and targets for all of them; some steps are longer than the limits allow."""
+    """Return `count` poses and targets; some need a velocity outside the limits."""
     rng = np.random.default_rng(seed)
     poses = np.column_stack([rng.uniform(-2, 2, (count, 3)), rng.uniform(-1, 1, count)])
     targets = poses.copy()
-    # the heading is to be held: with a turn their frame task asks for a screw motion, which is another problem
+    # hold the heading: with a turn their frame task requires a screw motion, which is another problem
     targets[:, :3] += 0.01 * rng.normal(size=(count, 3))
     ticks = list(zip(poses, targets, strict=True))
     found: list[Contender | Missing] = [
@@ -103,7 +103,7 @@ def _fast(mode: Mode) -> Callable[[Array, Array], Array]:
 
 
 def _in_world(v: Array, pose: Array, target: Array) -> Array:
-    """v is in {B}; they answer in the coordinates of the joints."""
+    """Transform v from {B} to the joint coordinates of pink and mink."""
     c, s = math.cos(pose[3]), math.sin(pose[3])
     return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2], v[3]])
 

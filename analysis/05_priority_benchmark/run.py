@@ -1,9 +1,9 @@
-"""Study 5: the priority law's time a tick against other solvers, hierarchies and libraries, on the same problems.
+"""Study 5: the time of a step of the priority law, compared with other solvers and libraries on the same problems.
 
     python analysis/05_priority_benchmark/run.py [--quick] [--out DIR] [--seed 0] [--bars]
 
-Prints Markdown and saves a picture. Ends with 0 when every answer of this toolkit is right, else with 1; with --bars
-also when a bar of speed is missed; with 2 for a bad option or folder, or without a C compiler.
+Prints Markdown and saves a picture. The exit status is 0 if every solution of this toolkit is correct, and 1
+otherwise; with --bars it is also 1 if a speed limit is missed; 2 for a bad option or folder, or without a C compiler.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ PACKAGES = (
     *("pin", "pin-pink", "mujoco", "mink"),
 )
 
-# whom the answers to a problem are compared with: somebody who shares as little as possible with the others of ours
+# reference of each problem: a contender that shares as little code as possible with our other contenders
 REFERENCES = {mode: f"surctl solve: {mode}" for mode in get_args(Mode)} | {
     NSB: "numpy nested pinv",
     STRICT: KEPT,
@@ -60,11 +60,15 @@ OURS_IN_C = {LEAST: OURS, CLOSED: OURS_CLOSED} | {TICKS[mode]: OURS_TICKS[mode] 
 
 def main(arguments: list[str]) -> int:
     """Run the study; the exit status."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Time a tick of the priority law against its peers.")
-    parser.add_argument("--quick", action="store_true", help="few ticks and rounds: shows that it runs, not how fast")
+    parser = argparse.ArgumentParser(
+        prog="run.py", description="Compare the time of a step of the priority law with other solvers."
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="few steps and rounds: shows that it runs; times are not reliable"
+    )
     parser.add_argument("--out", type=Path, help="folder of benchmark.png; default: a new temporary one")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--bars", action="store_true", help="a missed bar of speed ends with 1")
+    parser.add_argument("--bars", action="store_true", help="exit status 1 if a speed limit is missed")
     options = parser.parse_args(arguments)
     if options.seed < 0:
         parser.error("--seed is at least 0")
@@ -77,7 +81,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
-    """Race in Python, race in C, print, draw."""
+    """Time the contenders in Python and in C, print, and draw."""
     print_machine()
     count, rounds, budget = (40, 2, 0.3) if quick else (300, 12, 8.0)
     instances = draw_instances(count, seed=seed)
@@ -92,7 +96,7 @@ def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
         runs = [run for run in built if isinstance(run, CompiledRun)]
         race_in_c(runs, rounds=3 if quick else 40)
     in_c = compiled_lines(runs, references)
-    print("\n## One tick, called from Python")
+    print("\n## One step, called from Python")
     print_lines(python, ours=dict.fromkeys(REFERENCES, FAST) | {PEER: PEER_FAST}, mean=False)
     print("\n## Inside C")
     print_lines(in_c, ours=OURS_IN_C, mean=True)
@@ -106,14 +110,14 @@ def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
 
 
 def bars(lines: dict[str, Line]) -> list[tuple[str, float | None, float, bool]]:
-    """What the toolkit is to reach; study 3 has the one against DAQP's core."""
+    """Print the speed limits of the toolkit; study 3 has the comparison with DAQP's core."""
 
     def ratio(who: str, other: str) -> float | None:
         return lines[who].typical / lines[other].typical if {who, other} <= lines.keys() else None
 
     found: list[tuple[str, float | None, float, bool]] = [
-        ("safe tick from Python, median µs", lines[FAST].median / 1e3, 6.0, True),
-        ("safe tick from Python / DAQP's kept hierarchy", ratio(FAST, KEPT), 1.0, True),
+        ("safe step from Python, median µs", lines[FAST].median / 1e3, 6.0, True),
+        ("safe step from Python / DAQP's kept hierarchy", ratio(FAST, KEPT), 1.0, True),
     ]
     for fast in (PEER_FAST, PEER_FILTER):
         found += [(f"{name} / {fast}", ratio(name, fast), 30.0, False) for name in (PINK, MINK)]
@@ -124,7 +128,7 @@ def bars(lines: dict[str, Line]) -> list[tuple[str, float | None, float, bool]]:
 
 
 def print_wrong(lines: Sequence[Line]) -> bool:
-    """This toolkit's answers that are off or missing; whether there are none."""
+    """Print the wrong or missing solutions of this toolkit; return whether there are none."""
     wrong = [line for line in lines if line.ours and (line.off or line.silent)]
     for line in wrong:
         print(f"\n**Wrong**: {line.name}: {line.off} off by up to {line.gap:.1e}, {line.silent} without an answer.")
@@ -134,20 +138,20 @@ def print_wrong(lines: Sequence[Line]) -> bool:
 
 
 def print_missing(missing: Sequence[Missing]) -> None:
-    """Who did not take part."""
+    """Print the contenders that did not take part."""
     if missing:
         print_rows(["did not take part", "why"], [[each.name, each.reason] for each in missing])
 
 
 def print_machine() -> None:
-    """Processor, system, compiler and versions."""
+    """Print processor, system, compiler and versions."""
     system = f"{platform.system()} {platform.machine()}"
     print(f"Machine: {processor()}, {system}, Python {platform.python_version()}, {compiler_version()}")
     print(f"\nVersions: {', '.join(filter(None, map(installed, PACKAGES)))}")
 
 
 def processor() -> str:
-    """The processor's name."""
+    """Return the name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -156,7 +160,7 @@ def processor() -> str:
 
 
 def installed(package: str) -> str:
-    """Name and version, or nothing."""
+    """Return name and version of a package, or an empty text."""
     try:
         return f"{package} {version(package)}"
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""What a run found: one line a contender, as a Markdown table and as a picture."""
+"""Results: one line per contender, as a Markdown table and as a picture."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ __all__ = ["OFF", "Line", "compiled_lines", "draw", "lines_of", "print_bars", "p
 Array: TypeAlias = NDArray[np.float64]
 
 OFF = 1e-6
-"""An answer further than this from the reference [m/s, rad/s] is another answer."""
+"""A solution further than this from the reference [m/s, rad/s] is wrong."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One contender's result.
+    """The result of a contender.
 
     Attributes:
         name, problem, ours: of the contender.
         typical: the number that ratios are made of [ns]: the median in Python, the mean in C.
-        median, p99: of all single ticks [ns]; p99 holds what other programs did to them.
-        hard: 99th percentile over the ticks, each with its median over the rounds [ns].
-        samples: single ticks timed.
-        asked, silent, off: ticks, those without an answer, and those further than `OFF` from the reference.
+        median, p99: of all single steps [ns]; p99 includes the influence of other programs.
+        hard: 99th percentile over the steps, each with its median over the rounds [ns].
+        samples: number of timed steps.
+        asked, silent, off: number of steps, of steps without a solution, and of solutions off by more than `OFF`.
         gap: largest distance from it.
     """
 
@@ -53,7 +53,7 @@ class Line:
 def lines_of(
     contenders: Sequence[Contender], timings: Mapping[str, Timing], references: Mapping[str, str]
 ) -> list[Line]:
-    """The Python contenders, each compared with its problem's reference."""
+    """Return the results of the Python contenders, compared with the reference of their problem."""
     lines = []
     for contender in contenders:
         timing, reference = timings[contender.name], timings[references[contender.problem]].answers
@@ -69,7 +69,7 @@ def lines_of(
 
 
 def compiled_lines(runs: Sequence[CompiledRun], references: Mapping[str, Array]) -> list[Line]:
-    """The contenders in C, each compared with the answers (count, n) to its problem."""
+    """Return the results of the contenders in C, compared with the reference solutions (count, n) of their problem."""
     lines = []
     for run in runs:
         distance = np.abs(run.answers - references[run.problem]).max(axis=1)
@@ -104,7 +104,7 @@ def print_rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def print_lines(lines: Sequence[Line], *, ours: Mapping[str, str], mean: bool) -> None:
-    """Times in µs; ratios to the contender that `ours` names for each problem."""
+    """Print times in µs, and ratios to the contender that `ours` names for each problem."""
     typical = {line.name: line.typical for line in lines}
     rows = []
     for line in lines:
@@ -113,7 +113,7 @@ def print_lines(lines: Sequence[Line], *, ours: Mapping[str, str], mean: bool) -
         counts = (f"{line.gap:.1e}", f"{line.off} of {line.asked}", str(line.silent), str(line.samples))
         figures = map(_number, (*(time / 1e3 for time in times), ratio, 1.0 / ratio))
         rows.append([line.name, line.problem, *figures, *counts])
-    heads = [*(["mean µs"] if mean else []), "median µs", "p99 of ticks µs", "p99 of all µs", "ours / it", "it / ours"]
+    heads = [*(["mean µs"] if mean else []), "median µs", "p99 of steps µs", "p99 of all µs", "ours / it", "it / ours"]
     print_rows(["who", "problem", *heads, "largest difference", f"off by > {OFF:.0e}", "no answer", "samples"], rows)
 
 
@@ -123,19 +123,21 @@ def _number(value: float) -> str:
 
 
 def print_bars(bars: Sequence[tuple[str, float | None, float, bool]]) -> bool:
-    """(statement, figure or None, bar, whether the figure has to be below); whether all that were measured hold."""
+    """Print (statement, figure or None, limit, whether the figure must be below); return whether all measured limits
+    hold.
+    """
     rows, good = [], True
     for text, figure, bar, below in bars:
         holds = figure is None or (figure <= bar if below else figure >= bar)
         good = good and holds
         word = "not measured" if figure is None else "holds" if holds else "**missed**"
         rows.append([text, "" if figure is None else _number(figure), f"{'≤' if below else '≥'} {bar:g}", word])
-    print_rows(["bar", "measured", "wanted", ""], rows)
+    print_rows(["bar", "measured", "required", ""], rows)
     return good
 
 
 def draw(lines: Sequence[Line], path: Path) -> None:
-    """Medians as dots, 99th percentiles as ticks, on a logarithmic axis; the fastest on top."""
+    """Draw medians as dots and 99th percentiles as bars on a logarithmic axis, fastest first."""
     shown = sorted(lines, key=lambda line: -line.median)
     ax = new_axes(10.0, 0.9 + 0.27 * len(shown))
     for at, line in enumerate(shown):
@@ -144,6 +146,6 @@ def draw(lines: Sequence[Line], path: Path) -> None:
         ax.plot(line.hard / 1e3, at, marker="|", markersize=8, color=colour)
         ax.plot(line.median / 1e3, at, marker="o" if line.ours else "s", markersize=5, color=colour)
     ax.set_xscale("log")
-    dress(ax, title="One tick: median and 99th percentile", x="µs")
+    dress(ax, title="One step: median and 99th percentile", x="µs")
     ax.set_yticks(range(len(shown)), [f"{line.name} · {line.problem}" for line in shown], fontsize=7.5, color=INK)
     ax.figure.figure.savefig(path)

@@ -1,9 +1,10 @@
-"""Study 6: the compiled tick of every mode against the law in NumPy, and what a tick costs from Python.
+"""Study 6: the compiled step of every mode compared with the law in NumPy, and the time of a step from Python.
 
     python analysis/06_compiled_modes/run.py [--quick] [--n 10000] [--seed 0] [--no-timing]
 
-Prints Markdown. Ends with 0 when every bar below holds, else with 1; with 2 for a bad option, or without a C
-compiler. Times are medians over this machine and are not part of the exit status, but for the bar of the safe tick.
+Prints Markdown. The exit status is 0 if every limit below holds, and 1 otherwise; it is 2 for a bad option, or
+without a C compiler. Times are medians over this machine and are not part of the exit status, except for the limit on
+the safe step.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ MICROSECONDS = 6.0
 
 
 def main(arguments: list[str]) -> int:
-    """Both parts; the exit status."""
-    parser = argparse.ArgumentParser(description="compiled ticks: agreement and speed")
+    """Run both parts; return the exit status."""
+    parser = argparse.ArgumentParser(description="compiled steps: agreement and speed")
     parser.add_argument("--quick", action="store_true", help="60 problems a mode unless --n says otherwise")
     parser.add_argument("--n", type=int, help="random problems a mode; 10,000 if not given")
     parser.add_argument("--seed", type=int, default=0)
@@ -86,7 +87,7 @@ def main(arguments: list[str]) -> int:
 
 
 def agreement(count: int, seed: int, shapes: tuple[tuple[LevelShape, ...], ...]) -> bool:
-    """Compare `count` problems a setting; whether the bars hold."""
+    """Compare `count` problems per setting; return whether the limits hold."""
     print(f"## {count} problems a row, seed {seed}: v against the law in NumPy\n")
     print("| mode | sweeps | λ | " + " | ".join(f"{rung} | worst" for rung in RUNGS[:3]), end=" | ")
     print("relaxed > 1e-8 | other outcome | refused at 1e-6 | |")
@@ -124,7 +125,7 @@ def _compared(settings: Settings, count: int, seed: int, shapes: tuple[tuple[Lev
 
 
 def _tried(tick: PriorityStep, problem: PriorityProblem, settings: Settings) -> tuple[float, bool, bool]:
-    """Difference of v, whether the outcome is the same, whether the judge of `optimality` takes it."""
+    """Return the difference of v, whether the status is equal, and whether `optimality` accepts the solution."""
     tick.load(problem)
     tick.solve()
     want = solve(problem, mode=settings.mode, sweeps=settings.sweeps, damping=settings.damping)
@@ -134,11 +135,11 @@ def _tried(tick: PriorityStep, problem: PriorityProblem, settings: Settings) -> 
 
 
 def timing(rounds: int) -> bool:
-    """Median times of a tick; whether the bar of the safe tick holds."""
+    """Print median times of a step; return whether the limit holds."""
     problem = _benchmark()
     J = np.vstack([level.J for level in problem.levels])
     x = np.concatenate([level.lower for level in problem.levels])
-    print(f"\n## Time of a tick [µs]: 4 tasks (5 rows), box, 8 barriers; {compiler_version()}\n")
+    print(f"\n## Time of a step [µs]: 4 tasks (5 rows), box, 8 barriers; {compiler_version()}\n")
     print("| mode | solve | J, x and rows written, then solve | from a stack: η and barriers in, v out |")
     print("|---|---|---|---|")
     slowest = 0.0
@@ -150,7 +151,7 @@ def timing(rounds: int) -> bool:
         print(f"| {mode} | {fast:.2f} | {full:.2f} | {_median(step, rounds):.2f} |")
         slowest = full if mode == "projected" else slowest
     held = slowest <= MICROSECONDS
-    print(f"\nBar: mode projected, everything written each tick, at most {MICROSECONDS:g}: {slowest:.2f}", end="")
+    print(f"\nLimit: mode projected, all inputs written in each step, at most {MICROSECONDS:g}: {slowest:.2f}", end="")
     print("." if held else ", FAILED.")
     return held
 
@@ -169,7 +170,7 @@ def _rewriting(
 
 
 def _benchmark() -> PriorityProblem:
-    """Four random tasks that the box and some barriers hold back."""
+    """Return four random tasks that the box and some barriers restrict."""
     rng = np.random.default_rng(1)
     levels = [Level(f"task{i}", rng.normal(size=(k, N)), 0.4 * rng.normal(size=k)) for i, k in enumerate((1, 1, 1, 2))]
     rows = [Row(f"box{i}", "actuator", np.eye(N)[i], -0.3, 0.3) for i in range(N)]
@@ -178,7 +179,7 @@ def _benchmark() -> PriorityProblem:
 
 
 def _from_stack(mode: Mode) -> Callable[[], None]:
-    """The same sizes from symbols: depth, heading, line of sight, position; box and 8 half-planes."""
+    """Return a stack of the same sizes from symbols: depth, heading, line of sight, position; box and 8 half-planes."""
     rng = np.random.default_rng(1)
     eta, goal, walls = ca.SX.sym("eta", 4), ca.SX.sym("goal", 2), ca.SX.sym("walls", 40)
     tasks = (depth_task(eta, -0.2), heading_task(eta, 0.3), line_of_sight_task(eta, goal), position_task(eta, goal))
@@ -202,7 +203,7 @@ def _from_stack(mode: Mode) -> Callable[[], None]:
 
 
 def _median(run: Callable[[], None], rounds: int) -> float:
-    """Median time of one call [µs], over bunches of 20."""
+    """Return the median time of one call [µs], over groups of 20."""
     times = []
     for _ in range(rounds):
         start = time.perf_counter_ns()

@@ -1,4 +1,4 @@
-"""Who flies, how a turn is timed, and how long turns are compared."""
+"""Contenders of the benchmark, timing of their turns, and comparison of the times."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 @dataclass(eq=False)
 class Contender:
-    """One way to fly runs of a case.
+    """An implementation that simulates runs of a case.
 
     Attributes:
         name: in the tables.
-        fly: a turn; the control periods flown.
-        runs: in a turn.
-        every: rounds for each of its turns.
-        cpu, wall: seconds of each turn, of this process and of the clock. steps: control periods of each turn.
+        fly: runs a turn and returns the number of simulated control periods.
+        runs: number of runs in a turn.
+        every: number of rounds per turn of this contender.
+        cpu, wall: processor time and wall-clock time of each turn [s]. steps: control periods of each turn.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Contender:
     steps: list[float] = field(default_factory=list)
 
     def turn(self) -> None:
-        """Fly once, timed."""
+        """Simulate once and store the time."""
         wall, cpu = time.perf_counter(), time.process_time()
         steps = self.fly()
         self.cpu.append(time.process_time() - cpu)
@@ -43,12 +43,12 @@ class Contender:
         self.steps.append(steps)
 
     def per_step(self, *, clock: bool = False) -> Array:
-        """Microseconds a control period, one number a turn."""
+        """Return the time per control period [µs], one number per turn."""
         return 1e6 * np.array(self.wall if clock else self.cpu) / np.array(self.steps)
 
 
 def race(contenders: Sequence[Contender], *, rounds: int) -> None:
-    """Untimed once, then turn and turn about, in an order that changes from round to round."""
+    """Run all once without timing, then alternately, in an order that changes from round to round."""
     rng = np.random.default_rng(0)
     for contender in contenders:
         contender.fly()
@@ -59,13 +59,13 @@ def race(contenders: Sequence[Contender], *, rounds: int) -> None:
 
 
 def ratio(slow: Contender, fast: Contender) -> float:
-    """How many times as long of the processor's time the first takes a step, least turn against least turn."""
+    """Return the ratio of the processor times per step of the two contenders, from their shortest turns."""
     return float(slow.per_step().min() / fast.per_step().min())
 
 
 @dataclass(frozen=True)
 class Fit:
-    """y = slope x + intercept by least squares, and R²."""
+    """The line y = slope x + intercept by least squares, and R²."""
 
     slope: float
     intercept: float
@@ -73,7 +73,7 @@ class Fit:
 
 
 def fit(x: Sequence[float], y: Sequence[float]) -> Fit:
-    """The line through the points; R² is NaN where every y is the same."""
+    """Return the line through the points; R² is NaN if all y are equal."""
     a, b = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     slope, intercept = np.polyfit(a, b, 1)
     total = float(np.sum((b - b.mean()) ** 2))

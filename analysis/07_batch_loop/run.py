@@ -1,9 +1,9 @@
-"""Study 7: time a control period of the closed loop, compiled for many runs, against other ways to fly the same runs.
+"""Study 7: the time of a control period of the compiled closed loop, compared with other implementations.
 
     python analysis/07_batch_loop/run.py [--check] [--out DIR] [--bars]
 
-Prints Markdown and saves `results.csv`. Ends with 0 when all contenders fly the same runs, else with 1; with --bars
-also when a bar of speed is missed; with 2 for a bad option or folder, or without a C compiler.
+Prints Markdown and saves `results.csv`. The exit status is 0 if all contenders simulate the same runs, and 1 otherwise;
+with --bars it is also 1 if a speed limit is missed; 2 for a bad option or folder, or without a C compiler.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ OURS, REFERENCE, THREADS = "simulate_batch", "simulate", "2 threads"
 MAP, ACCUM, NUMBA, HAND = "CasADi map", "CasADi mapaccum", "numba", "hand-written C"
 SCIPY, CONTROL = "scipy solve_ivp", "python-control"
 PACKAGES = ("numpy", "casadi", "scipy", "control", "numba")
-VARIED = ("k_v", "lookahead", "k_psi", "k1")  # gains that a turn draws anew for every run, by up to a tenth
+VARIED = ("k_v", "lookahead", "k_psi", "k1")  # gains that a turn varies at random for every run, by up to 10 %
 _DT = 0.05
 
 
 class Size(Strict):
-    """How much is flown."""
+    """How much is simulated."""
 
     cases: tuple[tuple[str, Sensing, Mode], ...]
     rounds: int
@@ -71,7 +71,7 @@ class Size(Strict):
 
 
 class Config(Strict):
-    """What config.toml holds."""
+    """The contents of config.toml."""
 
     kind: Literal["batch-loop"]
     gains: str
@@ -84,10 +84,12 @@ class Config(Strict):
 
 def main(arguments: list[str]) -> int:
     """Run the study; the exit status."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Time the closed loop against its peers.")
-    parser.add_argument("--check", action="store_true", help="few runs: shows that all agree, not how fast they are")
+    parser = argparse.ArgumentParser(
+        prog="run.py", description="Compare the time of the closed loop with other implementations."
+    )
+    parser.add_argument("--check", action="store_true", help="few runs: shows that all agree; times are not reliable")
     parser.add_argument("--out", type=Path, help="folder of results.csv; default: a new temporary one")
-    parser.add_argument("--bars", action="store_true", help="a missed bar of speed ends with 1")
+    parser.add_argument("--bars", action="store_true", help="exit status 1 if a speed limit is missed")
     options = parser.parse_args(arguments)
     try:
         config = load_model(HERE / "config.toml", Config)
@@ -99,7 +101,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(config: Config, size: Size, out: Path, *, strict: bool) -> int:
-    """Race every case, then growth and many gain sets; print and save."""
+    """Time every case, then the growth and many gain sets; print and save."""
     print_machine()
     gains, right, held = load_gains(config.gains), True, True
     table: list[list[str]] = []
@@ -125,25 +127,27 @@ def study(config: Config, size: Size, out: Path, *, strict: bool) -> int:
 
 
 def first_case(size: Size) -> tuple[Any, Any]:
-    """Scenario and vehicle of the first case."""
+    """Return scenario and vehicle of the first case."""
     scenario = load_scenario(size.cases[0][0])
     return scenario, load_vehicle(scenario.vehicle)
 
 
 def drawn(gains: Gains, runs: int) -> dict[str, Array]:
-    """Gains of as many runs, by name."""
+    """Return gains of the given number of runs, by name."""
     rng = np.random.default_rng(1)
     return {name: gains[name] * rng.uniform(0.9, 1.1, runs) for name in VARIED}
 
 
 def gain_table(gains: Gains, values: dict[str, Array], runs: int) -> Array:
-    """(runs, 17) in the order of `GAINS`; the loops by hand have no sonars, follow by LOS and never give up."""
+    """Return gains (runs, 17) in the order of `GAINS`; the hand-written loops have no sonars, use LOS and never stop
+    in dead ends.
+    """
     kept = [name for name in GAINS if name not in ("spin", "ilos_sigma", "alos_gamma", "patience")]
     return np.column_stack([values.get(name, np.full(runs, gains[name])) for name in kept])
 
 
 def agree(case: Case, hand: dict[str, HandLoop], config: Config, *, numba: bool) -> bool:
-    """Whether everybody gets the figures of `simulate` for one run, and of `simulate_batch` for some; printed."""
+    """Print and return whether all get the metrics of `simulate` for one run, and of `simulate_batch` for some runs."""
     runs, seeds = 8, np.arange(config.seed, config.seed + 8)
     values = drawn(case.gains, runs)
     batch = simulate_batch(case, values, seeds=seeds).table
@@ -163,12 +167,12 @@ def agree(case: Case, hand: dict[str, HandLoop], config: Config, *, numba: bool)
     print_rows(["the same runs", "largest difference of a figure"], [[n, f"{g:.1e}"] for n, g in gaps.items()])
     wrong = [name for name, size in gaps.items() if not size <= config.tolerance]
     for name in wrong:
-        print(f"\n**Wrong**: {name} flies something else.")
+        print(f"\n**Wrong**: {name} simulates something else.")
     return not wrong
 
 
 def gap(found: Array, wanted: Array) -> float:
-    """Largest difference; inf where only one is a number."""
+    """Return the largest difference; inf if only one value is a number."""
     if (np.isnan(found) != np.isnan(wanted)).any():
         return float("inf")
     same = (found == wanted) | np.isnan(found)
@@ -176,18 +180,18 @@ def gap(found: Array, wanted: Array) -> float:
 
 
 def scene_for(case: Case) -> Array:
-    """The case for the loops by hand."""
+    """Return the case for the hand-written loops."""
     sonar, projected = case.sensing == "sonar", case.mode == "projected"
     return scene_of(case.scenario, case.vehicle, sonar=sonar, projected=projected)
 
 
 def steps_of(table: Array) -> float:
-    """Control periods of all runs."""
+    """Return the number of control periods of all runs."""
     return float(np.sum(np.rint(table[:, list(METRICS).index("time_s")] / _DT) + 1))
 
 
 def taking_part(case: Case, hand: dict[str, HandLoop], size: Size, seed: int) -> Iterator[Contender]:
-    """Everybody, for one case; fast ones fly whole runs, those in Python the first ticks of one."""
+    """Return all contenders of a case; fast ones simulate whole runs, those in Python the first steps of one run."""
     runs = size.runs
     values, seeds = drawn(case.gains, runs), np.arange(seed, seed + runs)
     scene, gains = scene_for(case), gain_table(case.gains, values, runs)
@@ -224,12 +228,14 @@ def taking_part(case: Case, hand: dict[str, HandLoop], size: Size, seed: int) ->
     ticks = list(ticks_of(case, record))
     for name, make in ((SCIPY, lambda rtol: scipy_step("RK45", rtol)), (CONTROL, control_step)):
         rtol, error = matched(make, ticks)
-        print(f"\n{name}: tolerance {rtol:.0e}, error a tick {error:.1e}.")
+        print(f"\n{name}: tolerance {rtol:.0e}, error per step {error:.1e}.")
         yield Contender(name, other(make(rtol)), 1)
 
 
 def through_machine(case: Case, values: dict[str, Array], size: Size, seeds: NDArray[np.int_]) -> Iterator[Contender]:
-    """CasADi's machine: all runs a tick at a time (`map`), and a run for many ticks in one call (`mapaccum`)."""
+    """Return CasADi's virtual machine: one step of all runs per call (`map`), and many steps of a run per call
+    (`mapaccum`).
+    """
     runs, ticks = size.machine_runs, size.machine_ticks
     few = {name: column[:runs] for name, column in values.items()}
     short = replace(case, scenario=replace(case.scenario, time_limit=ticks * _DT))
@@ -247,7 +253,9 @@ def through_machine(case: Case, values: dict[str, Array], size: Size, seeds: NDA
 
 
 def ticks_of(case: Case, record: Any) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """State, thrust command, disturbance and parameters of some ticks; the thrust lags behind the one before."""
+    """Return state, thrust command, disturbance and parameters of some steps; the thrust lags behind the previous
+    command.
+    """
     p = plant_parameters(case.vehicle)
     still = np.array([*case.scenario.disturbance.current_m_per_s, *[0.0] * 5])
     for k in range(1, len(record.time), max(1, len(record.time) // 8)):
@@ -255,7 +263,7 @@ def ticks_of(case: Case, record: Any) -> Iterator[tuple[Array, Array, Array, Arr
 
 
 def print_times(case: list[str], contenders: Sequence[Contender]) -> list[list[str]]:
-    """One row a contender; the rows that are saved."""
+    """Print one row per contender; return the rows to save."""
     ours, rows = contenders[0], []
     for c in contenders:
         cpu, wall = c.per_step(), c.per_step(clock=True)
@@ -270,7 +278,7 @@ def print_times(case: list[str], contenders: Sequence[Contender]) -> list[list[s
 
 
 def print_bars(contenders: Sequence[Contender], bars: dict[str, float]) -> bool:
-    """Bars of one thread; whether all are held. Of several builds of one contender the fastest counts."""
+    """Print the limits for one thread; return whether all hold. Of several builds of a contender the fastest counts."""
     ours, rows, held = contenders[0], [], True
     for name, wanted in bars.items():
         if name == THREADS:
@@ -280,12 +288,12 @@ def print_bars(contenders: Sequence[Contender], bars: dict[str, float]) -> bool:
         verdict = "not measured" if not ratios else "holds" if measured >= wanted else "**missed**"
         held &= verdict == "holds"
         rows.append([f"{name} / {OURS}", f"{measured:.3g}", f"{wanted:g}", verdict])
-    print_rows(["bar", "measured", "wanted", ""], rows)
+    print_rows(["bar", "measured", "required", ""], rows)
     return held
 
 
 def print_growth(case: Case, size: Size) -> None:
-    """How the time of a batch grows with steps, runs, obstacles and threads."""
+    """Print the growth of the time of a batch with steps, runs, obstacles and threads."""
     rows = []
 
     def measured(what: str, unit: str, points: Sequence[tuple[float, Callable[[], Any]]]) -> None:
@@ -310,7 +318,7 @@ def print_growth(case: Case, size: Size) -> None:
 
 
 def print_many(case: Case, size: Size, *, wanted: float) -> bool:
-    """Many gain sets for many steps on one thread and on two, in turns; whether two are as fast as wanted."""
+    """Time many gain sets on one thread and on two, alternately; return whether two reach the required ratio."""
     scenario = replace(case.scenario, time_limit=size.steps * _DT)
     values = drawn(case.gains, size.gain_sets)
     print(f"\n### {size.gain_sets} gain sets, up to {size.steps} steps each")
@@ -324,11 +332,11 @@ def print_many(case: Case, size: Size, *, wanted: float) -> bool:
             flown = steps_of(table)
     least = {threads: [min(column) for column in zip(*turns, strict=True)] for threads, turns in spent.items()}
     rows = [[str(n), f"{clock:.3g}", f"{cpu:.3g}", f"{flown:.4g}"] for n, (clock, cpu) in least.items()]
-    print_rows(["threads", "s of the clock", "s of the processor", "steps flown"], rows)
+    print_rows(["threads", "wall-clock time [s]", "processor time [s]", "steps simulated"], rows)
     faster = least[1][0] / least[2][0]
     verdict = "holds" if faster >= wanted else "**missed**"
-    row = ["one thread / two, by the clock", f"{faster:.3g}", f"{wanted:g}", verdict]
-    print_rows(["bar", "measured", "wanted", ""], [row])
+    row = ["one thread / two, wall-clock time", f"{faster:.3g}", f"{wanted:g}", verdict]
+    print_rows(["bar", "measured", "required", ""], [row])
     return faster >= wanted
 
 
@@ -340,7 +348,7 @@ def print_rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def print_machine() -> None:
-    """Processor, load, system, compiler, flags and versions: what the times belong to."""
+    """Print processor, load, system, compiler, flags and versions."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -353,7 +361,7 @@ def print_machine() -> None:
 
 
 def installed(package: str) -> str:
-    """Name and version, or nothing."""
+    """Return name and version of a package, or an empty text."""
     try:
         return f"{package} {version(package)}"
     except PackageNotFoundError:
@@ -361,7 +369,7 @@ def installed(package: str) -> str:
 
 
 def save(table: list[list[str]], path: Path) -> None:
-    """One line a case and contender."""
+    """Save one line per case and contender."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         times = "us us_median us_clock runs_per_s of_ours of_ours_median"

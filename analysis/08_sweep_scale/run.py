@@ -1,8 +1,8 @@
-"""Study 8: what a large sweep takes in memory and time.
+"""Study 8: memory and time of a large sweep.
 
     python analysis/08_sweep_scale/run.py [--runs N] [--out DIR]
 
-Prints Markdown. Ends with 0 when memory and fit keep their bars, else with 1.
+Prints Markdown. The exit status is 0 if memory and fit meet their limits, and 1 otherwise.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CONFIG = Path(__file__).with_name("config.toml")
 
 
 class Config(Strict):
-    """What config.toml holds."""
+    """The contents of config.toml."""
 
     scenario: str
     runs: tuple[int, ...]
@@ -55,7 +55,7 @@ class Measured:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     parser = argparse.ArgumentParser(prog="run.py", description="Memory and time of a sweep against its runs.")
     parser.add_argument("--runs", type=int, help="runs of the largest sweep; default: the small ones of config.toml")
     parser.add_argument("--out", type=Path, help="folder of the tables; default: a temporary one")
@@ -75,8 +75,8 @@ def main(arguments: list[str]) -> int:
 
 
 def study(config: Config, sizes: tuple[int, ...], out: Path) -> int:
-    """Sweep, print; 0 when the bars are kept."""
-    measure(config, 64, out / "compile")  # the compiler's time is not the sweep's
+    """Sweep and print; return 0 if the limits hold."""
+    measure(config, 64, out / "compile")  # exclude the time of the compiler
     found = [measure(config, runs, out / str(runs)) for runs in sizes]
     print("| runs | seconds | of the processors | runs/s | peak memory [MiB] | of a worker [MiB] | table [MiB] |")
     print("|---|---|---|---|---|---|---|")
@@ -94,7 +94,7 @@ def study(config: Config, sizes: tuple[int, ...], out: Path) -> int:
 
 
 def measure(config: Config, runs: int, out: Path) -> Measured:
-    """One sweep of that many points, one run each."""
+    """Run a sweep of the given number of points, one run each."""
     scenario = load_scenario(config.scenario)
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"))
     design = spread("lhs", [Span(name, *ends) for name, ends in config.ranges.items()], count=runs)
@@ -107,13 +107,13 @@ def measure(config: Config, runs: int, out: Path) -> Measured:
 
 
 def processors() -> float:
-    """Seconds of the processor that this process and its finished workers have spent."""
+    """Return the processor time [s] of this process and its finished workers."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(u.ru_utime + u.ru_stime for u in used)
 
 
 def tell(line: str) -> None:
-    """Progress on stderr."""
+    """Print progress on stderr."""
     print(f"  {line}", file=sys.stderr)
 
 

@@ -1,8 +1,9 @@
-"""Study 9: whether tuning beats the gains chosen by hand, from any seed, and what fresh runs say of the result.
+"""Study 9: are tuned gains better than hand-chosen gains for every seed, and do new runs confirm this?
 
     python analysis/09_tuning/run.py [--full] [--out DIR]
 
-Prints Markdown. Ends with 0 when every bar is met, else with 1. Quick by default: one seed and few trials.
+Prints Markdown. The exit status is 0 if every limit is met, and 1 otherwise. By default the study is short: one seed
+and few trials.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ CONFIG = Path(__file__).with_name("config.toml")
 
 
 class Size(Strict):
-    """How much is done."""
+    """The size of the study."""
 
     seeds: int
     searches: tuple[int, ...]
@@ -52,7 +53,7 @@ class Size(Strict):
 
 
 class Config(Strict):
-    """What config.toml holds."""
+    """The contents of config.toml."""
 
     study: str
     rounds: int
@@ -62,7 +63,7 @@ class Config(Strict):
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     parser = argparse.ArgumentParser(prog="run.py", description="Tune the default study and verify the result.")
     parser.add_argument("--full", action="store_true", help="five seeds, 256 trials a search, 2,000 fresh runs a round")
     parser.add_argument("--out", type=Path, help="folder; a killed study resumes there; default: a new temporary one")
@@ -77,7 +78,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(config: Config, size: Size, out: Path) -> int:
-    """Search from every seed, tune one against what refutes it, print, save the gains; 0 when every bar is met."""
+    """Search for every seed, tune one in rounds, print, and save the gains; return 0 if every limit is met."""
     plan = load_plan(config.study)
     cases = [Case(leg.scenario, leg.vehicle, plan.gains, law=plan.law) for leg in plan.deciding]
     flown = conditions(cases, seeds=range(size.seeds))
@@ -123,7 +124,7 @@ class Hand:
 
     @classmethod
     def flown(cls, goals: Sequence[Goal], flown: Sequence[Condition], gains: Gains) -> Hand:
-        """Fly them."""
+        """Simulate the runs."""
         sets = {name: np.array([gains[name]]) for name in TUNED}
         arrived = np.isfinite(figures(goals, flown, sets)["effort_n"][0])
         own = [c for c, there in zip(flown, arrived, strict=True) if there]
@@ -139,7 +140,7 @@ class Hand:
 
 
 def print_goals(tuning: Tuning, hand: Hand) -> bool:
-    """One row a goal; whether all are better than by hand. A yes-or-no goal is to be met."""
+    """Print one row per goal; return whether all are better than by hand. A yes-or-no goal must be met."""
     print("| goal | kind | unit | limit | hand gains | tuned | normalised, hand | normalised, tuned | |")
     print("|---|---|---|---|---|---|---|---|---|")
     whole = True
@@ -154,7 +155,7 @@ def print_goals(tuning: Tuning, hand: Hand) -> bool:
 
 
 def print_rounds(tuning: Tuning, seconds: float) -> None:
-    """What happened, and how it ended."""
+    """Print the rounds and the result."""
     last = tuning.result
     print(f"\n- gains: {', '.join(f'{name} = {value:.4g}' for name, value in last.gains.items())}")
     for k, one in enumerate(tuning.rounds, 1):
@@ -170,12 +171,12 @@ def print_rounds(tuning: Tuning, seconds: float) -> None:
 
 
 def word(met: bool) -> str:
-    """The outcome of a bar."""
+    """Return the word for the outcome of a limit."""
     return "yes" if met else "**no**"
 
 
 def tell(text: str) -> None:
-    """Progress on stderr."""
+    """Print progress on stderr."""
     print(f"  {text}", file=sys.stderr)
 
 

@@ -1,4 +1,4 @@
-"""Approaches, and what the sensors of a robot hear on them: many runs at once, truth and samples as arrays."""
+"""Approaches and the sonar echoes on them: many runs at once, true ranges and samples as arrays."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ KINDS: tuple[Kind, ...] = ("wall", "obstacle", "wall, turning", "obstacle, turni
 
 DT = 0.05  # s, control step
 EVERY = 2  # steps from one firing of a sensor to its next
-START = 4.3  # m, from the apex to what is approached
+START = 4.3  # m, from the apex to the wall or obstacle
 BRAKING = 0.05  # m/s²
 BOX = (0.3, 1.6)  # m, along x and y
 FAR = 1e3  # m, walls of open water
-# two of the four sensors: one is under test, the other lends its readings to crosstalk
+# two of the four sensors: one is tested, the other is the source of crosstalk
 ARRAY = SonarArray(azimuths=(0.0, pi / 2), order=(0, 1), firing_period=0.05)
 
 
@@ -50,7 +50,7 @@ class Approach:
 
     @property
     def seen(self) -> Array:
-        """What is promised about: the range, or the maximum beyond it."""
+        """Return the quantity that the bound is about: the range, at most the sensor's maximum."""
         return np.minimum(self.truth, ARRAY.maximum)
 
 
@@ -99,7 +99,7 @@ def approach(
         expected = _ranges(*measured, heading + rng.normal(0, 0.01, x.shape), walls, nothing)
     else:
         expected = np.full(truth.shape, 2 * ARRAY.maximum)
-    if not turning:  # beside the robot something goes along with it
+    if not turning:  # an object moves along beside the robot
         truth[..., 1] = rng.uniform(0.5, 3.0, runs)[:, None]
         expected[..., 1] = 2 * ARRAY.maximum
     along = np.cos(heading[..., None] + np.array(ARRAY.azimuths))
@@ -118,7 +118,7 @@ def approach(
 
 
 def heard(truth: Array, noise: Array) -> Array:
-    """Samples (..., k) [m] of firings at ranges (...), as `surctl.sensing.fire` makes them."""
+    """Return samples (..., k) [m] of firings at ranges (...), with the errors of `surctl.sensing.fire`."""
     top, far = ARRAY.top_code, ARRAY.maximum
     raw = np.clip(truth[..., None] + ARRAY.bias + ARRAY.noise_sd * noise, ARRAY.minimum, far)
     codes = np.floor(raw * top / far + 0.5) * far / top
@@ -126,7 +126,7 @@ def heard(truth: Array, noise: Array) -> Array:
 
 
 def _travelled(cruise: Array, final: Array, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Way [m] and speed [m/s], (runs, steps): speed up, brake, hover with a sway of 1 cm/s."""
+    """Return distance [m] and speed [m/s], (runs, steps): accelerate, brake, hover with a sway of 1 cm/s."""
     way, speed = np.zeros((len(cruise), steps)), np.zeros((len(cruise), steps))
     x, v, phase = np.zeros(len(cruise)), np.zeros(len(cruise)), rng.uniform(0, 2 * pi, len(cruise))
     for k in range(steps):
@@ -139,7 +139,9 @@ def _travelled(cruise: Array, final: Array, steps: int, rng: np.random.Generator
 
 
 def _ranges(x: Array, y: Array, heading: Array, walls: Array, box: Array) -> Array:
-    """(runs, steps, sensors) [m], by the symbolic echo model of the closed loop, 2·maximum when nothing."""
+    """Return ranges (runs, steps, sensors) [m] by the symbolic echo model of the closed loop; 2·maximum without an
+    echo.
+    """
     place, psi, w, c = ca.SX.sym("p", 2), ca.SX.sym("psi"), ca.SX.sym("w", 4), ca.SX.sym("c", 2)
     out = []
     for sensor in range(ARRAY.size):

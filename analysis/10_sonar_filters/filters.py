@@ -1,4 +1,4 @@
-"""The filters that are compared, each over many runs at once: what a law would take for the clearance at every step."""
+"""The compared filters, each over many runs at once: the clearance that a law would use at every step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRACKER = RangeTracker(array=ARRAY, dt=DT)
 
 @dataclass(frozen=True)
 class Estimate:
-    """Of sensor 0, (runs, steps) each: range [m] and whether the filter says that it may be believed."""
+    """Range of sensor 0 [m] and whether the filter calls it healthy, (runs, steps) each."""
 
     range: Array
     healthy: Array
@@ -29,7 +29,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Tracked(Estimate):
-    """What the tracker says besides, (runs, steps) each."""
+    """Further outputs of the tracker, (runs, steps) each."""
 
     bound: Array
     accepted: Array
@@ -42,17 +42,17 @@ Found = TypeVar("Found", bound=Estimate)
 
 
 def raw(stream: Stream) -> Estimate:
-    """The newest sample."""
+    """Return the newest sample."""
     return _held(stream, lambda samples: samples[..., -1])
 
 
 def average(stream: Stream) -> Estimate:
-    """The weighted average of a firing."""
+    """Return the weighted average of a firing."""
     return _held(stream, plain_average)
 
 
 def gated(stream: Stream) -> Estimate:
-    """Average and gate (4)–(5), with the defaults of `SensorFilter`."""
+    """Return average and gate (4)–(5), with the defaults of `SensorFilter`."""
     values = plain_average(stream.run.samples[:, :, 0])
     window = np.repeat(values[:, :1], SensorFilter().window, axis=1)
     out = np.empty_like(values)
@@ -67,7 +67,7 @@ def gated(stream: Stream) -> Estimate:
 
 
 def lms(rule: StepRule) -> Callable[[Stream], Estimate]:
-    """Average, gate and Algorithm 1: `SensorFilter`, which the law `paper` flies."""
+    """Return average, gate and Algorithm 1: `SensorFilter`, which the law `paper` uses."""
 
     def run(stream: Stream) -> Estimate:
         filter_ = SensorFilter(array=ARRAY, step=rule)
@@ -109,7 +109,7 @@ def robust(stream: Stream) -> Tracked:
 
 
 def each(filter_: Callable[[Stream], Found], streams: Sequence[Stream]) -> Iterator[Found]:
-    """The filter's answer to each; few runs go through together, which takes as long as one of them."""
+    """Return the filter's outputs for all runs; a few runs are computed together, which takes as long as one run."""
     size = len(streams[0].begin)
     at_once = max(1, TOGETHER // size)
     for first in range(0, len(streams), at_once):
@@ -131,7 +131,7 @@ FILTERS: dict[str, Callable[[Stream], Estimate]] = {
 
 
 def _held(stream: Stream, value: Callable[[Array], Array]) -> Estimate:
-    """One value a firing, kept until the next arrives."""
+    """Return one value per firing, held until the next firing arrives."""
     values, fresh = value(stream.run.samples[:, :, 0]), stream.fresh[:, :, 0] > 0.5
     index = np.maximum.accumulate(np.where(fresh, np.arange(values.shape[1]), 0), axis=1)
     return _spread(np.take_along_axis(values, index, axis=1))

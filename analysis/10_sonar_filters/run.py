@@ -1,8 +1,8 @@
-"""Study 10: which filter measures a clearance, and is the robust one's bound kept whatever a sensor does?
+"""Study 10: which filter measures a clearance best, and does the bound of the robust one hold for every fault?
 
     python analysis/10_sonar_filters/run.py [--quick] [--out DIR]
 
-Prints Markdown; with --out it saves pictures there. Ends with 0 when every bar holds, else with 1.
+Prints Markdown; with --out it saves pictures there. The exit status is 0 if every limit holds, and 1 otherwise.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from surctl.sensing.ranging.filters import StepRule
 
 Array = NDArray[np.float64]
 CONFIG = Path(__file__).with_name("config.toml")
-WARM = 5.0  # s before errors count
+WARM = 5.0  # s before errors are counted
 OFF = 0.1  # m, from which a faulty reading shows; the widest gate
 WITHIN = round(0.3 / DT)  # steps
 STILL = 0.02  # m/s
-JUMP = 0.15  # m a step: something entered the beam or left it
-DRAWN = 11  # seed of the faults in the pictures: they begin on the way
+JUMP = 0.15  # m per step: an object entered or left the beam
+DRAWN = 11  # seed of the faults in the pictures: they begin during the approach
 RULES: tuple[StepRule, ...] = ("printed", "corrected")
-# where nothing known stands in the beam, what enters it and what leaves it cannot be told from a fault
+# without a known object in the beam, an object that enters or leaves it looks like a fault
 UNKNOWN: tuple[Kind, ...] = ("obstacle, turning", "tank, turning")
 
 
@@ -60,7 +60,7 @@ class Bars(Strict):
 
 
 class Config(Strict):
-    """What config.toml holds."""
+    """The contents of config.toml."""
 
     seed: int
     runs: int
@@ -72,7 +72,7 @@ class Config(Strict):
 
 @dataclass(frozen=True)
 class Errors:
-    """Of one filter: rms still, closing, on Table II [m]; lag [s]."""
+    """Errors of a filter: rms at rest, while closing, on Table II [m]; lag [s]."""
 
     still: float
     closing: float
@@ -81,7 +81,7 @@ class Errors:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     parser = argparse.ArgumentParser(prog="run.py", description="Compare filters of the sonar, and try every fault.")
     parser.add_argument("--quick", action="store_true", help="few runs")
     parser.add_argument("--out", type=Path, help="folder of the pictures; default: none are drawn")
@@ -96,7 +96,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(config: Config, *, quick: bool, out: Path | None) -> int:
-    """All tables; 0 when every bar holds."""
+    """Print all tables; return 0 if every limit holds."""
     runs = config.quick_error_runs if quick else config.error_runs
     errors = {name: filter_errors(name, runs, config.seed) for name in FILTERS}
     good = print_errors(errors, config.bars)
@@ -111,12 +111,12 @@ def study(config: Config, *, quick: bool, out: Path | None) -> int:
 
 
 def steady(runs: int, seed: int, *, speed: float) -> Stream:
-    """Runs before a thing that stands still and is not known, at a constant speed [m/s]: 0 from 0.5 to 4 m, or on."""
+    """Return runs before an unknown static object at a constant speed [m/s]; at speed 0 from 0.5 to 4 m."""
     rng = np.random.default_rng(seed)
     time = DT * np.arange(round(16.0 / DT))
     start = rng.uniform(4.0, 4.3, runs) if speed else rng.uniform(0.5, 4.0, runs)
     truth = np.repeat((start[:, None] - speed * time)[..., None], ARRAY.size, axis=2)
-    truth[..., 1] = 3.0 * ARRAY.maximum  # the other sensor hears nothing
+    truth[..., 1] = 3.0 * ARRAY.maximum  # the other sensor gets no echo
     closing = np.zeros_like(truth)
     closing[..., 0] = speed + rng.normal(0, 0.01, truth.shape[:2])
     fired = truth[:, ::EVERY]
@@ -126,7 +126,7 @@ def steady(runs: int, seed: int, *, speed: float) -> Stream:
 
 
 def table_two(runs: int, seed: int) -> Stream:
-    """A still target whose samples err as the water column of Table II does, drawn with replacement."""
+    """Return runs at a static target with sample errors drawn with replacement from the water column of Table II."""
     rng = np.random.default_rng(seed)
     still = steady(runs, seed, speed=0.0)
     samples = still.run.samples.copy()
@@ -136,7 +136,9 @@ def table_two(runs: int, seed: int) -> Stream:
 
 
 def filter_errors(name: str, runs: int, seed: int) -> Errors:
-    """One filter without a fault; lag is what closing adds to the mean error, over the speed."""
+    """Return the errors of a filter without a fault; lag is the increase of the mean error while closing, divided by
+    the speed.
+    """
     late = slice(round(WARM / DT), None)
     streams = {
         "still": steady(runs, seed, speed=0.0),
@@ -152,7 +154,7 @@ def filter_errors(name: str, runs: int, seed: int) -> Errors:
 
 
 def print_errors(errors: dict[str, Errors], bars: Bars) -> bool:
-    """A row a filter; the bars hold for the robust one."""
+    """Print one row per filter; the limits apply to the robust one."""
     print("| filter | rms still [cm] | rms at 0.22 m/s [cm] | lag [s] | rms on Table II [cm] | within the bars |")
     print("|---|---|---|---|---|---|")
     for name, e in errors.items():
@@ -163,12 +165,12 @@ def print_errors(errors: dict[str, Errors], bars: Bars) -> bool:
 
 
 def within(e: Errors, bars: Bars) -> bool:
-    """Whether a filter meets the bars of accuracy."""
+    """Return whether a filter meets the limits of accuracy."""
     return e.still <= bars.rms_still and e.closing <= bars.rms_closing and abs(e.lag) <= bars.lag
 
 
 def print_fault_errors(runs: int, seed: int) -> None:
-    """Rms errors while a fault lasts, where the filter says that it may be believed; no bar."""
+    """Print rms errors during a fault, in steps in which the filter calls the sensor healthy; there is no limit."""
     print("\nRms error [cm] from a fault's beginning to its end, before an unknown obstacle, over the steps in which")
     print("the filter calls the sensor healthy (their share in brackets).\n")
     print(f"| filter | {' | '.join(FAULTS)} |\n|{'---|' * (len(FAULTS) + 1)}")
@@ -204,7 +206,7 @@ def lms_traces(seed: int) -> dict[str, LmsTrace]:
 
 
 def prediction_errors(values: Array, rule: StepRule) -> Array:
-    """|ℜ| at each value after the first four."""
+    """Return |ℜ| at each value after the first four."""
     theta = np.array([1.0, 0.5, -0.2, 0.4])
     errors, mean_error, out = np.zeros(1), np.zeros(()), []
     for k in range(4, len(values)):
@@ -225,7 +227,7 @@ def prediction_errors(values: Array, rule: StepRule) -> Array:
 
 
 def print_lms(traces: dict[str, LmsTrace]) -> bool:
-    """First and last errors of both rules; the printed one must ring, the corrected one converge (E5)."""
+    """Print first and last errors of both rules; the printed one must oscillate, the corrected one converge (E5)."""
     print("\n| signal | step | first error [m] | rms of the last 20 [m] |\n|---|---|---|---|")
     last = {}
     for key, trace in traces.items():
@@ -241,7 +243,7 @@ def print_lms(traces: dict[str, LmsTrace]) -> bool:
 
 
 def print_kind(kind: Kind, runs: int, config: Config) -> bool:
-    """Every fault on one kind of approach, and whether its bars hold."""
+    """Print every fault on one kind of approach; return whether its limits hold."""
     bars = config.bars
     base = approach(kind, runs, seed=config.seed + 10)
     print(f"\n### {kind}: {runs} runs of {base.time[-1] + DT:.0f} s a fault\n")
@@ -272,7 +274,9 @@ def print_kind(kind: Kind, runs: int, config: Config) -> bool:
         if fault == "none":
             clean = found
     if kind in UNKNOWN:
-        text = f"{kind}: bound kept in {100 * bars.kept_knowable:g} % of the steps in which a reading could tell"
+        text = (
+            f"{kind}: bound kept in {100 * bars.kept_knowable:g} % of the steps in which a reading has the information"
+        )
         if short:
             print(f"\n{kind}: kept in less than {100 * bars.kept:g} % of all steps (see the README)")
     else:
@@ -301,7 +305,7 @@ def judged(stream: Stream, found: Tracked) -> dict[str, float]:
 
 
 def unknowable(stream: Stream) -> NDArray[np.bool_]:
-    """Steps (runs, steps) before whose events no reading tells."""
+    """Return the steps (runs, steps) whose events no reading can show in time."""
     truth = stream.run.seen[..., 0]
     jumps = np.abs(np.diff(truth, axis=1, prepend=truth[:, :1])) > JUMP
     steps = np.arange(truth.shape[1])
@@ -335,7 +339,9 @@ def detected(kind: Kind, stream: Stream, found: Tracked, samples: Array) -> tupl
 
 
 def usefulness(kind: Kind, base: Approach, found: Tracked, bars: Bars) -> bool:
-    """Mean bound while healthy and false alarms without a fault; bars where the beam does not turn."""
+    """Print the mean bound while healthy and the false alarms without a fault; limits apply if the beam does not
+    turn.
+    """
     counted = np.arange(base.truth.shape[1]) >= EVERY * FIRST
     healthy = (found.healthy > 0.5) & counted
     still = np.abs(base.speed) < STILL
@@ -353,7 +359,7 @@ def usefulness(kind: Kind, base: Approach, found: Tracked, bars: Bars) -> bool:
 
 
 def draw(errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config, out: Path) -> None:
-    """Pictures: errors of the filters, both LMS steps, and one run of each of six faults."""
+    """Save pictures: errors of the filters, both LMS steps, and one run with each of six faults."""
     names = tuple(errors)
     data = FilterErrors(
         names=names,
@@ -377,7 +383,7 @@ def draw(errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config,
 
 
 def trace_of(title: str, stream: Stream, found: Tracked) -> RangeTrace:
-    """The first run, for the picture."""
+    """Return the data of the first run for the picture."""
     arrived = np.flatnonzero(stream.fresh[0, :, 0] > 0.5)
     return RangeTrace(
         title=title,
@@ -392,13 +398,13 @@ def trace_of(title: str, stream: Stream, found: Tracked) -> RangeTrace:
 
 
 def save(ax: object, path: Path) -> None:
-    """A picture on disk."""
+    """Save a picture."""
     name = path.with_name(path.name.replace(" ", "_"))
     ax.figure.figure.savefig(name)  # type: ignore[attr-defined]
 
 
 def bar(text: str, holds: bool) -> bool:
-    """Print a bar; whether it holds."""
+    """Print a limit; return whether it holds."""
     print(f"\n- {text}: {'holds' if holds else '**does not hold**'}")
     return holds
 

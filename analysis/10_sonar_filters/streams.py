@@ -1,4 +1,4 @@
-"""Faults of one sensor's stream, each alone, from a drawn time on."""
+"""Faults in the readings of one sensor, one at a time, each from a random time on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 FAULTS = ("dropout", "dead", "stuck", "zero", "maximum", "spike", "second echo", "crosstalk", "delay")
-FIRST = 10  # firings that the sensor had to be heard at all
+FIRST = 10  # firings without a fault at the start
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def shows(stream: Stream, honest_samples: Array, *, off: Array) -> NDArray[np.in
 
 
 def joined(streams: Sequence[Stream]) -> Stream:
-    """All runs of several streams as one."""
+    """Join the runs of several streams."""
 
     def along(name: str) -> Array:
         return np.concatenate([getattr(s.run, name) for s in streams])
@@ -67,7 +67,7 @@ def honest(run: Approach) -> Stream:
 
 
 def faulty(run: Approach, fault: str, *, seed: int) -> Stream:
-    """One fault of sensor 0 a run: when it begins and how long it lasts is drawn; dead and delay last."""
+    """Return runs with one fault of sensor 0: begin and duration are random; the faults dead and delay do not end."""
     rng = np.random.default_rng(seed)
     runs, firings = run.samples.shape[:2]
     samples, fresh = run.samples.copy(), np.ones(run.samples.shape[:3])

@@ -1,4 +1,4 @@
-"""Many closed loops at once: plant, sensors, an estimator and the velocity controller, one column a run."""
+"""Many closed loops at once: plant, sensors, an estimator and the velocity controller, one column per run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parame
 
 DT, HALVES = 0.05, 2  # [s]; calls of the plant in a control period
 APPROACH = 0.3  # [1/s] of the position loop
-CAP = 0.25  # [m/s] of the wish
+CAP = 0.25  # [m/s] of the desired velocity
 _BELIEVED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
 _GIVEN = (("fix", 3), ("fix_fresh", 1), ("yaw", 1), ("yaw_rate", 1), ("tau", 4))
 MODEL = Layout(tuple(Port(name, (4,), "SI", "") for name in _BELIEVED))
@@ -28,16 +28,16 @@ GIVEN = Layout(tuple(Port(name, (size,), "SI", "") for name, size in _GIVEN))
 
 Estimator = Literal["filter", "constant noise", "fixed gain", "as if now", "differences", "truth"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
-"""What the controller is told: the filter's estimate; that of one whose noise does not grow with the believed
-acceleration; of one with the gain that it settles at; of one that takes a late fix for the present; the last fix
-with the difference of the last two; or the truth."""
+"""Estimates that the controller may use: the filter's; that of a filter whose noise does not grow with the modelled
+acceleration; of one with its steady-state gain; of one that ignores the delay of the fixes; the last fix with the
+difference of the last two; or the true state."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Leg:
-    """So many seconds at a velocity in {E} [m/s]."""
+    """A duration [s] at a velocity in {E} [m/s]."""
 
     seconds: float
     velocity: tuple[float, float]
@@ -52,7 +52,7 @@ class Mission:
     acceleration: float = 0.04
 
     def path(self) -> tuple[Array, Array]:
-        """Position and velocity (ticks, 3) in {E}."""
+        """Return position and velocity (steps, 3) in {E}."""
         wanted = np.vstack([np.tile((*leg.velocity, 0.0), (round(leg.seconds / DT), 1)) for leg in self.legs])
         velocity, now = np.zeros_like(wanted), np.zeros(3)
         for k, goal in enumerate(wanted):
@@ -64,7 +64,7 @@ class Mission:
 
 @dataclass(frozen=True)
 class Water:
-    """A sine force [N] of a period [s] and a current [m/s], each in a direction drawn for every run."""
+    """A sinusoidal force [N] with a period [s] and a current [m/s], each in a random direction for every run."""
 
     wave: float = 0.0
     period: float = 3.0
@@ -72,7 +72,7 @@ class Water:
 
 
 class Flight(NamedTuple):
-    """What happened, (ticks, size, runs): truth, estimate, what the filter says of its errors, and the command."""
+    """Results (steps, size, runs): true state, estimate, standard deviations of the filter, and command."""
 
     eta: Array
     nu: Array
@@ -97,17 +97,17 @@ def fly(
     estimator: Estimator = "filter",
     k_v: float = 2.0,
 ) -> Flight:
-    """Fly `runs` loops side by side, with noise and directions from the seed.
+    """Simulate `runs` loops together, with noise and directions from the seed.
 
     Args:
-        vehicle: what is flown.
-        believed: what filter and controller believe in.
+        vehicle: the simulated vehicle.
+        believed: the vehicle in the model of filter and controller.
         mission: the reference.
-        runs: how many.
-        seed: the same for every estimator: they meet the same noise.
+        runs: number of runs.
+        seed: the same for every estimator, so that all have the same noise.
         water: default still.
         sensors: default `OwnState()`.
-        estimator: what the controller is told.
+        estimator: the estimate that the controller uses.
         k_v: bandwidth of the velocity loops [1/s].
     """
     rng, water, sensors = np.random.default_rng(seed), water or Water(), sensors or OwnState()
@@ -140,7 +140,7 @@ def fly(
 
 
 class _Known:
-    """An estimator with its state."""
+    """An estimator and its state."""
 
     def __init__(self, estimator: Estimator, sensors: OwnState, runs: int) -> None:
         own = OwnStateFilter(dt=DT, latency=sensors.fixes.latency)
@@ -158,7 +158,7 @@ class _Known:
         self.last, self.velocity, self.since = np.zeros((3, runs)), np.zeros((3, runs)), np.full(runs, np.inf)
 
     def step(self, x: Array, given: Array, model: Array) -> tuple[Array, ...]:
-        """η̂, ν̂, their deviations, age, and fixes refused in a row."""
+        """Return η̂, ν̂, their standard deviations, the age of the fix, and the number of fixes rejected in a row."""
         if self.estimator == "fixed gain":
             self.state[self.layout.slice("covariance")] = self.settled[np.triu_indices(3)][:, None]
         self.state, eta, nu, *rest = (np.array(v) for v in self.function(self.state, given, model))
@@ -189,7 +189,9 @@ def _filter(own: OwnStateFilter, runs: int) -> tuple[ca.Function, Layout]:
 
 @cache
 def _control(runs: int, k_v: float) -> ca.Function:
-    """(η̂, ν̂, reference (7,), model) → τ: a position loop asks for a velocity in {E}, its controller for thrust."""
+    """Return (η̂, ν̂, reference (7,), model) → τ: a position loop commands a velocity in {E}, the velocity controller
+    thrust.
+    """
     eta, nu, reference = ca.SX.sym("eta", 4), ca.SX.sym("nu", 4), ca.SX.sym("reference", 7)
     m, model = MODEL.symbols("m")
     wish = reference[3:6] + APPROACH * (reference[:3] - eta[:3])

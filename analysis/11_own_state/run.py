@@ -1,8 +1,8 @@
-"""Study 11: how well the robot knows its own place and speed from late fixes, and what that makes of the loop.
+"""Study 11: how well the robot estimates its position and speed from late fixes, and the effect on the loop.
 
     python analysis/11_own_state/run.py [--quick]
 
-Prints Markdown. Ends with 0 when every statement holds, else with 1.
+Prints Markdown. The exit status is 0 if every statement holds, and 1 otherwise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from surctl.sensing import Delivery, OwnState
 from surctl.vehicle import Vehicle, load_vehicle
 
 CONFIG = Path(__file__).with_name("config.toml")
-SETTLING = 3.0  # [s] at the beginning that count for nothing
+SETTLING = 3.0  # [s] at the beginning that are not evaluated
 AFTER = 0.5  # [s] that count as after a gap
 
 
@@ -35,7 +35,7 @@ class LegFile(Strict):
 
 
 class Bars(Strict):
-    """What the statements ask for."""
+    """The limits of the statements."""
 
     position_moving_m: float
     velocity_believed: float
@@ -48,13 +48,13 @@ class Bars(Strict):
 
 
 class Size(Strict):
-    """How much is flown."""
+    """How much is simulated."""
 
     runs: int
 
 
 class Config(Strict):
-    """What config.toml holds."""
+    """The contents of config.toml."""
 
     vehicle: str
     seed: int
@@ -76,7 +76,7 @@ class Config(Strict):
 
 @dataclass(frozen=True)
 class Figures:
-    """Root mean squares over ticks and runs, of horizontal vectors.
+    """Root mean squares over steps and runs, of horizontal vectors.
 
     Attributes:
         still, moving: error of the position [m] where the reference stands, and where it moves.
@@ -85,7 +85,7 @@ class Figures:
         off_track: true velocity against the reference's [m/s], moving.
         thrust: command, reference at rest [N].
         honest: the larger of position and velocity error, each in the filter's standard deviations.
-        refused: share of the ticks at which the last fix stood refused.
+        refused: share of the steps at which the last fix was rejected.
     """
 
     still: float
@@ -100,7 +100,7 @@ class Figures:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     parser = argparse.ArgumentParser(prog="run.py", description="The own-state filter in the closed loop.")
     parser.add_argument("--quick", action="store_true", help="few runs of each case")
     options = parser.parse_args(arguments)
@@ -113,7 +113,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(config: Config, size: Size) -> int:
-    """Fly, print; 0 when every statement holds."""
+    """Simulate and print; return 0 if every statement holds."""
     believed = load_vehicle(config.vehicle)
     mass, drag = float(believed.mass[0]), float(believed.quadratic_drag[0])
     told = {
@@ -121,7 +121,7 @@ def study(config: Config, size: Size) -> int:
         for name in ESTIMATORS
         for gaps in (False, True)
     }
-    print(f"## What the controller is told ({mass:g} kg, drag {drag:g}, as believed)\n")
+    print(f"## Estimates for the controller ({mass:g} kg, drag {drag:g}, as believed)\n")
     print_figures((f"{name}{', gaps' if gaps else ''}", f) for (name, gaps), f in told.items())
     hulls = {
         (m, d, gaps): measure(config, size, m, d, gaps=gaps)
@@ -171,7 +171,7 @@ def measure(
     gaps: bool = False,
     belief: float | None = None,
 ) -> Figures:
-    """Fly one hull with one estimator; filter and controller take the file's mass for true, or `belief` [kg]."""
+    """Simulate a hull with an estimator; filter and controller assume the mass of the file, or `belief` [kg]."""
     shipped = load_vehicle(config.vehicle)
     vehicle = of_mass(shipped, mass).with_values({"Xuu": drag, "Yvv": drag})
     believed = shipped if belief is None else of_mass(shipped, belief)
@@ -191,12 +191,12 @@ def measure(
 
 
 def of_mass(vehicle: Vehicle, mass: float) -> Vehicle:
-    """The vehicle with that mass along each axis [kg]."""
+    """Return the vehicle with this mass along each axis [kg]."""
     return vehicle.with_values({"m11": mass, "m22": mass, "m33": mass})
 
 
 def figures(flight: Flight, mission: Mission, gaps: Iterable[tuple[float, float]]) -> Figures:
-    """What of a flight is reported."""
+    """Return the reported figures of a run."""
     _, reference = mission.path()
     time, wanted = np.arange(len(reference)) * DT, np.hypot(reference[:, 0], reference[:, 1])
     counts = time >= SETTLING
@@ -225,18 +225,18 @@ def figures(flight: Flight, mission: Mission, gaps: Iterable[tuple[float, float]
 
 
 def in_world(nu: NDArray[np.float64], eta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Horizontal velocity (ticks, 2, runs) in {E} [m/s]."""
+    """Return the horizontal velocity (steps, 2, runs) in {E} [m/s]."""
     c, s = np.cos(eta[:, 3]), np.sin(eta[:, 3])
     return np.stack([c * nu[:, 0] - s * nu[:, 1], s * nu[:, 0] + c * nu[:, 1]], axis=1)
 
 
 def rms(vectors: NDArray[np.float64], where: NDArray[np.bool_]) -> float:
-    """Root mean square length of (ticks, 2, runs) over the ticks chosen and all runs."""
+    """Return the root mean square length of (steps, 2, runs) over the chosen steps and all runs."""
     return float(np.sqrt(np.mean(np.sum(vectors[where] ** 2, axis=1))))
 
 
 def print_figures(rows: Iterable[tuple[str, Figures]]) -> None:
-    """One row a case; centimetres."""
+    """Print one row per case, in centimetres."""
     print(
         "| | position, still [cm] | moving | after a gap | velocity, still [cm/s] | moving | off the reference |"
         " thrust at rest [N] | in own deviations | refused [%] |"
@@ -254,7 +254,7 @@ def print_statements(
     hulls: Mapping[tuple[float, float, bool], Figures],
     fixed: float,
 ) -> bool:
-    """One row a statement; whether all hold."""
+    """Print one row per statement; return whether all hold."""
     plain = [f for (_, _, gaps), f in hulls.items() if not gaps]
     own, gapped = told["filter", False], told["filter", True]
     worst_place, worst_speed = max(f.moving for f in plain), max(speed(f) for f in plain)
@@ -268,8 +268,8 @@ def print_statements(
         ("errors in the filter's own deviations, every hull, gaps or not", honest, "", honest <= bars.honest),
         ("a late fix taken for the present: position error, moving, times", now, "", now >= bars.as_if_now),
         ("differences of fixes: velocity error, times", difference, "", difference >= bars.differences),
-        ("after a gap the settled gain knows the place less well: times", fixed, "", fixed >= bars.fixed_gain),
-        ("right fixes that stand refused: share of the ticks", refused, "", refused <= bars.refused),
+        ("ratio of the position error after a gap with the steady-state gain", fixed, "", fixed >= bars.fixed_gain),
+        ("share of the steps with a correct fix rejected", refused, "", refused <= bars.refused),
     ]
     print("| statement | figure | |\n|---|---|---|")
     for text, figure, unit, holds in said:
@@ -278,7 +278,7 @@ def print_statements(
 
 
 def speed(f: Figures) -> float:
-    """The larger velocity error [m/s]."""
+    """Return the larger velocity error [m/s]."""
     return max(f.velocity_still, f.velocity_moving)
 
 

@@ -1,8 +1,8 @@
-"""Study 12: the closed loop through the sonars, whole and with sensors that fail; speed and cost of the senses.
+"""Study 12: the closed loop with sonars, intact and with faults; speed of the loop and cost of the perception.
 
     python analysis/12_sonar_loop/run.py [--quick]
 
-Prints Markdown. Status 0 when every bar holds, else 1; 2 for a bad option.
+Prints Markdown. The exit status is 0 if every limit holds, 1 otherwise, and 2 for a bad option.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from surctl.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances
 from surctl.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch
 from surctl.vehicle import load_vehicle
 
-INSTRUCTIONS = 2  # of a Cortex-M4F for an operation: the rule that the cost rests on
+INSTRUCTIONS = 2  # of a Cortex-M4F per operation: assumption of the cost estimate
 RATE, CLOCK = 20.0, 168e6  # steps a second, Hz
 HEAVY = {"plant.m11": 125.0, "plant.m22": 125.0, "plant.Fu_max": 4.25, "plant.Fv_max": 4.25}
 SLOW_TO_TURN = {"plant.Nr": 1.0, "plant.Nrr": 3.0, "plant.Fr_max": 0.425}
@@ -32,7 +32,7 @@ WORST = HEAVY | SLOW_TO_TURN  # of sur540-flooded's ranges, unknown to its contr
 
 
 def conditions() -> dict[str, tuple[Sensors, bool]]:
-    """Sensors by name, and whether a bar is set on them."""
+    """Return the sensors by name, and whether a limit applies to them."""
     found: dict[str, tuple[Sensors, bool]] = {"nominal": (Sensors(), True)}
     for k, where in enumerate(("front", "left", "rear", "right")):
         found[f"{where} dead"] = (Sensors(faults=(Fault(sensor=k, kind="dead"),)), True)
@@ -53,14 +53,14 @@ def conditions() -> dict[str, tuple[Sensors, bool]]:
 
 
 def flown(name: str, sensors: Sensors, seeds: int, values: Mapping[str, float] | None = None) -> BatchResult:
-    """All seeds of a scenario with these sensors."""
+    """Simulate all seeds of a scenario with these sensors."""
     scenario = replace(load_scenario(name), sensors=sensors)
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
     return simulate_batch(case, values or {}, seeds=np.arange(seeds), threads=2)
 
 
 def row(condition: str, name: str, runs: BatchResult) -> int:
-    """Print a line of the table; the number of collisions."""
+    """Print a row of the table; return the number of collisions."""
     stopped, took = runs.column("stopped").astype(int), runs.column("time_s")
     counts = {reason: int(np.sum(stopped == k)) for k, reason in enumerate(STOPS)}
     hit = [int(k) for k in np.flatnonzero(stopped == STOPS.index("collision"))]
@@ -76,7 +76,7 @@ def row(condition: str, name: str, runs: BatchResult) -> int:
 
 
 def speed(seeds: int) -> float:
-    """Simulated seconds a second of one core."""
+    """Return the simulated seconds per second of one core."""
     scenario = load_scenario("tank-static")
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
     simulate_batch(case, seeds=0)  # compiled by now
@@ -86,7 +86,9 @@ def speed(seeds: int) -> float:
 
 
 def ram(block: Block) -> tuple[int, int | None]:
-    """Bytes of a block's arrays in float32, inputs and outputs with them; those and the stack, where gcc tells it."""
+    """Return the bytes of a block's arrays in float32 (with inputs and outputs), and this plus the stack if gcc
+    reports it.
+    """
     given = sum(size for _, size in (*block.inputs, *block.outputs))
     try:
         return 4 * memory(block), 4 * given + stack_bytes(block, real="float32")
@@ -95,8 +97,8 @@ def ram(block: Block) -> tuple[int, int | None]:
 
 
 def main(words: list[str]) -> int:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Fly the scenarios through the sonars.")
+    """Run the study and print the results."""
+    parser = argparse.ArgumentParser(prog="run.py", description="Simulate the scenarios with sonars.")
     parser.add_argument("--quick", action="store_true", help="few seeds, one scenario, two conditions")
     options = parser.parse_args(words)
     config = tomllib.loads(Path(__file__).with_name("config.toml").read_text(encoding="utf-8"))
@@ -125,12 +127,12 @@ def main(words: list[str]) -> int:
     share = operations * INSTRUCTIONS * RATE / CLOCK
     held.append(share <= bars["cortex_share"])
     print(
-        f"- senses: {operations} operations a step, at {INSTRUCTIONS} instructions each and {RATE:g} Hz "
+        f"- perception: {operations} operations per step, at {INSTRUCTIONS} instructions each and {RATE:g} Hz "
         f"{100 * share:.1f} % of a 168 MHz core, bar {100 * bars['cortex_share']:.0f} %: {_word(held[-1])}"
     )
     counted, told = ram(law.perception.block)
     held.append(max(counted, told or 0) <= 1024 * bars["cortex_kb"])
-    stack = f"{told / 1024:.1f} kB with the stack by -Os here" if told else "no compiler tells the stack here"
+    stack = f"{told / 1024:.1f} kB with the stack by -Os here" if told else "no compiler here reports the stack"
     print(
         f"- their memory in float32: state, next state and all arrays {counted / 1024:.1f} kB, {stack}, "
         f"bar {bars['cortex_kb']} kB: {_word(held[-1])}"

@@ -39,7 +39,7 @@ CONSTANTS = {
 
 @dataclass(frozen=True)
 class Line:
-    """A law in a scenario with one sensing, and its runs."""
+    """The runs of a law in a scenario with one kind of sensing."""
 
     scenario: str
     sensing: Sensing
@@ -47,16 +47,16 @@ class Line:
     runs: BatchResult
 
     def share(self, name: str) -> float:
-        """Mean of a column of zeros and ones."""
+        """Return the mean of a column of zeros and ones."""
         return float(self.runs.column(name).mean())
 
     def median(self, name: str) -> float:
-        """Median over the runs that arrive; NaN if none does."""
+        """Return the median over the runs that arrive; NaN if none does."""
         arrived = self.runs.column("reached") > 0.5
         return float(np.nanmedian(self.runs.column(name)[arrived])) if arrived.any() else float("nan")
 
     def row(self) -> str:
-        """Its line of the table."""
+        """Return its row of the table."""
         count = len(self.runs.table)
         told = [f"`{self.scenario}`", self.sensing, self.law, str(count)]
         told += [f"{round(count * self.share(name))}" for name in ("reached", "collided")]
@@ -67,7 +67,7 @@ class Line:
 
 
 def flown(scenario: str, sensing: Sensing, law: LawName, *, gains: str, seeds: int) -> Line:
-    """All seeds; a single run where nothing depends on the seed."""
+    """Simulate all seeds; only one run if nothing depends on the seed."""
     mission = load_scenario(scenario)
     case = Case(mission, load_vehicle(mission.vehicle), load_gains(gains), law=law, sensing=sensing)
     drawn = seeds if sensing == "sonar" or mission.seeded else 1
@@ -75,14 +75,14 @@ def flown(scenario: str, sensing: Sensing, law: LawName, *, gains: str, seeds: i
 
 
 def flown_worlds(plan: RandomWorlds, sensing: Sensing, law: LawName, *, worlds: int) -> Line:
-    """The first random worlds, the same for every law."""
+    """Simulate the first random worlds, which are the same for every law."""
     case = replace(plan.case, law=law, sensing=sensing)
     runs = simulate_batch(case, plan.values(0, worlds), seeds=plan.seeds(0, worlds), threads=2)
     return Line(WORLDS, sensing, law, runs)
 
 
 def summary(lines: Sequence[Line], sensing: Sensing, law: LawName) -> str:
-    """A law over all scenarios, each with the same weight."""
+    """Return the row of a law over all scenarios, each with the same weight."""
     mine = [line for line in lines if (line.sensing, line.law) == (sensing, law)]
     reached, collided = (100 * float(np.mean([line.share(name) for line in mine])) for name in ("reached", "collided"))
     always = sum(line.share("reached") == 1.0 for line in mine)
@@ -91,7 +91,7 @@ def summary(lines: Sequence[Line], sensing: Sensing, law: LawName) -> str:
 
 
 def draw(lines: Sequence[Line], laws: Sequence[LawName], sensing: Sequence[Sensing], file: Path) -> None:
-    """What became of the runs: a panel a sensing, a group of bars a scenario, a bar a law."""
+    """Draw the outcomes: one panel per sensing, one group of bars per scenario, one bar per law."""
     scenarios = sorted({line.scenario for line in lines})
     figure = new_figure(1.6 + 1.15 * len(scenarios) * len(laws) / 6, 3.2 * len(sensing))
     found = {(line.scenario, line.sensing, line.law): line for line in lines}
@@ -116,7 +116,7 @@ def draw(lines: Sequence[Line], laws: Sequence[LawName], sensing: Sequence[Sensi
 
 
 def parameters() -> str:
-    """The textbook laws' constants as they stand."""
+    """Return the constants of the textbook laws as text."""
     told = []
     for law, names in CONSTANTS.items():
         module = import_module(f"surctl.control.baselines.{law}")
@@ -125,8 +125,8 @@ def parameters() -> str:
 
 
 def main(words: list[str]) -> int:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Fly every law in every scenario.")
+    """Run the study and print the results."""
+    parser = argparse.ArgumentParser(prog="run.py", description="Simulate every law in every scenario.")
     parser.add_argument("--quick", action="store_true", help="two seeds, one scenario, true positions")
     parser.add_argument("--out", help="folder for the picture")
     options = parser.parse_args(words)

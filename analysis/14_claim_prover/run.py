@@ -1,4 +1,4 @@
-"""Study 14: what a proof of the library's claims takes, here and in other provers, and what its check takes.
+"""Study 14: the time to prove the library's claims, in surctl and in other provers, and to check the certificates.
 
     python analysis/14_claim_prover/run.py [--quick]
 
@@ -29,7 +29,7 @@ GAP = 1e-3
 equality on a whole surface."""
 WIDTH = 1e-2
 MARGIN_24 = "-e2*u*sin(atan2(e2 + delta, 0.5)) + u*e2^2/sqrt(0.25 + (e2 + delta)^2)"
-"""Left less right for a static obstacle, where both sides of it give one expression."""
+"""Left minus right for a static obstacle; both sides of the obstacle give the same expression."""
 GAINS: Mapping[str, Mapping[str, float] | None] = {
     "defaults": None,
     "odd numbers": {"k1": 0.3714159, "k2": 0.61, "lookahead": 0.8333333, "kappa": 0.2072333577977318, "k3": 1.37},
@@ -38,7 +38,7 @@ GAINS: Mapping[str, Mapping[str, float] | None] = {
 
 @dataclass(frozen=True)
 class Row:
-    """One proof: best of several, with its check."""
+    """The fastest of several proofs, with its check."""
 
     gains: str
     name: str
@@ -52,18 +52,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Told:
-    """What another prover took [s], and what it shows."""
+    """The time of another prover [s], and its result."""
 
     seconds: float
     shows: str
 
     def row(self, ours: float) -> str:
-        """The rest of its table row, with the ratio to this prover in the same run."""
+        """Return the rest of its table row, with the ratio to this prover in the same run."""
         return f"{self.seconds:.3f} s | {self.seconds / ours:.1f} | {self.shows} |"
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     unknown = [a for a in arguments if a != "--quick"]
     if unknown:
         print(f"{unknown[0]}: unknown option; the only one is --quick", file=sys.stderr)
@@ -95,12 +95,12 @@ def main(arguments: list[str]) -> int:
     ):
         print(f"| {name} | {told.row(ours.seconds) if isinstance(told, Told) else f'{told} | – | – |'}")
     print(f"| dReal | {RECORDED} | – | left ≤ right + δ |")
-    # quick, on whatever machine and whatever else it does, the time is printed and decides nothing
+    # with --quick the time does not decide: the machine may be slow or busy
     return 0 if (met or quick) and all(r.accepted for r in rows) else 1
 
 
 def timed(label: str, claim: Claim, rounds: int) -> Row:
-    """The quickest of several proofs and of several checks."""
+    """Return the fastest of several proofs and of several checks."""
     proofs = [prove(claim, slack=1e-9) for _ in range(rounds)]
     best = min(proofs, key=lambda p: p.seconds)
     if best.certificate is None:
@@ -115,7 +115,7 @@ def timed(label: str, claim: Claim, rounds: int) -> Row:
 
 
 def sampled_24() -> Told:
-    """(24) by 4096 low-discrepancy samples and 16 local searches: quick, and no proof."""
+    """Search (24) with 4096 low-discrepancy samples and 16 local searches; this is not a proof."""
     (claim,) = claims(names=["v2-static"])
     began = time.perf_counter()
     found = falsify(claim, samples=4096, starts=16, seed=0)
@@ -123,7 +123,7 @@ def sampled_24() -> Told:
 
 
 def bare_24() -> Told:
-    """(24) as codac gets it, by branch and bound over the expression as it is written, without any rewriting."""
+    """Examine (24) in the form for codac by branch and bound on the original expression, without rewriting."""
     names = ("e2", "u", "delta")
     known = {name: variable(name) for name in names}
     margin, guard = (parse(text, known) for text in (MARGIN_24, "-e2*delta"))
@@ -139,7 +139,9 @@ def bare_24() -> Told:
 
 
 def codac_24() -> Told | str:
-    """(24) for a static obstacle in codac: no box where left exceeds right by `GAP`; why not, where it is not there."""
+    """Examine (24) for a static obstacle with codac: no box where left exceeds right by `GAP`; or return why it is
+    skipped.
+    """
     try:
         import codac
     except ImportError:
@@ -159,7 +161,9 @@ def codac_24() -> Told | str:
 
 
 def drake_24() -> Told | str:
-    """(24) for a static obstacle as sums of squares in floating point, cleared by hand of atan2, sine and root."""
+    """Find sums of squares for (24) with a static obstacle in floating point, with atan2, sine and root eliminated by
+    hand.
+    """
     try:
         from pydrake.all import MathematicalProgram, Polynomial, Solve, Variables
     except ImportError:
@@ -168,7 +172,7 @@ def drake_24() -> Told | str:
     program = MathematicalProgram()
     e2, u, delta = found = program.NewIndeterminates(3, "x")
     rest = e2 * u * (e2 + delta) - u * e2 * e2  # (right - left) S, with sin(atan2(e2 + delta, R)) = (e2 + delta)/S
-    kept = e2 * delta  # products of what is not negative in the domain, as Schmüdgen's theorem takes them
+    kept = e2 * delta  # products of functions that are non-negative on the domain, as in Schmüdgen's theorem
     for held in (kept, u - 0.02, 0.25 - u, (u - 0.02) * kept, (e2 + 0.25) * (2 - e2), (delta + 0.2) * (0.2 - delta)):
         rest = rest - program.NewSosPolynomial(Variables(found), 2)[0].ToExpression() * held
     program.AddSosConstraint(Polynomial(rest, Variables(found)))

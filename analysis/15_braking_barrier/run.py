@@ -1,9 +1,9 @@
-"""Study 15: the braking barrier proved, its tables certified, and flown against inside its assumptions.
+"""Study 15: proofs of the braking barrier, certificates of its tables, and adversarial runs within its assumptions.
 
     python analysis/15_braking_barrier/run.py [--quick]
 
-Prints Markdown. Ends with 0 when every claim that should be proved is, no flight inside the assumptions touches
-anything, and every rule that keeps less than it should does touch; else with 1; with 2 for a bad option.
+Prints Markdown. The exit status is 0 if every claim is proved as expected, no run within the assumptions collides,
+and every weakened rule collides; otherwise 1; it is 2 for a bad option.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from surctl.verification.braking.episodes import Rule, rule_of, run_episodes
 
 VEHICLES = ("sur540-flooded", "sur400")
 NOT_PROVED = {("sur400", "braking-inertia-20-axes"), ("sur400", "braking-simple-20")}
-"""Its file states no ranges, so that its law believes it is exact: a margin of 0.05 m is too small for ±20 %."""
+"""Its file states no ranges, so its law assumes exact parameters: a margin of 0.05 m is too small for ±20 %."""
 HIGHEST, FINEST = 0.2, 1e-3  # [m] of the margins that are tried
 RUNS, QUICK = 10_000, 300
 SEED = 7
@@ -30,7 +30,7 @@ SEED = 7
 
 @dataclass(frozen=True)
 class Wrong:
-    """A rule that keeps less than it should: what is wrong with it, of which claim, before which obstacle [m/s]."""
+    """A weakened rule: its error, its claim, and the speed of the obstacle [m/s]."""
 
     what: str
     claim: str
@@ -47,7 +47,7 @@ WRONG = (
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     unknown = [a for a in arguments if a != "--quick"]
     if unknown:
         print(f"{unknown[0]}: unknown option; the only one is --quick", file=sys.stderr)
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def claims() -> Iterator[tuple[str, BrakingClaim]]:
-    """Every claim of the library, for every vehicle."""
+    """Return every claim of the library for every vehicle."""
     gains = load_gains("default")
     for name in VEHICLES:
         for claim in BRAKING_CLAIMS:
@@ -67,7 +67,7 @@ def claims() -> Iterator[tuple[str, BrakingClaim]]:
 
 
 def proofs() -> bool:
-    """Verdicts, times and sizes, then the certified ranges."""
+    """Print verdicts, times and sizes, then the certified ranges."""
     print("| vehicle | claim | verdict | proof and check | check | certificate |\n|---|---|---|---|---|---|")
     good, tables = True, []
     for vehicle, claim in claims():
@@ -91,7 +91,7 @@ def proofs() -> bool:
 
 
 def margins() -> None:
-    """The least margin with which each claim about a law is proved."""
+    """Print the least margin with which each claim about a law is proved."""
     print("\nLeast margin with which a claim about a law is proved:\n")
     print("| vehicle | claim | margin needed | of the gains |\n|---|---|---|---|")
     for vehicle, claim in claims():
@@ -106,8 +106,8 @@ def margins() -> None:
 
 
 def flights(runs: int) -> bool:
-    """`runs` flights of every claim that is proved, shared among its obstacles."""
-    print(f"\n{runs} flights a claim:\n\n| vehicle | claim | touched | least clearance | within 0.1 m | braked |")
+    """Simulate `runs` runs of every proved claim, divided among its obstacles."""
+    print(f"\n{runs} runs per claim:\n\n| vehicle | claim | collided | least clearance | within 0.1 m | braked |")
     print("|---|---|---|---|---|---|")
     hits = 0
     for vehicle, claim in claims():
@@ -126,8 +126,8 @@ def flights(runs: int) -> bool:
 
 
 def wrong(runs: int) -> bool:
-    """Rules that keep less: all must touch something."""
-    print("\n| rule that keeps less | of | before | touched | least clearance |\n|---|---|---|---|---|")
+    """Simulate the weakened rules: all must collide."""
+    print("\n| weakened rule | of | before | collided | least clearance |\n|---|---|---|---|---|")
     good, gains, vehicle = True, load_gains("default"), load_vehicle(VEHICLES[0])
     for case in WRONG:
         claim = braking_claim_named(case.claim, vehicle, gains)
@@ -139,7 +139,7 @@ def wrong(runs: int) -> bool:
 
 
 def spoiled(case: Wrong, claim: BrakingClaim) -> Rule:
-    """The wrong rule."""
+    """Return the weakened rule."""
     at = case.obstacle
     if claim.law is not None:
         more = 1.5 * claim.law.brake

@@ -1,4 +1,4 @@
-"""Study 16: how large the certified regions of attraction are, how close to what can be had, and what they take.
+"""Study 16: size of the certified regions of attraction, comparison with the largest possible, and time of the proofs.
 
     python analysis/16_cruise_regions/run.py [--quick] [CLAIM…]
 
@@ -23,21 +23,21 @@ from surctl.vehicle import load_vehicle
 from surctl.verification.region import REGION_CLAIMS, RegionProof, prove_statement
 
 VEHICLE, GAINS = "sur540-flooded", "default"
-LEVEL = 0.9  # of the lesser of the falsifier's level and that at which thrust first binds: every claim that has both
+LEVEL = 0.9  # share of the smaller of the falsifier's level and the saturation level, for every claim that has both
 CODAC_SECONDS = 30.0
 HEADS = ("claim", "rate", "y_e from", "at its rest", "extent", "settles", "of falsifier", "of thrust", "proof", "check",
          "size", "bar")  # fmt: skip
 
 
 class Bar(NamedTuple):
-    """What is asked of a region, in words, and whether a proof meets it in these seconds of proof and check."""
+    """A requirement on a region as text, and whether a proof meets it within the given times of proof and check."""
 
     text: str
     met: Callable[[RegionProof, float, float], bool]
 
 
 def beside(proof: RegionProof) -> float:
-    """|y_e| [m] at the point of rest, else at x_e = 0."""
+    """Return |y_e| [m] at the equilibrium, or at x_e = 0 without one."""
     return float(proof.document["claim"]["motion"].get("beside_m", proof.offset))
 
 
@@ -54,7 +54,7 @@ BARS: Mapping[str, Bar] = {
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     quick = "--quick" in arguments
     names = [a for a in arguments if a != "--quick"]
     wrong = [name for name in names if name not in REGION_CLAIMS]
@@ -100,7 +100,7 @@ def main(arguments: list[str]) -> int:
 
 
 def against_codac(proof: RegionProof, took: float, checked: float, limit: float) -> str:
-    """How long codac takes to show V̇ < −a V on 0.05 ≤ V ≤ 1 of the same V, for the nominal vehicle alone."""
+    """Return how long codac takes to show V̇ < −a V on 0.05 ≤ V ≤ 1 for the same V, for the nominal vehicle alone."""
     began = time.perf_counter()
     try:
         done = subprocess.run(
@@ -118,7 +118,9 @@ def against_codac(proof: RegionProof, took: float, checked: float, limit: float)
 
 
 def codac_alone(document: Mapping[str, object]) -> str:
-    """What codac makes of the certificate's V; nominal numbers, no thrust limits: easier than what is proved."""
+    """Run codac on the certificate's V with nominal parameters and without thrust limits: easier than the proved
+    claim.
+    """
     import codac
 
     claim, proof = document["claim"], document["proof"]

@@ -1,9 +1,9 @@
-"""Study 17: what the pool's four cylinders cost a robot that flies by its sonars, one cause taken away at a time.
+"""Study 17: why a robot with sonars is slow among the pool's four cylinders; one cause is removed at a time.
 
     python analysis/17_pool_static_limits/run.py [--quick]
 
-Prints Markdown. Status 0 when nothing collides with the equipment and the vehicle as they are, else 1; 2 for a bad
-option.
+Prints Markdown. The exit status is 0 if no run with unchanged equipment and vehicle collides, 1 otherwise, and 2 for a
+bad option.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from surctl.vehicle import Vehicle, load_vehicle
 
 NAME = "pool-static"
 MARGINS = (0.04, 0.03, 0.02)
-MANY = 1000  # seeds that a margin and sensors in trouble are judged by: 200 would show no collision
+MANY = 1000  # seeds for the rows on margins and worse sensors: 200 would show no collision
 EXACT = {"noise_sd": 1e-4, "bias": 0.0, "bits": 14}
 
 
 def eight(degrees: float) -> SonarArray:
-    """Eight sonars, all fired within the cycle of four."""
+    """Return eight sonars, all fired within the cycle of four."""
     azimuths = tuple(k * pi / 4 for k in range(8))
     return SonarArray(azimuths=azimuths, order=tuple(range(8)), firing_period=0.0125, beam_angle=radians(degrees))
 
 
 def sensors() -> dict[str, Sensors]:
-    """Equipment by what is changed of it."""
+    """Return variants of the equipment, by the change."""
     found = {
         "own position exact": Equipment(own=None),
         "ranges exact": Equipment(array=SonarArray(**EXACT)),
@@ -48,7 +48,7 @@ def sensors() -> dict[str, Sensors]:
 
 
 def trouble() -> dict[str, Sensors]:
-    """Ways in which the sensors may be worse."""
+    """Return variants with worse sensors, by the change."""
     return {
         **{f"beams of {d}°": Sensors(Equipment(array=SonarArray(beam_angle=radians(d)))) for d in (15, 120)},
         "a tenth of the firings lost": Sensors(chances=FaultChances(dropout=0.1)),
@@ -56,7 +56,7 @@ def trouble() -> dict[str, Sensors]:
 
 
 def mirrored(scenario: Scenario) -> Scenario:
-    """The same pool with left and right exchanged; waves, noise and drift keep their seeds, and are not mirrored."""
+    """Return the pool with left and right exchanged; waves, noise and drift keep their seeds, unmirrored."""
     width, standing = scenario.site[1], scenario.obstacles
     return replace(
         scenario,
@@ -66,7 +66,7 @@ def mirrored(scenario: Scenario) -> Scenario:
 
 
 def vehicles(vehicle: Vehicle) -> dict[str, Vehicle]:
-    """Vehicles by what is changed of them; the controller knows."""
+    """Return variants of the vehicle, by the change; the controller uses the changed parameters."""
 
     def changed(**values: float) -> Vehicle:
         return vehicle.with_values(values)
@@ -90,7 +90,7 @@ def row(
     vehicle: Vehicle,
     changed: Mapping[str, float] | None = None,
 ) -> int:
-    """Print a line of the table, with some gains changed; the number of collisions."""
+    """Print a row of the table, with some gains changed; return the number of collisions."""
     gains = load_gains("default").with_values(changed or {})
     runs = simulate_batch(Case(scenario, vehicle, gains, sensing=sensing), seeds=np.arange(seeds), threads=2)
     stopped, took = runs.column("stopped").astype(int), runs.column("time_s")
@@ -105,8 +105,8 @@ def row(
 
 
 def main(words: list[str]) -> int:
-    """Run the study."""
-    parser = argparse.ArgumentParser(prog="run.py", description="Take the causes of a slow flight away.")
+    """Run the study and print the results."""
+    parser = argparse.ArgumentParser(prog="run.py", description="Remove the causes of a slow run one at a time.")
     parser.add_argument("--quick", action="store_true", help="few seeds, nothing changed")
     options = parser.parse_args(words)
     seeds = 8 if options.quick else 200

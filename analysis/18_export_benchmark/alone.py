@@ -1,4 +1,4 @@
-"""A routine alone on the emulated Cortex-M4F: what it answers, and how many instructions each call takes."""
+"""A single routine on the emulated Cortex-M4F: its outputs, and the instructions of each call."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ int main(int argc, char **argv)
 def counted(
     routine: Routine, arrays: tuple[NDArray[np.float64], ...], *, target: str = "cortex-m4f", level: str = "-O2"
 ) -> tuple[list[NDArray[np.float32]], NDArray[np.int64]]:
-    """(outputs (N, size) each, instructions (N,)) in float32, for inputs (N, size) each."""
+    """Return outputs (N, size) each and instructions (N,) in float32, for inputs (N, size) each."""
     sizes, made = [size for _, size in routine.inputs], [size for _, size in routine.outputs]
     starts, ends = (np.cumsum([0, *part[:-1]]) for part in (sizes, made))
     given = ", ".join([*(f"record + {at}" for at in starts), *(f"answer + {at}" for at in ends)])

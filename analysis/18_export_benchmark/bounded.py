@@ -1,4 +1,4 @@
-"""What the bounded ladder gives up against the exact one: rows and task, on hard problems and in flight."""
+"""Loss of the bounded fallback against the exact one: rows and task, on hard problems and in simulated runs."""
 
 from __future__ import annotations
 
@@ -21,21 +21,27 @@ Array = NDArray[np.float64]
 
 _LADDERS: tuple[Fallback, Fallback] = ("exact", "bounded")
 _RUNGS = {1: "task and rows hold", 2: "task as well as the rows allow", 3: "rows opened"}
-# those in which rows contradict each other, or the task
+# problems in which rows contradict each other or the task
 _FLIGHTS = (("pool-behind", "predict"), *((f"pool-speed-{speed}", "barrier") for speed in ("015", "020", "025")))
 
 
 def quality(*, quick: bool) -> list[str]:
-    """Rows and task missed beyond the exact ladder's answer, where the bounded one had none of its own."""
+    """Return violations of rows and task beyond those of the exact solution, for problems that need the bounded
+    fallback.
+    """
     trials = draw_trials(500 if quick else 4_000, n=4, p=2, m=24, seed=0)
     exact, found = (compile_block(safe_step(4, 2, 24, fallback=ladder))(*trials.arrays) for ladder in _LADDERS)
     low, high = trials.box[:, :4], trials.box[:, 4:]
     near = np.clip(trials.target, low, high)
     least = np.maximum(exact[3][:, 0], 0.0)
-    answers = {"bounded": found[0], "standing still": np.clip(0.0 * near, low, high), "the target in the box": near}
+    answers = {
+        "bounded": found[0],
+        "zero velocity": np.clip(0.0 * near, low, high),
+        "the target clipped to the box": near,
+    }
     best = _task(trials, exact[0])
     lines = [
-        "| what the exact ladder says | problems | answer | hard rows missed, max | soft rows missed beyond it, "
+        "| result of the exact fallback | problems | answer | hard rows missed, max | soft rows missed beyond it, "
         "mean / 95 % / max | task missed beyond it, mean / 95 % |",
         "|---|---|---|---|---|---|",
     ]
@@ -53,7 +59,7 @@ def quality(*, quick: bool) -> list[str]:
 
 
 def _missed(trials: Trials, v: Array) -> tuple[Array, Array]:
-    """(N,) each: by how much the worst hard and the worst soft row of length 1 is missed."""
+    """Return the largest violation of a hard row and of a soft row of length 1, (N,) each."""
     A, lower, upper, soft = trials.unit()
     value = np.einsum("kij,kj->ki", A, v)
     missed = np.maximum(np.maximum(value - upper, lower - value), 0.0)
@@ -61,7 +67,7 @@ def _missed(trials: Trials, v: Array) -> tuple[Array, Array]:
 
 
 def _task(trials: Trials, v: Array) -> Array:
-    """(N,): ‖J v − x‖, the longest row of J being of length 1."""
+    """Return ‖J v − x‖ (N,), with the longest row of J scaled to length 1."""
     J = trials.J.reshape(len(v), -1, v.shape[1])
     longest = np.linalg.norm(J, axis=2).max(axis=1)
     off = np.linalg.norm(np.einsum("kij,kj->ki", J, v) - trials.x, axis=1)
@@ -69,9 +75,9 @@ def _task(trials: Trials, v: Array) -> Array:
 
 
 def flights(*, quick: bool) -> list[str]:
-    """The same missions with either ladder."""
+    """Simulate the same missions with both fallbacks."""
     lines = [
-        "| flight, law guarded in mode projected | movers | exact: time, least clearance | bounded: the same "
+        "| run, law guarded in mode projected | movers | exact: time, least clearance | bounded: the same "
         "| steps, degraded |",
         "|---|---|---|---|---|",
     ]

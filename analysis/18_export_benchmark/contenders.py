@@ -1,4 +1,4 @@
-"""The same controller as C from several generators, in the frame of one bundle, so that one harness runs them all."""
+"""The same controller as C from several generators, within one bundle, so that one test program runs all versions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCENARIO = "pool-ahead"
 
 @dataclass(frozen=True)
 class Contender:
-    """One way to C.
+    """The C of one generator.
 
     Attributes:
         name: as the table has it.
@@ -36,7 +36,7 @@ class Contender:
 
 
 def controller() -> tuple[Law, Vehicle, NDArray[np.float64], Records]:
-    """The law, what flies it, its numbers, and a flight."""
+    """The law, its vehicle and scenario, its parameters, and a run."""
     mission, law, gains = load_scenario(SCENARIO), build_law("closed_form"), load_gains("default")
     vehicle = load_vehicle(mission.vehicle)
     record = simulate(mission, vehicle, gains=gains, law=law, sensing="truth", seed=0).record
@@ -45,7 +45,7 @@ def controller() -> tuple[Law, Vehicle, NDArray[np.float64], Records]:
 
 
 def ours(law: Law, vehicle: Vehicle, numbers: NDArray[np.float64], real: Real) -> Contender:
-    """surctl export --constant-gains."""
+    """Return the C of `surctl export --constant-gains`."""
     shipped = closed_form(law, real=real, constants=numbers)
     within = operating_envelope(law, load_scenario(SCENARIO), vehicle, shipped.gains)
     bundle = build_bundle(shipped, {}, real=real, envelope=within)
@@ -53,7 +53,7 @@ def ours(law: Law, vehicle: Vehicle, numbers: NDArray[np.float64], real: Real) -
 
 
 def casadi_c(law: Law, base: Contender, numbers: NDArray[np.float64], *, shim: bool = False) -> Contender:
-    """CasADi's generated C of the same expressions with the same constants; `shim`: its sin is sinf, and so on."""
+    """Return CasADi's C for the same expressions and constants; with `shim`, sin is replaced by sinf, and so on."""
     real = base.bundle.real
     x, u = ca.SX.sym("x", law.state.size), ca.SX.sym("u", law.inputs.size)
     function = ca.Function("generated", [x, u], law.function.call([x, u, ca.DM(numbers)]), {"cse": True})
@@ -71,7 +71,9 @@ def casadi_c(law: Law, base: Contender, numbers: NDArray[np.float64], *, shim: b
 
 
 def _frame(name: str, kind: str, function: ca.Function) -> str:
-    """The bundle's functions around the generated one; the structs' fields follow one another as the vectors do."""
+    """Return the bundle's functions around the generated one; the structs have their fields in the order of the
+    vectors.
+    """
     return f"""
 #include "{name}.h"
 #include <stddef.h>

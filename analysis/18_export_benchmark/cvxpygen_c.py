@@ -1,4 +1,4 @@
-"""What CVXPYgen writes around OSQP for the problem of `peers`, made ready for the emulated Cortex-M4F."""
+"""CVXPYgen's C around OSQP for the problem of `peers`, prepared for the emulated Cortex-M4F."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 INSTALLED = importlib.util.find_spec("cvxpygen") is not None
 
-_FLOATS = {  # it writes doubles alone; OSQP's own C takes either
+_FLOATS = {  # CVXPYgen writes only doubles; OSQP's own C supports both
     "c/include/cpg_workspace.h": ("typedef double cpg_float", "typedef float cpg_float"),
     "c/solver_code/osqp_configure.h": (
         "#define OSQP_EMBEDDED_MODE",

@@ -1,4 +1,4 @@
-"""The law that keeps limits as C, and its least-distance tick alone, on the emulated Cortex-M4F in float32."""
+"""The law with limits as C, and its least-distance step alone, on the emulated Cortex-M4F in float32."""
 
 from __future__ import annotations
 
@@ -33,25 +33,25 @@ from surctl.vehicle import load_vehicle
 __all__ = ["USUAL", "WORST", "laws", "ticks"]
 
 USUAL, WORST = 6_000, 12_000
-"""Bars on the instructions of a step with 24 rows and 2 equalities."""
+"""Limits on the instructions of a step with 24 rows and 2 equalities."""
 
 _ROWS = 24
 _RUNGS = {
     1: "task and rows hold",
     2: "task as well as the rows allow",
     3: "rows opened",
-    BOUNDED: "the answer of constant cost",
+    BOUNDED: "the solution of constant cost",
 }
 _LAWS: tuple[tuple[str, str, Mapping[str, object], bool], ...] = (
-    ("1 obstacle that stands, gains constant", "pool-ahead", {"contacts": 1, "moving": False}, True),
-    ("4 that stand, gains constant", "pool-static", {"contacts": 4, "moving": False}, True),
-    ("8 that may move, gains inputs", "pool-static", {}, False),
+    ("1 static obstacle, gains constant", "pool-ahead", {"contacts": 1, "moving": False}, True),
+    ("4 static obstacles, gains constant", "pool-static", {"contacts": 4, "moving": False}, True),
+    ("8 obstacles that may move, gains as inputs", "pool-static", {}, False),
 )
 
 
 @dataclass(frozen=True)
 class Told:
-    """Lines of the README, and figures for the bars; bound: with every loop at its bound."""
+    """Lines of the README, and figures for the limits; bound: with every loop at its limit."""
 
     lines: tuple[str, ...]
     title: str
@@ -62,9 +62,11 @@ class Told:
 
 
 def laws(*, quick: bool, ladder: Fallback = "exact") -> Told:
-    """Law guarded in mode projected, over a flight and over single steps; most: if bounded, of what stands."""
+    """Measure the law guarded in mode projected over a run and over single steps; most: if bounded, with static
+    obstacles.
+    """
     lines = [
-        "| law guarded, mode projected, which knows | rows | flight, min / mean / max | single steps, mean / max "
+        "| law guarded, mode projected, with | rows | run, min / mean / max | single steps, mean / max "
         "| code, B | bytes of Python |",
         "|---|---|---|---|---|---|",
     ]
@@ -97,7 +99,7 @@ def laws(*, quick: bool, ladder: Fallback = "exact") -> Told:
 
 
 def ticks(*, quick: bool, ladder: Fallback = "exact") -> Told:
-    """The tick of that mode alone: 24 rows, a task of 2 rows and two of 1, on problems made to break a solver."""
+    """Measure the step of that mode alone: 24 rows, a task of 2 rows and two of 1, on numerically hard problems."""
     levels = (LevelShape(2), LevelShape(1), LevelShape(1))
     tick = priority_step("projected", n=4, levels=levels, rows=_ROWS, precision=FLOAT32, named=False, fallback=ladder)
     arrays = _inputs(draw_trials(300 if quick else 4_000, n=4, p=2, m=_ROWS, seed=0))
@@ -129,12 +131,12 @@ def ticks(*, quick: bool, ladder: Fallback = "exact") -> Told:
         f"With every loop at its bound {tick.operations} operations, {longest.max()} instructions when all run to it.",
     ]
     usual = counts[held & (iterations <= 1)]
-    title = f"{_ROWS} rows and a task of 2, {len(counts)} problems that are made to break a solver"
+    title = f"{_ROWS} rows and a task of 2, {len(counts)} numerically hard problems"
     return Told(tuple(lines), title, float(usual.mean()), int(counts.max()), fine, int(longest.max()))
 
 
 def _inputs(trials: Trials) -> tuple[NDArray[np.float64], ...]:
-    """J, lower, upper, rows, box: the trials' task first, then heave and yaw at the target's."""
+    """Return J, lower, upper, rows, box: the task of the problems first, then heave and yaw of the target."""
     rest = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(trials.x), 1))
     wanted = np.hstack([trials.x, trials.target[:, 2:]])
     return np.hstack([trials.J, rest]), wanted, wanted, trials.rows, trials.box

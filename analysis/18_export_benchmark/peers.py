@@ -1,4 +1,4 @@
-"""The least-distance problem that the tick solves, by what OSQP and CasADi generate, on the emulated Cortex-M4F."""
+"""The least-distance problem of the step, solved by the generated C of OSQP and CasADi on the emulated Cortex-M4F."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ PROBLEM = "4 velocities, 2 equalities, 24 rows, all of which can be kept; solved
 Array = NDArray[np.float64]
 
 _N, _P, _M = 4, 2, 24
-_RIGHT = 1e-3  # of 1 + max |v|: an answer further off is none
+_RIGHT = 1e-3  # relative to 1 + max |v|: a solution off by more counts as unsolved
 _FLOATS = "".join(f"#define {word} {word}f\n" for word in ("sqrt", "fabs", "fmin", "fmax"))
 
 
 def race(*, quick: bool) -> tuple[list[str], NDArray[np.int64], NDArray[np.int64]]:
-    """Lines of the README, and the instructions of the safe tick with the exact and with the bounded ladder."""
+    """Return lines of the README, and the instructions of the step with the exact and with the bounded fallback."""
     trials, exact = _met(40 if quick else 200)
     outputs, counts = counted(safe_step(_N, _P, _M, precision=FLOAT32), trials.arrays)
     cut, fewer = counted(safe_step(_N, _P, _M, precision=FLOAT32, fallback="bounded"), trials.arrays)
     lines = [
         "| solver | instructions, min / mean / max | solved | error of 95 % of those |",
         "|---|---|---|---|",
-        _line("surctl, the safe tick with its ladder", outputs[0], counts, exact),
-        _line("surctl, the safe tick with the bounded ladder", cut[0], fewer, exact),
+        _line("surctl, the step with exact fallback", outputs[0], counts, exact),
+        _line("surctl, the step with bounded fallback", cut[0], fewer, exact),
         *(
             _line(f"OSQP {osqp.__version__}, generated, tolerance {eps:g}", *_osqp(trials, eps), exact)
             for eps in (1e-3, 1e-5)
@@ -68,7 +68,7 @@ def _line(name: str, v: NDArray[np.float32], counts: NDArray[np.int64], exact: A
 
 
 def _met(count: int) -> tuple[Trials, Array]:
-    """Random problems whose task and rows can be kept, and the answers in double."""
+    """Return random problems with compatible task and rows, and their solutions in double."""
     trials = draw_trials(3 * count + 50, n=_N, p=_P, m=_M, seed=0, mixed=False)
     v, *_, status, _ = compile_block(safe_step(_N, _P, _M))(*trials.arrays)
     chosen = np.flatnonzero(status[:, 0] == MET)[:count]
@@ -76,7 +76,7 @@ def _met(count: int) -> tuple[Trials, Array]:
 
 
 def _bounds(trials: Trials) -> tuple[Array, Array, Array]:
-    """A (count, m + p, n), lower and upper, the equalities last."""
+    """Return A (count, m + p, n), lower and upper, with the equalities last."""
     rows = trials.rows.reshape(len(trials.rows), _M, _N + 3)
     A = np.concatenate([rows[..., :_N], trials.J.reshape(-1, _P, _N)], axis=1)
     lower, upper = (np.concatenate([rows[..., k], trials.x], axis=1) for k in (_N, _N + 1))
@@ -114,7 +114,7 @@ static void one(const float *record, float *answer)
 def _qrqp(trials: Trials) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     A, lower, upper = _bounds(trials)
     rows = _M - _N + _P
-    # in floats it seldom ends where it has not ended soon: not its default of 1000
+    # in floats it seldom converges after many iterations, so not its default of 1000
     options = {"constr_viol_tol": 1e-5, "dual_inf_tol": 1e-5, "max_iter": 100, "error_on_fail": False}
     options |= {f"print_{what}": False for what in ("iter", "header", "info")}
     function = ca.conic("generated", "qrqp", {"h": ca.Sparsity.diag(_N), "a": ca.Sparsity.dense(rows, _N)}, options)

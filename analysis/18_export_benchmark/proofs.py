@@ -1,4 +1,4 @@
-"""Frama-C's Eva over whole laws that know where obstacles are, in every priority mode."""
+"""Frama-C's Eva on whole laws with known obstacle positions, in every priority mode."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LAWS: tuple[tuple[str, Real, bool], ...] = (
 
 
 def whole_laws(*, quick: bool) -> tuple[list[str], bool]:
-    """(lines of the README, whether nothing is left open)."""
+    """Return lines of the README, and whether no alarm remains."""
     lines = ["| law guarded, mode | numbers | gains | alarms | properties | s |", "|---|---|---|---|---|---|"]
     proved = True
     mission, tuned = load_scenario(_SCENARIO), load_gains("default")

@@ -1,8 +1,9 @@
-"""Study 18: the same controller as C, ours and CasADi's, on an emulated Cortex-M4F; and wrong versions of ours.
+"""Study 18: the same controller as C of surctl and of CasADi on an emulated Cortex-M4F; wrong versions of surctl's C.
 
     python analysis/18_export_benchmark/run.py [--quick] [--write]
 
-Prints Markdown; --write makes the README of it. Status 1 when a bar does not hold, 2 for a bad option.
+Prints Markdown; --write writes the README from it. The exit status is 1 if a limit does not hold, and 2 for a bad
+option.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from surctl.export.process import code_bytes
 from surctl.export.trial import trial_steps
 from surctl.ir import Program, replay
 
-_DECIDED = 0.01  # [N] from which a step of the law in floats was decided otherwise than in doubles
+_DECIDED = 0.01  # [N] difference from which a step in floats counts as decided otherwise than in doubles
 BUILDS = ("gcc-O0", "gcc-O3", "gcc-native", "clang-O2", "cortex-m4f", "cortex-m7")
 QUICK = ("gcc-O0", "cortex-m4f")
 MOST_INSTRUCTIONS, SPREAD, MOST_BYTES, LEAST_MUTANTS = 1200, 1.10, 4500, 20
@@ -38,7 +39,7 @@ MOST_INSTRUCTIONS, SPREAD, MOST_BYTES, LEAST_MUTANTS = 1200, 1.10, 4500, 20
 
 @dataclass(frozen=True)
 class Line:
-    """What one contender showed on the M4F."""
+    """The results of one version on the M4F."""
 
     contender: Contender
     level: str
@@ -49,7 +50,7 @@ class Line:
     builds: int
 
     def row(self) -> str:
-        """Its line of the table."""
+        """Return its row of the table."""
         i = self.counted
         cells = [
             self.contender.name,
@@ -66,7 +67,7 @@ class Line:
 
 
 def vectors(base: Contender, flight: Records, steps: int) -> Records:
-    """The flight, then single steps around it that the guard lets in: inside its box, so that doubles are in theirs."""
+    """Return the run, then single steps around it that the guard accepts, in float and in double."""
     within = base.bundle.envelope
     assert within is not None
     alone = trial_steps(base.law, [flight], steps, real=base.bundle.real, within=within)
@@ -78,7 +79,7 @@ def vectors(base: Contender, flight: Records, steps: int) -> Records:
 
 
 def measure(contender: Contender, reference: Contender, given: Records, names: tuple[str, ...], level: str) -> Line:
-    """Build it everywhere, and compare with each other and with the reference in double."""
+    """Build a version for all targets; compare the builds with each other and with the reference in double."""
     real = contender.bundle.real
     host = Controller(contender.law, contender.bundle, (), None)
     load = np.ones(len(given), dtype=bool)
@@ -87,7 +88,7 @@ def measure(contender: Contender, reference: Contender, given: Records, names: t
     counted = size = None
     for name in names:
         flags = tuple(level if f == "-O2" and name.startswith("cortex") else f for f in TARGETS[name].flags)
-        target = replace(TARGETS[name], flags=(*flags, "-w"))  # other generators' C does not compile without warnings
+        target = replace(TARGETS[name], flags=(*flags, "-w"))  # the C of other generators compiles only with warnings
         with tempfile.TemporaryDirectory() as scratch:
             built, counts, code = built_for(host, target, Path(scratch))
             rows = built.run(rounded, load=load)
@@ -107,7 +108,7 @@ def measure(contender: Contender, reference: Contender, given: Records, names: t
 def wrong_versions(
     base: Contender, flight: Records, limit: NDArray[np.float64], each: int
 ) -> tuple[list[str], int, int]:
-    """(lines, how many were tried, how many nothing caught)."""
+    """Return lines, the number of wrong versions, and the number that nothing detects."""
     counts: dict[tuple[str, str], int] = {}
     missed = []
     tried = mutants(base.bundle, each=each)
@@ -123,7 +124,7 @@ def wrong_versions(
 
 
 def main() -> int:
-    """Print the study."""
+    """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer steps, builds and wrong versions")
     parser.add_argument("--write", action="store_true", help="write README.md beside this file")
@@ -137,7 +138,7 @@ def main() -> int:
 
 
 def study(*, quick: bool) -> tuple[str, bool]:
-    """(Markdown, whether every bar holds)."""
+    """Return the Markdown text, and whether every limit holds."""
     law, vehicle, numbers, flight = controller()
     single, double = ours(law, vehicle, numbers, "float32"), ours(law, vehicle, numbers, "float64")
     names, steps = (QUICK, 500) if quick else (BUILDS, 4_000)
@@ -151,7 +152,7 @@ def study(*, quick: bool) -> tuple[str, bool]:
     ]
     given = vectors(single, flight, steps)
     out = [
-        f"{len(given)} steps, of which {len(flight)} are a flight of `pool-ahead`; errors against the law in double.",
+        f"{len(given)} steps, of which {len(flight)} are a run of `pool-ahead`; errors against the law in double.",
         "",
         "| C | guard | M4F | instructions, min / mean / max | max/min | code, B | error of τ, 95 % of steps, N "
         "| decided otherwise | same bytes in |",
@@ -175,18 +176,18 @@ def study(*, quick: bool) -> tuple[str, bool]:
         "",
         *kept.lines,
         "",
-        f"The tick alone, {alone.title}:",
+        f"The step alone, {alone.title}:",
         "",
         *alone.lines,
     ]
     bounded_laws, bounded = laws(quick=quick, ladder="bounded"), ticks(quick=quick, ladder="bounded")
     out += [
         "",
-        "## With limits and the bounded ladder",
+        "## With limits and the bounded fallback",
         "",
         *bounded_laws.lines,
         "",
-        f"The tick alone, {bounded.title}:",
+        f"The step alone, {bounded.title}:",
         "",
         *bounded.lines,
         "",
@@ -203,9 +204,7 @@ def study(*, quick: bool) -> tuple[str, bool]:
     proofs, proved = whole_laws(quick=quick)
     out += ["", "## Proof of whole laws", "", *proofs, "", "## Bars", ""]
     best, worst = lines[1], max(kept.most, alone.most)
-    out += [
-        f"- exact ladder, rows that contradict each other among them: {worst} at most; only the bounded one has a bound"
-    ]
+    out += [f"- exact fallback, contradicting rows included: {worst} at most; only the bounded one has a bound"]
     usual, usual_bounded = lines[0].counted.mean + alone.mean, lines[0].counted.mean + bounded.mean
     held = [
         (f"at most {MOST_INSTRUCTIONS} instructions a step with -Os", best.counted.most <= MOST_INSTRUCTIONS),
@@ -218,28 +217,28 @@ def study(*, quick: bool) -> tuple[str, bool]:
     ]
     held += small
     held += [
-        (f"with limits, in flight, one obstacle that stands: at most {USUAL} in the mean", kept.mean <= USUAL),
-        (f"closed form and a tick of 24 rows that hold: at most {USUAL} in the mean ({usual:.0f})", usual <= USUAL),
+        (f"with limits, in a run, one static obstacle: at most {USUAL} in the mean", kept.mean <= USUAL),
+        (f"closed form and a step of 24 rows that hold: at most {USUAL} in the mean ({usual:.0f})", usual <= USUAL),
         (
-            f"24 rows and 2 equalities that can be kept: at most {USUAL} in the mean, {WORST} at worst",
+            f"24 compatible rows and 2 equalities: at most {USUAL} in the mean, {WORST} at worst",
             apart.mean() <= USUAL and apart.max() <= WORST,
         ),
         (
-            f"bounded ladder, the tick, rows that contradict each other among them: at most {WORST} ({bounded.most})",
+            f"bounded fallback, the step, contradicting rows included: at most {WORST} ({bounded.most})",
             bounded.most <= WORST,
         ),
-        (f"bounded ladder, every loop of the tick at its bound: at most {WORST}", bounded.bound <= WORST),
+        (f"bounded fallback, every loop of the step at its bound: at most {WORST}", bounded.bound <= WORST),
         (
-            f"bounded ladder, laws with obstacles that stand, single steps: at most {WORST} ({bounded_laws.most})",
+            f"bounded fallback, laws with static obstacles, single steps: at most {WORST} ({bounded_laws.most})",
             bounded_laws.most <= WORST,
         ),
         (
-            f"bounded ladder, closed form and a tick of 24 rows that hold: at most {USUAL} in the mean "
+            f"bounded fallback, closed form and a step of 24 rows that hold: at most {USUAL} in the mean "
             f"({usual_bounded:.0f})",
             usual_bounded <= USUAL,
         ),
         (
-            f"bounded ladder, 24 rows and 2 equalities that can be kept: at most {USUAL} in the mean, {WORST} at worst",
+            f"bounded fallback, 24 compatible rows and 2 equalities: at most {USUAL} in the mean, {WORST} at worst",
             cut.mean() <= USUAL and cut.max() <= WORST,
         ),
         ("with limits: the bytes of Python", all(told.same for told in (kept, alone, bounded_laws, bounded))),

@@ -1,8 +1,8 @@
-"""Study 19: whole flights by the exported controller, in a process of its own and on an emulated Cortex-M4F.
+"""Study 19: whole runs with the exported controller, in its own process and on an emulated Cortex-M4F.
 
     python analysis/19_processor_in_the_loop/run.py [--quick]
 
-Prints Markdown. Ends with 0 when every statement holds, else with 1, and with 2 for a bad option or a missing tool.
+Prints Markdown. The exit status is 0 if every statement holds, 1 otherwise, and 2 for a bad option or a missing tool.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ LOSSES = (0.1, 0.2, 0.4)
 DELAYS = (0.1, 0.2, 0.25)
 SEEDS = 5
 QUICK_S = 1.0
-"""Simulated time of a flight with --quick."""
+"""Simulated time of a run with --quick [s]."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """A law, and what it is flown with."""
+    """A law, with its scenario, vehicle and gains."""
 
     scenario: Scenario
     vehicle: Vehicle
@@ -58,7 +58,7 @@ class Setup:
     sensing: Sensing
 
     def fly(self, stepper: Stepper, seed: int = 0) -> Run:
-        """One flight."""
+        """One run."""
         return simulate(
             self.scenario,
             self.vehicle,
@@ -70,13 +70,13 @@ class Setup:
         )
 
     def linked(self, line: Line, faults: LinkFaults) -> LinkedLaw:
-        """A stepper over a line."""
+        """Return a stepper over a connection."""
         return LinkedLaw(self.law, law_numbers(self.scenario, self.gains, self.vehicle), line, faults)
 
 
 @dataclass(frozen=True)
 class Flight:
-    """One flight over a line, and the clock's time that it took."""
+    """A run over a connection, and its wall-clock time."""
 
     sensing: str
     run: Run
@@ -85,7 +85,7 @@ class Flight:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the study and print it; the exit status."""
+    """Run the study, print the results, and return the exit status."""
     unknown = [a for a in arguments if a != "--quick"]
     if unknown:
         print(f"{unknown[0]}: unknown option; the only one is --quick", file=sys.stderr)
@@ -98,7 +98,7 @@ def main(arguments: list[str]) -> int:
 
 
 def study(*, quick: bool) -> int:
-    """Fly, print; 0 when every statement holds."""
+    """Simulate and print; return 0 if every statement holds."""
     flights, said = [], []
     for sensing in ("truth",) if quick else ("truth", "sonar"):
         setup = set_up(sensing, quick=quick)
@@ -115,15 +115,15 @@ def study(*, quick: bool) -> int:
         if sensing == "truth":
             own = setup.fly(Rounded(setup.law).step)
             said.append(
-                (f"the flight of the {PROCESSOR} is that of the law in Python in float", same(own, flights[0].run))
+                (f"the run with the {PROCESSOR} equals that of the law in Python in float", same(own, flights[0].run))
             )
     print_flights(flights)
     said += [
-        ("every answer has the bytes of Python", not any(f.report.differing for f in flights)),
-        ("every step is answered", all(f.report.answered == f.report.steps > 0 for f in flights)),
+        ("every reply has the bytes of Python", not any(f.report.differing for f in flights)),
+        ("every step has a reply", all(f.report.answered == f.report.steps > 0 for f in flights)),
     ]
     if not quick:
-        said.append(("every flight arrives", all(f.run.metrics.reached for f in flights)))
+        said.append(("every run arrives", all(f.run.metrics.reached for f in flights)))
     said += print_faulty(bad)
     print("| statement | |\n|---|---|")
     for text, holds in said:
@@ -132,7 +132,7 @@ def study(*, quick: bool) -> int:
 
 
 def set_up(sensing: Sensing, *, quick: bool) -> Setup:
-    """The scenario with the law that senses, or the one that is told."""
+    """Return the scenario with the law with sonars, or with the law on true positions."""
     scenario = load_scenario(SCENARIO)
     if quick:
         scenario = replace(scenario, time_limit=QUICK_S)
@@ -143,7 +143,7 @@ def set_up(sensing: Sensing, *, quick: bool) -> Setup:
 
 @contextmanager
 def on_processor(setup: Setup, *, quick: bool) -> Iterator[Line]:
-    """A line to the law in float on the emulated processor; compiled sooner with `quick`, to the same bytes."""
+    """Return a connection to the law in float on the emulated processor; `quick` compiles faster."""
     p = law_numbers(setup.scenario, setup.gains, setup.vehicle)
     bundle = build_bundle(closed_form(setup.law, real="float32"), setup.law.gains.unpack(p), real="float32")
     target = emulated_target(PROCESSOR)
@@ -155,7 +155,7 @@ def on_processor(setup: Setup, *, quick: bool) -> Iterator[Line]:
 
 @contextmanager
 def as_process(setup: Setup, real: Real) -> Iterator[Line]:
-    """A line to the law as a process on this machine."""
+    """Return a connection to the law as a process on this machine."""
     p = law_numbers(setup.scenario, setup.gains, setup.vehicle)
     bundle = build_bundle(closed_form(setup.law, real=real), setup.law.gains.unpack(p), real=real)
     with tempfile.TemporaryDirectory() as name:
@@ -175,7 +175,7 @@ def as_process(setup: Setup, real: Real) -> Iterator[Line]:
 
 
 def flown(setup: Setup, line: Line, faults: LinkFaults | None = None, seed: int = 0) -> Flight:
-    """One flight over a line."""
+    """Simulate one run over a connection."""
     stepper = setup.linked(line, faults or LinkFaults())
     began = time.perf_counter()
     run = setup.fly(stepper, seed)
@@ -183,7 +183,7 @@ def flown(setup: Setup, line: Line, faults: LinkFaults | None = None, seed: int 
 
 
 def faulty(setup: Setup, line: Line, *, seeds: int) -> list[tuple[LinkFaults, list[Flight]]]:
-    """Flights over bad lines."""
+    """Simulate runs over bad connections."""
     wrong = [*(LinkFaults(loss=loss) for loss in LOSSES), *(LinkFaults(delay=delay) for delay in DELAYS)]
     wrong = [LinkFaults(loss=max(LOSSES)), LinkFaults(delay=max(DELAYS))] if seeds == 1 else wrong
     return [
@@ -192,18 +192,18 @@ def faulty(setup: Setup, line: Line, *, seeds: int) -> list[tuple[LinkFaults, li
 
 
 def same(mine: Run, other: Run) -> bool:
-    """Whether two flights are one, to the last bit."""
+    """Return whether two runs are equal to the last bit."""
     pairs = [(getattr(mine.record, name), getattr(other.record, name)) for name in ("eta", "nu", "tau", "law_input")]
     pairs += [(mine.record.law_state[1:], other.record.law_state[1:]), (mine.record.status, other.record.status)]
     return all(np.array_equal(a, b) for a, b in pairs)
 
 
 def print_flights(flights: Sequence[Flight]) -> None:
-    """One row a flight."""
-    print(f"## Flights of `{SCENARIO}`, seed 0\n")
+    """Print one row per run."""
+    print(f"## Runs of `{SCENARIO}`, seed 0\n")
     print(
-        "| law | controller | numbers | steps | answered | with other bytes | flight | least clearance [m] |"
-        " numbers of state a step | answer, mean [ms] |"
+        "| law | controller | numbers | steps | answered | with other bytes | run | least clearance [m] |"
+        " numbers of state a step | reply, mean [ms] |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|")
     for f in flights:
@@ -216,14 +216,12 @@ def print_flights(flights: Sequence[Flight]) -> None:
 
 
 def print_faulty(bad: Sequence[tuple[LinkFaults, Sequence[Flight]]]) -> list[tuple[str, bool]]:
-    """One row a fault; the statements about them."""
-    print("## Bad lines, law with true positions, a command believed for 0.25 s\n")
-    print(
-        "| line | flights | arrived | collided | mean time [s] | least clearance [m] | periods with zero thrust [%] |"
-    )
+    """Print one row per fault; return the statements about them."""
+    print("## Bad connections, law with true positions, a command held for 0.25 s\n")
+    print("| connection | runs | arrived | collided | mean time [s] | least clearance [m] | zero thrust [%] |")
     print("|---|---|---|---|---|---|---|")
     for faults, flights in bad:
-        what = f"loss {faults.loss:g} each way" if faults.loss else f"answers {faults.delay:g} s late"
+        what = f"loss {faults.loss:g} each way" if faults.loss else f"replies {faults.delay:g} s late"
         metrics = [f.run.metrics for f in flights]
         seconds, least = np.mean([m.time_s for m in metrics]), min(m.min_clearance_m for m in metrics)
         zero = 100 * sum(f.report.failsafe for f in flights) / sum(f.report.steps for f in flights)
@@ -235,7 +233,10 @@ def print_faulty(bad: Sequence[tuple[LinkFaults, Sequence[Flight]]]) -> list[tup
     print()
     everything = [f for _, flights in bad for f in flights]
     return [
-        ("on a bad line, too, every answer has the bytes of Python", not any(f.report.differing for f in everything)),
+        (
+            "with a bad connection, too, every reply has the bytes of Python",
+            not any(f.report.differing for f in everything),
+        ),
         (
             "lost messages are counted where messages are lost, and nowhere else",
             all((sum(f.report.lost) > 0) == (faults.loss > 0) for faults, flights in bad for f in flights),

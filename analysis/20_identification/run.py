@@ -1,10 +1,10 @@
-"""Study 20: whether a vehicle fitted to a log lies within its own intervals as often as they say.
+"""Study 20: do the 95 % intervals of a vehicle fitted to a log contain the true values in 95 % of the cases?
 
     python analysis/20_identification/run.py            # ten minutes on two cores
     python analysis/20_identification/run.py --quick    # 2 logs of 30 s
 
-Prints Markdown; what comes of each log does not depend on the number of processes.
-Ends with 0 when every statement holds, else with 1.
+Prints Markdown; the results do not depend on the number of processes.
+The exit status is 0 if every statement holds, and 1 otherwise.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from surctl.vehicle import (
 SEED = 20
 SURGE = 1000  # seed of the first log of surge alone
 PERIOD = 0.1  # s between rows
-FINE = 8  # steps of the integration a row, finer than the fit's own
+FINE = 8  # integration steps per row, finer than in the fit
 NOISE = (0.005, 0.005, 0.005, 0.01, 0.005, 0.005, 0.005, 0.01)  # m, rad, m/s, rad/s
 BAR = 0.93  # of 95 %
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A log of random thrust steps by a vehicle drawn from its ranges, and what the fit made of it."""
+    """A log of random thrust steps of a vehicle drawn from its ranges, and the result of the fit."""
 
     inside: dict[str, bool]
     told: tuple[str, ...]
@@ -49,7 +49,7 @@ class Trial:
 
 
 def drawn(nominal: Vehicle, rng: np.random.Generator) -> Vehicle:
-    """Masses and drag uniform in the vehicle's ranges, ±25 % where it has none."""
+    """Draw masses and drag uniformly from the vehicle's ranges, or ±25 % without a range."""
     values = {}
     for name in FITTED:
         low, high = nominal.parameters[name].range or (0.75 * nominal[name], 1.25 * nominal[name])
@@ -58,7 +58,7 @@ def drawn(nominal: Vehicle, rng: np.random.Generator) -> Vehicle:
 
 
 def log_of(vehicle: Vehicle, rng: np.random.Generator, *, rows: int, axes: tuple[int, ...]) -> MotionLog:
-    """Steps of thrust held for 0.6 to 3 s on the given axes; white noise on every column."""
+    """Return a log of thrust steps held for 0.6 to 3 s on the given axes, with white noise on every column."""
     thrust = np.zeros((rows, 4))
     for axis in axes:
         held = np.repeat(rng.uniform(-1, 1, rows), rng.integers(6, 30, rows))[:rows]
@@ -82,7 +82,7 @@ def _integrated(vehicle: Vehicle, thrust: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def trial(nominal: Vehicle, seed: int, *, rows: int, axes: tuple[int, ...] = (0, 1, 2, 3)) -> Trial:
-    """Draw, log, fit from the nominal vehicle, compare."""
+    """Draw a vehicle, simulate a log, fit from the nominal vehicle, and compare."""
     rng = np.random.default_rng([SEED, seed])
     true = drawn(nominal, rng)
     log = log_of(true, rng, rows=rows, axes=axes)
@@ -99,7 +99,7 @@ def _job(words: tuple[int, int, tuple[int, ...]]) -> Trial:
 
 
 def flights(jobs: list[tuple[int, int, tuple[int, ...]]], workers: int) -> Iterator[Trial]:
-    """The trials in order, in this process for one worker."""
+    """Return the trials in order; one worker computes in this process."""
     if workers == 1:
         yield from map(_job, jobs)
         return
@@ -108,7 +108,7 @@ def flights(jobs: list[tuple[int, int, tuple[int, ...]]], workers: int) -> Itera
 
 
 def main() -> int:
-    """Print the tables; 1 when a statement does not hold."""
+    """Print the tables; return 1 if a statement does not hold."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="2 runs of 30 s instead of 200 of 60 s")
     parser.add_argument("--workers", type=int, default=2, help="processes")
@@ -126,7 +126,7 @@ def main() -> int:
     trials, surge = flown[:runs], flown[runs:]
     print(f"{runs} logs of {rows * PERIOD:g} s, noise {NOISE[0]:g} m, {NOISE[3]:g} rad, {NOISE[4]:g} m/s; columns:")
     print(f"{', '.join(LOG_MOTION)}\n")
-    print("| parameter | nominal | in its 95 % interval | half-interval, median | told |\n|---|---|---|---|---|")
+    print("| parameter | nominal | in its 95 % interval | half-interval, median | determined |\n|---|---|---|---|---|")
     for name in FITTED:
         hits = np.mean([t.inside[name] for t in trials])
         half = np.median([t.half[name] for t in trials])
@@ -137,11 +137,11 @@ def main() -> int:
     moved, still = {"m11", "Xuu"}, {"m22", "m33", "m44", "Yvv", "Zww", "Nrr"}
     statements = {
         f"the truth lies in its interval in at least {BAR:.0%} ({share:.1%} of {runs * len(FITTED)})": share >= BAR,
-        "masses and thrust lag are told by every log": all(
+        "every log determines masses and thrust lag": all(
             {"m11", "m22", "m33", "m44", "thrust_lag"} <= set(t.told) for t in trials
         ),
-        "a log of surge alone tells surge": all(moved <= set(t.told) for t in surge),
-        "and says that it cannot tell the others": not any(still & set(t.told) for t in surge),
+        "a log of surge alone determines surge": all(moved <= set(t.told) for t in surge),
+        "and the other parameters are reported as not determined": not any(still & set(t.told) for t in surge),
     }
     print("\n| statement | holds |\n|---|---|")
     for text, holds in statements.items():

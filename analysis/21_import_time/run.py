@@ -1,4 +1,4 @@
-"""Study 21: what `import surctl` and `surctl --help` cost, against `import numpy`.
+"""Study 21: the time of `import surctl` and `surctl --help`, compared with `import numpy`.
 
     python analysis/21_import_time/run.py            # some seconds
     python analysis/21_import_time/run.py --quick    # 3 processes of each
@@ -33,7 +33,7 @@ BARRED = ("import surctl", "surctl --help")
 
 
 def cost(words: list[str]) -> float:
-    """User and system time [s] of one process."""
+    """Return user plus system time [s] of one process."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     environment = {**os.environ, "PYTHONHASHSEED": "0"}
     subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL, env=environment)
@@ -42,14 +42,14 @@ def cost(words: list[str]) -> float:
 
 
 def heavy(words: list[str]) -> list[str]:
-    """The heavy packages that these words import on the way."""
+    """Return the heavy packages that this command imports."""
     done = subprocess.run([sys.executable, "-X", "importtime", *words], check=True, capture_output=True, text=True)
     found = {line.rsplit("|", 1)[-1].strip().partition(".")[0] for line in done.stderr.splitlines() if "|" in line}
     return sorted(found & set(HEAVY))
 
 
 def main() -> int:
-    """Print the tables; 1 when a bar is missed."""
+    """Print the tables; return 1 if a limit is missed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} processes of each instead of {RUNS}")
     given = parser.parse_args()

@@ -1,8 +1,9 @@
-"""Study 22: every scenario through the sonars: as it is, over the vehicle's ranges with echoes lost, and drawn worlds.
+"""Study 22: every scenario with sonars, as it is and with random vehicles and lost echoes; and random worlds.
 
     python analysis/22_every_scenario/run.py [--quick] [--write]
 
-Prints Markdown; --write makes the README of it. Status 1 when a bar does not hold, 2 for a bad option.
+Prints Markdown; --write writes the README from it. The exit status is 1 if a limit does not hold, and 2 for a bad
+option.
 """
 
 from __future__ import annotations
@@ -32,19 +33,19 @@ from surctl.vehicle import load_vehicle
 
 SEEDS, RUNS, WORLDS = 200, 2000, 500
 MOST_ERROR = {"tank": 0.04, "pool": 0.08}  # [m] rms of a series
-MOST_LATE = 0.005  # share of a scenario's runs that reach no target in time
+MOST_LATE = 0.005  # share of a scenario's runs beyond the time limit
 LEAST_REACHED = 0.95  # of the drawn worlds
 LOST = FaultChances(dropout=0.05)
 
 
 def case_of(name: str, sensors: Sensors) -> Case:
-    """A scenario of the library by its own vehicle, through the sonars."""
+    """Return a scenario of the library with its own vehicle and with sonars."""
     scenario = replace(load_scenario(name), sensors=sensors)
     return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
 
 
 def nominal(names: list[str], seeds: int) -> tuple[list[str], dict[str, bool]]:
-    """(lines, bars) of the scenarios as they are."""
+    """Return lines and limits of the unchanged scenarios."""
     lines = [
         "| scenario | reached | collided | else | mean time [s] | slowest [s] | paper [s] "
         "| path error, mean / max [m] | least clearance [m] |",
@@ -56,7 +57,7 @@ def nominal(names: list[str], seeds: int) -> tuple[list[str], dict[str, bool]]:
         runs = simulate_batch(case, seeds=np.arange(seeds), threads=2)
         reached, hit = (int(runs.column(which).sum()) for which in ("reached", "collided"))
         took, error = runs.column("time_s"), runs.column("path_error_m")
-        error = error[np.isfinite(error)]  # a run that avoids to its end has none
+        error = error[np.isfinite(error)]  # a run that avoids obstacles to its end has no path error
         squares[name.split("-")[0]] += list(error**2)
         touched, late = touched + hit, max(late, (seeds - reached - hit) / seeds)
         paper = case.scenario.paper
@@ -80,12 +81,12 @@ def nominal(names: list[str], seeds: int) -> tuple[list[str], dict[str, bool]]:
 
 
 def flown(plan: Plan, runs: int) -> Campaign:
-    """A campaign on two threads, which says on the error stream how far it is."""
+    """Run a campaign on two threads, and print its progress on stderr."""
     return run_campaign(plan, runs=runs, threads=2, progress=lambda line: print(line, file=sys.stderr))
 
 
 def campaign_row(flight: Campaign) -> str:
-    """Its line of the table."""
+    """Return its row of the table."""
     s = flight.summary
     stopped = s.stopped
     bound = (
@@ -114,7 +115,7 @@ HEAD = [
 
 
 def study(*, quick: bool) -> tuple[str, bool]:
-    """(Markdown, whether every bar holds)."""
+    """Return the Markdown text, and whether every limit holds."""
     names = ["pool-behind"] if quick else scenario_names()
     seeds, runs, worlds = (4, 20, 6) if quick else (SEEDS, RUNS, WORLDS)
     lines, bars = nominal(names, seeds)
@@ -137,7 +138,7 @@ def study(*, quick: bool) -> tuple[str, bool]:
 
 
 def main() -> int:
-    """Print the study."""
+    """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one scenario, few runs")
     parser.add_argument("--write", action="store_true", help="write README.md beside this file")

@@ -1,11 +1,11 @@
-"""Study 23: does the suite notice wrong code? Each mutant is one wrong place; the tests next to it must fail.
+"""Study 23: do the tests detect wrong code? Each mutant has one error; the tests for this code must fail.
 
     python analysis/23_mutants/run.py            # all of them; what is known already is not run again
     python analysis/23_mutants/run.py --quick    # a handful, anew
     python analysis/23_mutants/run.py --only ID  # one, or several times for several
 
-Prints Markdown; --write makes the README of it. Status 0 when every mutant is caught, 1 when one survives, 2 for a bad
-option, an `old` text that is not in its file exactly once, or tests that fail without any mutant.
+Prints Markdown; --write writes the README from it. Status 0 when every mutant is caught, 1 when one survives, 2 for a
+bad option, an `old` text that is not in its file exactly once, or tests that fail without any mutant.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ ROOT = Path(__file__).resolve().parents[2]
 CONFIG = Path(__file__).with_name("mutants.toml")
 COPIED = ("surctl", "tests", "pyproject.toml")
 KNOWN = Path("surctl-out") / "mutants.jsonl"
-OWN_CACHE = "surctl/ir/"  # what these files compile wrongly must not be found by the others
+OWN_CACHE = "surctl/ir/"  # wrong code that these files compile must not be cached for the other tests
 
 
 class Mutant(Strict):
-    """One wrong place.
+    """A mutant: one error in one file.
 
     Attributes:
-        id: its name.
-        room: what it belongs to.
-        file: where it is.
-        changes: what is wrong, in words.
+        id: name of the mutant.
+        room: the part of the code to which it belongs.
+        file: the file that contains the error.
+        changes: description of the error.
         old: text that is in the file exactly once.
-        new: what stands there instead.
+        new: its replacement.
         tests: files or node ids, at least one of which must fail.
         quick: whether it is one of the handful.
     """
@@ -63,7 +63,7 @@ class Mutant(Strict):
     quick: bool = False
 
     def source(self) -> str:
-        """The file with the mutant in it; ValueError where `old` is not in it exactly once."""
+        """Return the text of the file with the mutant; ValueError if `old` does not occur exactly once."""
         path = ROOT / self.file
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         if (count := text.count(self.old)) != 1 or self.old == self.new:
@@ -71,7 +71,7 @@ class Mutant(Strict):
         return text.replace(self.old, self.new)
 
     def digest(self) -> str:
-        """Of the mutated source and of the tests."""
+        """Return the digest of the mutated source and of the tests."""
         files = sorted({test.partition("::")[0] for test in self.tests})
         parts = [self.file, self.source(), *self.tests, *((ROOT / f).read_text(encoding="utf-8") for f in files)]
         return sha256("\0".join(parts).encode()).hexdigest()
@@ -91,7 +91,7 @@ class Config(Strict):
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a mutant.
+    """The result of a mutant.
 
     Attributes:
         id, digest: of the mutant.
@@ -108,7 +108,7 @@ class Result:
 
     @property
     def caught(self) -> bool:
-        """Whether tests failed; an error of pytest itself is none."""
+        """Return whether tests failed; an error of pytest itself does not count."""
         return self.status == 1
 
 
@@ -131,7 +131,7 @@ def copy() -> Iterator[Path]:
 
 
 def tested(folder: Path, tests: Sequence[str], patience: float, cache: Path) -> tuple[int | None, str, float]:
-    """(status of pytest or None, its output, processor time [s])."""
+    """Return the status of pytest or None, its output, and the processor time [s]."""
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", "-p", "no:xdist"]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     environment |= {
@@ -168,13 +168,13 @@ def tested(folder: Path, tests: Sequence[str], patience: float, cache: Path) -> 
 
 
 def first_failure(text: str) -> str:
-    """The test that pytest says has failed, without its parameters."""
+    """Return the name of the first failed test, without its parameters."""
     lines = [line for line in text.splitlines() if line.startswith(("FAILED ", "ERROR "))]
     return lines[0].split(" ", 1)[1].partition(" - ")[0].partition("[")[0] if lines else ""
 
 
 def tried(mutant: Mutant, digest: str, folder: Path, patience: float) -> Result:
-    """A mutant put into a copy, tested, and taken out again."""
+    """Apply a mutant to a copy, run its tests, and undo it."""
     place = folder / mutant.file
     whole = place.read_text(encoding="utf-8")
     place.write_text(mutant.source(), encoding="utf-8")
@@ -188,14 +188,14 @@ def tried(mutant: Mutant, digest: str, folder: Path, patience: float) -> Result:
 
 
 def sound(mutants: Sequence[Mutant], folder: Path, patience: float) -> tuple[str, float]:
-    """(What the tests of the mutants say without any of them, empty when they pass; processor time [s])."""
+    """Return the failures of the mutants' tests on unchanged code (empty if they pass), and the processor time [s]."""
     tests = sorted({test for mutant in mutants for test in mutant.tests})
     status, text, seconds = tested(folder, tests, patience * len(tests), folder / "cache")
     return "" if status == 0 else text[-3000:] or f"status {status}", seconds
 
 
 def known(file: Path | None) -> dict[str, Result]:
-    """Results of earlier runs by digest; a line that was not finished is none."""
+    """Return results of earlier runs by digest; incomplete lines are ignored."""
     if file is None or not file.is_file():
         return {}
     found = {}
@@ -211,7 +211,7 @@ def known(file: Path | None) -> dict[str, Result]:
 def run(
     mutants: Sequence[Mutant], patience: float, *, workers: int, out: Path | None, say: Callable[[str], object]
 ) -> list[Result]:
-    """Results of the mutants, in their order; RuntimeError where tests fail without a mutant."""
+    """Return the results of the mutants in order; RuntimeError if tests fail without a mutant."""
     results, digests = known(out), [mutant.digest() for mutant in mutants]
     waiting = [(m, digest) for m, digest in zip(mutants, digests, strict=True) if digest not in results]
     if not waiting:
@@ -256,14 +256,14 @@ def told(mutants: Sequence[Mutant], results: Sequence[Result]) -> str:
         rows.append(f"| `{mutant.id}` | {place} | {mutant.changes} | {noticed.replace('|', '∣')} |")
     caught, seconds = sum(r.caught for r in results), sum(r.seconds for r in results)
     lines = [f"{caught} of {len(results)} mutants are caught, in {seconds:.0f} s of processor time.", ""]
-    lines += ["| room | mutants | caught |", "|---|---|---|"]
+    lines += ["| part | mutants | caught |", "|---|---|---|"]
     lines += [f"| {room} | {len(which)} | {sum(which)} |" for room, which in rooms.items()]
     lines += ["", "| mutant | file | what is wrong | noticed first by |", "|---|---|---|---|", *rows]
     return "\n".join(lines)
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Print the study."""
+    """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a handful of mutants, anew")
     parser.add_argument("--only", action="append", metavar="ID", help="this mutant, anew; several times for several")

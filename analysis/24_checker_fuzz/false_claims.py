@@ -1,4 +1,4 @@
-"""False claims, each with evidence that would do if it were true, and a point at which it is false."""
+"""False claims, each with evidence that would suffice if it were true, and a point at which it is false."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Forged:
 
 
 def worth(text: str, at: dict[str, Any]) -> Any:
-    """An expression's value at a point, every number in it the decimal that it is."""
+    """Return the value of an expression at a point, with every number taken as the exact decimal."""
     names: dict[str, Any] = {
         "sin": mp.sin, "cos": mp.cos, "acos": mp.acos, "atan": mp.atan, "atan2": mp.atan2, "sqrt": mp.sqrt,
         "abs": abs, "min": min, "max": max, "select": lambda a, b, x, y: x if a <= b else y, "pi": mp.pi, "mpf": mpf,
@@ -47,14 +47,14 @@ def sealed(
     constraints: Sequence[str] = (),
     **case: Any,
 ) -> dict[str, Any]:
-    """A certificate of kind interval; one case as written unless others are given."""
+    """Return a certificate of kind interval, by default with the expression as its only case."""
     variables = [{"name": n, "unit": "1", "lower": low, "upper": high} for n, (low, high) in box.items()]
     claim = {
         "name": "forged", "statement": "", "unit": "1", "left": left, "right": right,
         "constraints": list(constraints), "slack": 0.0, "variables": variables,
     }  # fmt: skip
     margin = f"({left}) - ({right})"
-    for name, (low, high) in box.items():  # a variable of no width is its decimal
+    for name, (low, high) in box.items():  # a variable of zero width equals its decimal
         margin = re.sub(rf"\b{re.escape(name)}\b", f"({low!r})", margin) if low == high else margin
     plain = {
         "choice": "", "numerator": margin, "denominators": [],
@@ -64,7 +64,7 @@ def sealed(
 
 
 def forged(kind: str, left: str, right: str, box: Box, at: dict[str, Any], twin: str = "", **rest: Any) -> Forged:
-    """The certificate, once the point has shown that its claim is false; ValueError where it is true there."""
+    """Return the certificate after checking that its claim is false at the point; ValueError otherwise."""
     excess = worth(left, at) - worth(right, at)
     inside = all(mpf(repr(low)) <= at[n] <= mpf(repr(high)) for n, (low, high) in box.items())
     if not (excess > 0 and inside and all(worth(c, at) <= 0 for c in rest.get("constraints", ()))):
@@ -74,20 +74,20 @@ def forged(kind: str, left: str, right: str, box: Box, at: dict[str, Any], twin:
 
 
 def decimal(value: Any) -> str:
-    """A number of the grammar; what is negative is in parentheses."""
+    """Return a number as text of the grammar; negative numbers are in parentheses."""
     text = mp.nstr(value, 70, min_fixed=-30, max_fixed=60, strip_zeros=True)
     return f"({text})" if value < 0 else text
 
 
 def short_of(value: Any, draw: random.Random) -> tuple[str, str]:
-    """(a bound below the value by a digit in the 22nd place, an ulp, or up to 1e-6 of it; one safely above)."""
+    """Return a bound slightly below the value (22nd digit, an ulp, or up to 1e-6 of it), and a bound safely above."""
     size = max(abs(value), mpf(10) ** -6)
     share = draw.choice([mpf(10) ** -draw.uniform(6, 16), mpf(2) ** -draw.randint(52, 54), mpf(10) ** -22])
     return decimal(value - size * share), decimal(value + size * mpf(10) ** -11)
 
 
 def tree(rule: str, dimensions: int, draw: random.Random, depth: int) -> str:
-    """A box halved at random, every part settled by the rule."""
+    """Return a tree that bisects a box at random, with every part decided by the rule."""
     if depth == 0 or draw.random() < 0.3:
         return rule
     at = str(draw.randrange(dimensions))
@@ -95,7 +95,7 @@ def tree(rule: str, dimensions: int, draw: random.Random, depth: int) -> str:
 
 
 def ends(draw: random.Random, low: float, high: float) -> tuple[float, float]:
-    """A box side within [low, high], its ends decimals of few digits, or any doubles."""
+    """Return an interval within [low, high] whose ends are decimals of few digits or any doubles."""
     a, b = sorted(draw.uniform(low, high) for _ in range(2))
     if draw.random() < 0.5:
         a, b = round(a, 3), round(b, 3)
@@ -112,20 +112,20 @@ _MONOTONE: tuple[tuple[str, tuple[float, float], int], ...] = (
 
 
 def monotone(draw: random.Random) -> Forged:
-    """A bound just below the value at the end where it is greatest, and at a pinned number."""
+    """Claim a bound just below the value at the end where it is largest, or at a fixed number."""
     text, (low, high), up = draw.choice(_MONOTONE)
     side = ends(draw, low, high)
     if draw.random() < 0.3:
         side = side[up], side[up]
     at = {"x": mpf(repr(side[up]))}
     bound, twin = short_of(worth(text, at), draw)
-    # acos and sqrt have no slope at the end of their domain: there the value decides
+    # acos and sqrt have no derivative at the end of their domain: there the value decides
     rule = "n" if side[0] == side[1] else draw.choice("nm")
     return forged("bound", text, bound, {"x": side}, at, twin, tree=tree(rule, 1, draw, 4))
 
 
 def concave(draw: random.Random) -> Forged:
-    """A tangent at the top, and a bound just below the top."""
+    """Claim a bound just below a maximum, with a tangent at the maximum as evidence."""
     p, q = round(draw.uniform(-1, 1), 3), round(draw.uniform(-1, 1), 3)
     a, b = round(draw.uniform(0.1, 3), 3), round(draw.uniform(0.1, 3), 3)
     text = f"{a}*(2 - (x - ({p}))^2) + cos(y - ({q}))*{b}"
@@ -136,7 +136,9 @@ def concave(draw: random.Random) -> Forged:
 
 
 def overflow(draw: random.Random) -> Forged:
-    """Boxes at the ends of the double range, where a sum of two ends is infinite, and at its smallest numbers."""
+    """Claim on boxes at the ends of the range of doubles, where the sum of two ends overflows, and at its smallest
+    numbers.
+    """
     top = 1.7976931348623157e308
     low, high = sorted(draw.uniform(0.45, 0.99) * top for _ in range(2))
     if draw.random() < 0.3:
@@ -149,14 +151,14 @@ def overflow(draw: random.Random) -> Forged:
     if text == "x/x" and min(map(abs, box["x"])) == 0:
         text = "1 + x - x"
     rules = {"tree": tree(draw.choice("nm"), 1, draw, 3)}
-    if draw.random() < 0.5:  # a constraint that holds, called broken
+    if draw.random() < 0.5:  # a constraint that holds, marked as violated
         told = f"select({'-' if sign < 0 else ''}x, {far}, -1, 1)"
         rules = {"constraints": [told], "tree": tree(draw.choice("ij"), 1, draw, 3)}
     return forged("overflow", text, "0.5", box, at, **rules)
 
 
 def shadowed(draw: random.Random) -> Forged:
-    """A variable that bears the name of a number or a function, or one that only looks like a letter."""
+    """Claim with a variable whose name is that of a number or function, or has look-alike characters."""
     name = draw.choice(
         ["pi", "sin", "select", "sqrt", "abs", "atan2", "х", "x٣", "x³", "ｘ", "x y", "x\r", "1x", "_", ""]
     )
@@ -166,18 +168,18 @@ def shadowed(draw: random.Random) -> Forged:
 
 
 def holed(draw: random.Random) -> Forged:
-    """False on a small part of the box, which the tree leaves out, takes for excluded, or halves away."""
+    """Claim that is false on a small part of the box, which the tree omits, excludes, or loses by bisection."""
     c = draw.uniform(0.2, 0.9)
     width = 10 ** -draw.uniform(1, 6)
     text, at = f"1 - ((x - {c!r})/{width!r})^2", {"x": mpf(repr(c))}
     bound, _ = short_of(mpf(1), draw)
     whole, low, high = "", 0.0, 1.0
-    for _ in range(40):  # down to the part where it is false
+    for _ in range(40):  # bisect down to the part where the claim is false
         middle = (low + high) / 2
         whole, low, high = (whole + "0", low, middle) if c < middle else (whole + "0n", middle, high)
         if high - low < width / 40:
             break
-    # what stands to the right of each half taken comes after
+    # the right part of each chosen half follows later
     rest = "n" * (2 * whole.count("0") + 1 - len(whole) - 1)
     last = draw.choice(["", "i", "j", "m", "n", "0nn", "00nnn", "1nn", "c"])
     return forged(
@@ -187,7 +189,7 @@ def holed(draw: random.Random) -> Forged:
 
 
 def read_wrongly(draw: random.Random) -> Forged:
-    """A number that is one thing as a decimal and another as a double; ends that are no box."""
+    """Claim with a number whose decimal and double differ, or with ends that form no interval."""
     while True:
         d = round(draw.uniform(0.01, 9), draw.randint(1, 6))
         off = mpf(d) - mpf(repr(d))
@@ -204,7 +206,7 @@ def read_wrongly(draw: random.Random) -> Forged:
 
 
 def by_cases(draw: random.Random) -> Forged:
-    """Choices that are missing, twice there or of the wrong condition; multipliers and denominators of wrong sign."""
+    """Claim with missing, duplicated or wrong cases, or with multipliers and denominators of the wrong sign."""
     c = round(draw.uniform(0.1, 2), 3)
     side, at = {"x": (-c, c)}, {"x": mpf(repr(c))}
     bound, _ = short_of(mpf(repr(c)), draw)
@@ -220,7 +222,7 @@ def by_cases(draw: random.Random) -> Forged:
 
 
 def rewritten(draw: random.Random) -> Forged:
-    """A numerator that is the margin but for a coefficient, a root's branch or a quarter turn."""
+    """Claim whose numerator equals the margin except for a coefficient, the branch of a root, or a quarter turn."""
     wrong = repr(1 - 10 ** -draw.uniform(6, 15))
     left, numerator, box, at = draw.choice([
         ("x*y", f"{wrong}*x*y - 0.25", {"x": (0.0, 0.5), "y": (0.0, 0.5)}, {"x": mpf("0.5"), "y": mpf("0.5")}),
@@ -240,7 +242,7 @@ KINDS: tuple[Callable[[random.Random], Forged], ...] = (
 
 
 def false_claims(count: int, seed: int = 0) -> Iterator[Forged]:
-    """So many false claims, of every kind in turn, half of them bounds."""
+    """Yield the given number of false claims, of every kind in turn, half of them bounds."""
     draw = random.Random(seed)
     for k in range(count):
         with mp.workdps(DIGITS):

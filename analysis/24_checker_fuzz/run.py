@@ -1,9 +1,9 @@
-"""Study 24: can the checker of certificates be led to accept what is false?
+"""Study 24: does the checker of certificates accept false claims?
 
     python analysis/24_checker_fuzz/run.py [--quick] [--points N] [--claims N] [--seed N] [--workers N] [--write]
 
-Prints Markdown. Ends with 0 when every range holds the value at every point and no false claim is accepted, else with
-1; with 2 for a bad option.
+Prints Markdown. The exit status is 0 if every interval contains the value at every point and no false claim is
+accepted, 1 otherwise, and 2 for a bad option.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _TRUE: dict[str, Callable[..., Raw]] = {
     "acos(x)": lambda x, _: libmp.mpf_acos(x, BITS),
     "atan2(y, x)": lambda x, y: libmp.mpf_atan2(y, x, BITS),
 }
-"""Rounded to 78 digits: what is exact is exact."""
+"""Round to 78 digits; exact values stay exact."""
 
 _EXACT: dict[str, Callable[[Fraction, Fraction], Fraction]] = {
     "x + y": lambda x, y: x + y,
@@ -53,7 +53,9 @@ _EXACT: dict[str, Callable[[Fraction, Fraction], Fraction]] = {
 
 
 def number(draw: random.Random) -> float:
-    """Any double, or a hard one: huge, denormal, at a branch cut, near a tie, near ±1 or a multiple of π/2."""
+    """Return any double, or a difficult one: huge, denormal, at a branch cut, near a tie, near ±1 or a multiple of
+    π/2.
+    """
     near = [-math.inf, math.inf]
     sign = draw.choice((1, -1))
     match draw.randrange(10):
@@ -78,7 +80,7 @@ def number(draw: random.Random) -> float:
 
 
 def side(x: float, draw: random.Random) -> tuple[float, float]:
-    """The number alone, with its neighbours, or an interval that holds it."""
+    """Return the number alone, with its neighbours, or an interval that contains it."""
     if draw.random() < 0.5:
         return x, x
     if draw.random() < 0.5:
@@ -89,18 +91,18 @@ def side(x: float, draw: random.Random) -> tuple[float, float]:
 
 
 def doubles(low: float, high: float) -> Interval:
-    """[low, high] as doubles, nothing added."""
+    """Return [low, high] as doubles, without rounding outward."""
     return libmp.from_float(low), libmp.from_float(high)
 
 
 def fraction(x: Raw) -> Fraction:
-    """The raw number."""
+    """Return the number in the checker's format."""
     p, q = libmp.to_rational(x)
     return Fraction(int(p), int(q))
 
 
 def missed(text: str, points: int, seed: int) -> tuple[int, int]:
-    """(points looked at, points whose value is outside of the range) of one function."""
+    """Return the numbers of points, and of points whose value is outside the interval, for one function."""
     draw, sheet = random.Random(f"{text}/{seed}"), ExpressionTable(("x", "y"))
     at = sheet.read(text)
     looked = outside = 0
@@ -128,7 +130,7 @@ def missed(text: str, points: int, seed: int) -> tuple[int, int]:
 
 
 def held(text: str, found: Interval, x: float, y: float) -> bool:
-    """Whether a range holds the value."""
+    """Return whether an interval contains the value."""
     low, high = found
     if text in _TRUE:
         value = _TRUE[text](libmp.from_float(x), libmp.from_float(y))
@@ -140,7 +142,7 @@ def held(text: str, found: Interval, x: float, y: float) -> bool:
 
 
 def missed_decimals(points: int, seed: int) -> tuple[int, int]:
-    """The same of the decimal that is printed for a double."""
+    """Return the same for the decimal that is printed for a double."""
     draw, outside = random.Random(f"decimal/{seed}"), 0
     for _ in range(points):
         x = number(draw)
@@ -150,7 +152,7 @@ def missed_decimals(points: int, seed: int) -> tuple[int, int]:
 
 
 def one_function(text: str, points: int, seed: int) -> tuple[str, bool]:
-    """Its row of the table, and whether every value was held."""
+    """Return the table row of a function, and whether every interval contains its value."""
     began = time.process_time()
     looked, outside = missed_decimals(points, seed) if text == "decimal" else missed(text, points, seed)
     print(f"{text}: {outside} of {looked}", file=sys.stderr)
@@ -158,7 +160,7 @@ def one_function(text: str, points: int, seed: int) -> tuple[str, bool]:
 
 
 def functions(points: int, seed: int, workers: int) -> tuple[list[str], bool]:
-    """Rows of the table, and whether every value was held."""
+    """Return the rows of the table, and whether every interval contains its value."""
     asked = partial(one_function, points=points, seed=seed)
     texts = (*_TRUE, "sqrt(x)", *_EXACT, "decimal")
     if workers == 1:
@@ -170,7 +172,7 @@ def functions(points: int, seed: int, workers: int) -> tuple[list[str], bool]:
 
 
 def forgeries(count: int, seed: int) -> tuple[list[str], bool]:
-    """Rows of the table, and whether none was accepted."""
+    """Return the rows of the table, and whether no false claim was accepted."""
     tried, accepted, twins, good = (Counter[str]() for _ in range(4))
     least: dict[str, Any] = {}
     for one in false_claims(count, seed):
@@ -190,7 +192,7 @@ def forgeries(count: int, seed: int) -> tuple[list[str], bool]:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Print the study."""
+    """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="500 points a function, 300 claims")
     parser.add_argument("--points", type=int, default=1_000_000, metavar="N", help="of each function")
@@ -205,7 +207,10 @@ def main(words: Sequence[str] | None = None) -> int:
     held_, sound = functions(points, given.seed, given.workers)
     forged, safe = forgeries(claims, given.seed)
     lines = ["| function | points | outside of the range | took |", "|---|---|---|---|", *held_, ""]
-    lines += ["| false in its | claims | accepted | by as little as | true twins accepted |", "|---|---|---|---|---|"]
+    lines += [
+        "| false in its | claims | accepted | by as little as | corresponding true claims accepted |",
+        "|---|---|---|---|---|",
+    ]
     text = "\n".join([*lines, *forged])
     print(text)
     if given.write:

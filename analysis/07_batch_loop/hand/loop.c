@@ -259,7 +259,7 @@ static double range_of(Filter *f, const double *sample, const Gains *g)
     return clip(least(f->history[0], predicted), NEAREST, FARTHEST);
 }
 
-/* ---- what the known world explains */
+/* ---- echoes of known walls and obstacles */
 static double expected(const Scene *s, const double axis[2], double x, double y, double (*known)[5], int count)
 {
     double found = 2 * FARTHEST, distance[4] = {s->length - x, x, s->width - y, y};
@@ -298,7 +298,7 @@ static double excess(double vx, double vy, const Sector *sector, int count)
     return worst;
 }
 
-/* the largest excess over a bound, 0 for none, and that bound's normal */
+/* the largest violation of a bound (0 if none), and the normal of this bound */
 static double worst_bound(double vx, double vy, const Sector *sector, int count, double normal[2])
 {
     double over = 0;
@@ -310,7 +310,7 @@ static double worst_bound(double vx, double vy, const Sector *sector, int count,
     return over;
 }
 
-/* more than the velocity loop alone would brake, where the robot is faster than a bound, and nothing sideways */
+/* brake harder than the velocity loop alone, without sideways force, if the robot exceeds a speed bound */
 static void brake_beyond(double vx, double vy, const Sector *sector, int count, double velocity[2])
 {
     double n[2], other[2], over = worst_bound(vx, vy, sector, count, n);
@@ -384,7 +384,7 @@ static int nearest(int d, const double *base, const Row *row, int rows, double *
         if (p < 0) return 1;
         u[n] = 0;
         for (int step = 0; step < 100; step++) {
-            /* Gram-Schmidt of the active normals; z: what of the new one lies beyond them; r: how it is made of them */
+            /* Gram-Schmidt of the active normals; z: component of the new normal outside their span; r: its coefficients */
             double q[3][3], t[3][3], r[3], z[3], zz = 0, miss = -row[p].b, limit = INFINITY;
             for (int j = 0; j < n; j++) {
                 memcpy(q[j], row[active[j]].a, sizeof q[j]);
@@ -444,7 +444,7 @@ static int project(const Scene *s, const double task[2], const Sector *sector, i
     memcpy(v, task, 2 * sizeof *v);
     if (met) return 1;
     if (nearest(2, task, row, rows, v)) return 1;
-    /* least opening t: proximal steps of min t, each a least-distance problem in (u, v, t) */
+    /* least relaxation t: proximal steps of min t, each a least-distance problem in (u, v, t) */
     double low[3] = {clip(task[0], -s->cap, s->cap), clip(task[1], -s->cap, s->cap), 0}, pull = 1;
     for (int k = 4; k < rows; k++) row[k].a[2] = -1;
     for (int turn = 0; turn < 20; turn++, pull *= 10) {
@@ -567,7 +567,7 @@ static void fly(const Scene *s, const Gains *g, const Luck *luck, Jump *step, ui
         if (clear) clearance = least(clearance, wall);
         nearest_thing = least(nearest_thing, clearance);
 
-        /* what the law is told */
+        /* inputs of the law */
         int told = 0, order = 0;
         memcpy(eta, x, sizeof eta);
         for (int k = 0; k < count; k++) {
@@ -585,7 +585,7 @@ static void fly(const Scene *s, const Gains *g, const Luck *luck, Jump *step, ui
         if (sonar) for (int i = 0; i < 4; i++) eta[i] += 0.01 * noise[10 + i];
         double c = cos(eta[3]), sn = sin(eta[3]);
 
-        /* the wish */
+        /* desired velocity */
         double travelled = 0, wish[2], tau[4], wanted[4];
         int k = 0;
         while (k + 2 < points && progress >= travelled + chord[k]) travelled += chord[k++];
@@ -604,7 +604,7 @@ static void fly(const Scene *s, const Gains *g, const Luck *luck, Jump *step, ui
         double heading = atan2(ty[k], tx[k]);
         progress = least(progress + s->dt * s->cruise * clip(2 * (1 + x_e / g->wait), 0, 1), path);
 
-        /* what stands in the way */
+        /* obstacles on the course */
         Sector sector[SECTORS];
         int sectors = 0;
         for (int i = 0; i < told; i++) {
@@ -699,7 +699,7 @@ static void fly(const Scene *s, const Gains *g, const Luck *luck, Jump *step, ui
         else if (!sound) stopped = FAULT;
         if (stopped != TIME_LIMIT) break;
 
-        /* plant, and the second firing in the middle of the tick */
+        /* plant, and the second firing in the middle of the step */
         for (int half = 0; half < 2; half++) {
             double force[2] = {0, 0}, now = time + half * 0.025;
             if (s->wave_force > 0) {
@@ -731,7 +731,7 @@ static void fly(const Scene *s, const Gains *g, const Luck *luck, Jump *step, ui
     out->thrust_rate = rows > 1 ? sqrt(jerk / (rows - 1)) / s->dt : 0;
 }
 
-/* `runs` runs of one scene: gains (runs, 17), luck (runs, 3 + 3·16), metrics (runs, 14); how many ticks were flown */
+/* `runs` runs of one scene: gains (runs, 17), luck (runs, 3 + 3·16), metrics (runs, 14); returns the number of steps */
 double batch(const Scene *scene, long runs, const double *gains, const double *luck, const uint64_t *seed, double *out)
 {
     double ticks = 0;

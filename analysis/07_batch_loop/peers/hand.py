@@ -29,10 +29,10 @@ _GAINS = 17
 
 
 class HandLoop:
-    """`run` flies many runs of one scene; fused multiply-adds are allowed, as a compiler's user would leave them."""
+    """`run` simulates many runs of a scene; fused multiply-adds are allowed, as by default in the compiler."""
 
     def __init__(self, folder: Path, flags: Sequence[str]) -> None:
-        """Compile into `folder`; SurctlError when the compiler refuses."""
+        """Compile into `folder`; raise SurctlError if the compiler fails."""
         library = folder / f"loop{abs(hash(tuple(flags)))}.so"
         command = [*shlex.split(find_compiler()), "-std=c99", *flags, "-shared", "-fPIC", "-o", str(library)]
         done = subprocess.run([*command, str(SOURCE), "-lm"], capture_output=True, text=True, check=False)
@@ -43,7 +43,7 @@ class HandLoop:
         self._library.batch.argtypes = [ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 4]
 
     def run(self, scene: Array, gains: Array, luck: Array, seeds: NDArray[np.uint64], *, threads: int = 1) -> Array:
-        """Metrics (runs, len(METRICS)), for gains (runs, 17) and luck (runs, LUCK)."""
+        """Return metrics (runs, len(METRICS)) for gains (runs, 17) and random numbers (runs, LUCK)."""
         runs = len(seeds)
         if scene.size * 8 != self._library.sizes(0) or gains.shape != (runs, _GAINS) or luck.shape != (runs, LUCK):
             raise ValueError("the layout is not that of hand/loop.c")

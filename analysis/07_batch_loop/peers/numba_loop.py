@@ -21,7 +21,7 @@ DT, SONAR, PROJECTED, TICKS, START, TARGET = 0, 1, 2, 3, 4, 6
 DEPTH, CRUISE, CAP, REACH, LENGTH, WIDTH = 8, 9, 10, 11, 12, 13
 POINTS, WAY, PLANT, LAG, HULL = 14, 15, 31, 47, 48
 MODEL, MODEL_HULL, CURRENT, WAVE, COUNT, OBSTACLES = 49, 65, 66, 68, 70, 71
-PER = 11  # numbers of an obstacle: shape, x, y, half sizes or radius, drift, rate, to, speed, removed
+PER = 11  # columns of an obstacle: shape, x, y, half sizes or radius, drift, rate, to, speed, removed
 K1, K2, LOOK, WAIT, K_PSI, K_V, K_R, K_I = 0, 1, 2, 3, 4, 5, 6, 7
 MARGIN, REACTION, BRAKE, LAMBDA, LMS, BETA = 8, 9, 10, 14, 15, 16
 M1, M2 = 4294967087, 4294944443
@@ -61,7 +61,7 @@ def normals(r, out, count):
 
 @jit
 def place(s, luck, time, shape):
-    """Rows of shape: disc, there, x, y, half sizes, velocity."""
+    """Return rows of shape: disc, present, x, y, half sizes, velocity."""
     for k in range(int(s[COUNT])):
         o, row = OBSTACLES + PER * k, shape[k]
         row[0], row[1] = 0.0 if s[o] == 0 else 1.0, 1.0
@@ -138,7 +138,7 @@ def turned(sensor, c, s):
 
 @jit
 def wall_of(s, x, y, k):
-    """Distance, and the direction of the wall."""
+    """Return the distance to the wall and its direction."""
     if k == 0:
         return x, -1.0, 0.0
     if k == 1:
@@ -264,7 +264,7 @@ def expected(s, ax, ay, x, y, known, count):
 
 @jit
 def excess(vx, vy, sector, count):
-    """Rows of sector: normal, bound, point."""
+    """Return rows of sector: normal, bound, point."""
     worst = -10.0
     for k in range(count):
         worst = max(worst, vx * sector[k, 0] + vy * sector[k, 1] - sector[k, 2])
@@ -273,7 +273,7 @@ def excess(vx, vy, sector, count):
 
 @jit
 def worst_bound(vx, vy, sector, count, normal):
-    """The largest excess over a bound, 0 for none, and that bound's normal."""
+    """Return the largest violation of a bound (0 if none), and the normal of this bound."""
     over, normal[0], normal[1] = 0.0, 0.0, 0.0
     for k in range(count):
         excess = vx * sector[k, 0] + vy * sector[k, 1] - sector[k, 2]
@@ -284,7 +284,7 @@ def worst_bound(vx, vy, sector, count, normal):
 
 @jit
 def brake_beyond(vx, vy, sector, count, velocity):
-    """More than the velocity loop would brake, where the robot is faster than a bound, and nothing sideways."""
+    """Brake harder than the velocity loop, without sideways force, if the robot is faster than a bound."""
     n, other = np.zeros(2), np.zeros(2)
     over = worst_bound(vx, vy, sector, count, n)
     along = (velocity[0] - vx) * n[0] + (velocity[1] - vy) * n[1]
@@ -524,7 +524,7 @@ def bound_of(free, at, brake, reaction):
 
 @jit
 def set_sector(row, eta, dx, dy, radius, hull):
-    """Normal of a contact; its clearance."""
+    """Return the normal and the clearance of a contact."""
     distance = length2(dx, dy)
     row[0], row[1] = (dx / distance, dy / distance) if distance > 1e-6 else (1.0, 0.0)
     free = distance - radius - hull
@@ -759,7 +759,7 @@ def fly_all(s, gains, luck, random, out):
 
 
 def fly_many(scene: Array, gains: Array, luck: Array, seeds: NDArray[np.uint64]) -> Array:
-    """As `hand.HandLoop.run`, on one thread."""
+    """Do the same as `hand.HandLoop.run` on one thread."""
     random: Any = noise_states(seeds).astype(np.int64)
     out = np.empty((len(seeds), OWN_METRICS))
     fly_all(scene, gains, luck, random, out)

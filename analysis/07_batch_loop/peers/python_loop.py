@@ -1,7 +1,7 @@
 """The loop as it is written in Python: the toolkit's world, sonar and law, the plant integrated by somebody else.
 
-One solve a control period, with its middle asked for, where the second sonar fires. The plant is plain Python floats:
-for twelve states that is several times as fast as arrays.
+The plant is solved once per control period, with output also at its middle, when the second sonar fires. The plant is
+in plain Python floats: for twelve states this is several times as fast as arrays.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ __all__ = ["Step", "control_step", "flown_by", "matched", "scipy_step"]
 
 Array: TypeAlias = NDArray[np.float64]
 Step: TypeAlias = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]
-"""(state (12,), thrust (4,), disturbance (7,) of either half, parameters (17,)) → state after 25 and 50 ms."""
+"""Function (state (12,), thrust (4,), disturbance (7,) of each half, parameters (17,)) → state after 25 and 50 ms."""
 
 _HALF, _DT = reference.FIRING, 2 * reference.FIRING
 
 
 def plant(x: Sequence[float], tau: Sequence[float], d: Sequence[float], p: Sequence[float]) -> list[float]:
-    """The plant's equation (3) with lag and current; layouts as `surctl.vehicle`."""
+    """Return the plant's equation (3) with lag and current; layouts as in `surctl.vehicle`."""
     c, s = cos(x[3]), sin(x[3])
     u, v, w, r = x[4], x[5], x[6], x[7]
     cx, cy = c * d[0] + s * d[1], c * d[1] - s * d[0]
@@ -46,7 +46,7 @@ def plant(x: Sequence[float], tau: Sequence[float], d: Sequence[float], p: Seque
 
 
 def scipy_step(method: str, rtol: float) -> Step:
-    """`scipy.integrate.solve_ivp` once a control period."""
+    """Return a plant step by `scipy.integrate.solve_ivp`, called once per control period."""
 
     def step(x: Array, tau: Array, first: Array, second: Array, p: Array) -> tuple[Array, Array]:
         thrust, halves, numbers = tau.tolist(), (first.tolist(), second.tolist()), p.tolist()
@@ -61,7 +61,9 @@ def scipy_step(method: str, rtol: float) -> Step:
 
 
 def control_step(rtol: float) -> Step:
-    """`control.input_output_response` of a `NonlinearIOSystem` once a control period."""
+    """Return a plant step by `control.input_output_response` of a `NonlinearIOSystem`, called once per control
+    period.
+    """
     import control
 
     numbers: list[float] = []
@@ -84,7 +86,7 @@ def control_step(rtol: float) -> Step:
 
 @contextmanager
 def flown_by(step: Step) -> Iterator[None]:
-    """`surctl.simulation.simulate` with its plant integrated by `step`."""
+    """Run `surctl.simulation.simulate` with its plant integrated by `step`."""
     with patch.object(reference.Loop, "_advance", _stepped(step)):
         yield
 
@@ -105,7 +107,7 @@ def _stepped(step: Step) -> Callable[..., None]:
 def matched(make: Callable[[float], Step], ticks: Sequence[tuple[Array, Array, Array, Array]]) -> tuple[float, float]:
     """The largest tolerance, a power of 10, with which `make` is as accurate as the toolkit's RK4, and its error.
 
-    Errors are the largest over the ticks (state, thrust, disturbance, parameters), against DOP853 at 1e-13.
+    Errors are the largest over the steps (state, thrust, disturbance, parameters), against DOP853 at 1e-13.
     """
     exact = scipy_step("DOP853", 1e-13)
     right = [exact(x, tau, d, d, p)[1] for x, tau, d, p in ticks]

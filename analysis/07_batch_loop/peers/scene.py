@@ -1,4 +1,4 @@
-"""A case as flat numbers: the layout that `hand/loop.c` and the numba loop read."""
+"""A case as flat numbers, in the layout that `hand/loop.c` and the numba loop read."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ __all__ = ["LUCK", "MOST_OBSTACLES", "OWN_METRICS", "Array", "luck_of", "scene_o
 Array: TypeAlias = NDArray[np.float64]
 
 MOST_OBSTACLES = 16
-LUCK = 3 + 3 * MOST_OBSTACLES  # numbers a run: wave direction and phase, drift direction and phase of every obstacle
+LUCK = 3 + 3 * MOST_OBSTACLES  # numbers per run: wave direction and phase, drift direction and phase of every obstacle
 _CORNERS = list(METRICS).index("missed_corner_m")
-OWN_METRICS = len(METRICS) - 1  # all but that one, in their order: a path of one leg has no corner
+OWN_METRICS = len(METRICS) - 1  # all metrics except the missed corner, in order: a path of one leg has no corner
 _WAYPOINTS = 8
 _DT = 0.05
 
 
 def with_corners(own: Array) -> Array:
-    """Metrics (runs, len(METRICS)) of those that the loops by hand count, (runs, OWN_METRICS)."""
+    """Return metrics (runs, len(METRICS)) from those that the hand-written loops count, (runs, OWN_METRICS)."""
     return np.insert(own, _CORNERS, 0.0, axis=1)
 
 
 def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bool) -> Array:
-    """Everything but gains and chance; the members of `Scene` in hand/loop.c, in order."""
+    """Return all numbers except gains and random numbers: the members of `Scene` in hand/loop.c, in order."""
     if len(scenario.obstacles) > MOST_OBSTACLES:
         raise ValueError(f"{len(scenario.obstacles)} obstacles; the hand-written loop takes {MOST_OBSTACLES}")
     d = scenario.disturbance
@@ -63,7 +63,7 @@ def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bo
 
 
 def luck_of(scenario: Scenario, vehicle: Vehicle, seeds: Sequence[int] | NDArray[np.int_]) -> Array:
-    """What the seed decides before the start, (seeds, LUCK), as the toolkit draws it."""
+    """Return the random numbers before the start, (seeds, LUCK), as the toolkit draws them from the seeds."""
     table = np.zeros((len(seeds), LUCK))
     for row, seed in zip(table, seeds, strict=True):
         world = build_world(scenario, vehicle, seed=int(seed))
