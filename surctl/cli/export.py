@@ -249,8 +249,8 @@ def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
     for name in _RUN_OPTIONS:
         setting = context.params[name]
-        given = context.get_parameter_source(name) != ParameterSource.DEFAULT
-        if setting != "truth" if name == "sensing" else given:  # simulate has another default for --sensing
+        typed = context.get_parameter_source(name) != ParameterSource.DEFAULT
+        if setting != "truth" if name == "sensing" else typed:  # simulate has another default for --sensing
             values = setting if isinstance(setting, tuple) else (setting,)
             words += [word for value in values for word in (options[name], str(value))]
     port = 5555

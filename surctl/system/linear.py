@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, to_casadi
@@ -142,9 +141,9 @@ class Linearisation:
             np.eye(len(commands)) - at_command.T @ at_command,
             np.eye(len(outputs)) - at_output.T @ at_output,
         )
-        seen, enters = keep_y @ C, at_output.T
-        f_x, f_z, f_e = Dy @ seen, Cz, Dy @ enters
-        A = np.block([[Ad + Bd @ keep_f @ f_x, Bd @ keep_f @ f_z], [By @ seen, Az]])
+        measured, enters = keep_y @ C, at_output.T
+        f_x, f_z, f_e = Dy @ measured, Cz, Dy @ enters
+        A = np.block([[Ad + Bd @ keep_f @ f_x, Bd @ keep_f @ f_z], [By @ measured, Az]])
         B = np.vstack([Bd @ (keep_f @ f_e + at_command.T), By @ enters])
         back = np.hstack([at_command @ f_x + at_output @ C, at_command @ f_z])
         return A, B, -back, -(at_command @ f_e)
@@ -343,6 +342,8 @@ def _law_function(controller: SampledController) -> ca.Function:
 
 def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
     """The plant over one period with its inputs held: x⁺ = A_d x + B_d f + E_d d, exact."""
+    from scipy.linalg import expm  # takes a second to import
+
     n, m = len(A), B.shape[1] + E.shape[1]
     whole = np.zeros((n + m, n + m))
     whole[:n] = np.hstack([A, B, E])

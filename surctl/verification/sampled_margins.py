@@ -75,8 +75,8 @@ def system_disk_margin(linear: Linearisation, *openings: str) -> DiskMargin:
     place = ", ".join(chosen)
     if not _stable(linear):
         return DiskMargin(place, False, 0.0, 0.0, 0.0, (1.0, 1.0), 0.0)
-    found = disk_margin(_continuous(linear, *chosen), place)
-    return replace(found, frequency_rad_s=float(2 * np.arctan(found.frequency_rad_s) / linear.system.dt))
+    margin = disk_margin(_continuous(linear, *chosen), place)
+    return replace(margin, frequency_rad_s=float(2 * np.arctan(margin.frequency_rad_s) / linear.system.dt))
 
 
 def _stable(linear: Linearisation) -> bool:
