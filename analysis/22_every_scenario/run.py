@@ -93,7 +93,7 @@ def campaign_row(flight: Campaign) -> str:
         f"{s.inside.count} of {s.inside.runs}, ≤ {s.inside.at_most():.2%}" if s.inside is not None else "no such run"
     )
     broken = ", ".join(f"{name} {count}" for name, count in s.broken.items()) or "-"
-    late = stopped["time limit"].count + stopped["stopped"].count + stopped["fault"].count
+    late = stopped["time limit"].count + stopped["standstill"].count + stopped["fault"].count
     cells = (
         f"`{flight.plan.name}`",
         stopped["reached"].count,
