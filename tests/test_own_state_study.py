@@ -43,7 +43,7 @@ def test_a_bar_that_is_missed_is_named(study: dict[str, Any], capsys: pytest.Cap
     assert study["print_statements"](config.bars, told, {(95.0, 60.0, False): near}, 2.0)
     assert not study["print_statements"](config.bars, told, {(95.0, 60.0, False): far}, 1.0)
     failed = [name for name, row in table(capsys.readouterr().out, 3).items() if row[1] == "**does not hold**"]
-    assert [name[:16] for name in failed] == ["moving, every hu", "every hull: velo", "after a gap the "]
+    assert [name[:16] for name in failed] == ["moving, every hu", "every hull: velo", "ratio of the pos"]
 
 
 def test_a_wrong_option_ends_with_2() -> None:
