@@ -1,9 +1,9 @@
-"""Seeded random numbers of a run: Python, CasADi and C draw the same numbers, independent of all other runs.
+"""Seeded random numbers of a run, identical in Python, CasADi and C, and independent of those of all other runs.
 
 The generator is MRG32k3a (L'Ecuyer 1999, "Good parameters and implementations for combined multiple recursive random
 number generators"); its arithmetic is exact in double precision. Each seed selects a stream; two streams start at
-least 2^127 draws apart (L'Ecuyer, Simard, Chen and Kelton 2002). The method of Box and Muller gives normal numbers in
-pairs.
+least 2^127 draws apart (L'Ecuyer, Simard, Chen and Kelton 2002). The method of Box and Muller turns two uniform numbers
+into two standard normal numbers.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def noise_states(seeds: ArrayLike) -> NDArray[np.float64]:
 
 @cache
 def _jumps(component: int) -> list[NDArray[np.uint64]]:
-    """Return the matrices that advance one component by 2^127 · 2^k draws, for k = 0, 1, …"""
+    """Return the matrices that advance one component of the generator by 2^127 · 2^k draws, for k = 0, 1, …"""
     modulus, matrix = ((_M1, _A1), (_M2, _A2))[component]
     power = np.array(matrix, dtype=object) % modulus
     jumps = []
@@ -105,7 +105,7 @@ class NoiseStream:
         return np.array([self.uniform() for _ in range(count)])
 
     def normals(self, count: int) -> NDArray[np.float64]:
-        """Return the next `count` standard normal numbers; if `count` is odd, the last pair loses its second number."""
+        """Return the next `count` standard normal numbers; if `count` is odd, one number of the last pair is unused."""
         out: list[float] = []
         while len(out) < count:
             radius, turn = sqrt(-2.0 * log(self.uniform())), 2.0 * pi * self.uniform()
@@ -170,8 +170,8 @@ def _uniform(one: list[ca.SX], two: list[ca.SX]) -> tuple[ca.SX, list[ca.SX], li
 def _remainder(x: ca.SX, modulus: float) -> ca.SX:
     """Return x mod modulus for whole |x| < 2^53.
 
-    The quotient lies at least 1/modulus below the next whole number. Its rounding error is smaller than 1/modulus
-    (|quotient| < 2^21), so floor gives the exact result.
+    The quotient lies at least 1/modulus below the next whole number. The rounding error of the quotient is smaller than
+    1/modulus (|quotient| < 2^21), so floor gives the exact result.
     """
     return x - ca.floor(x / modulus) * modulus
 

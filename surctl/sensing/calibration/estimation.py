@@ -1,14 +1,16 @@
 """Calibration of a range sensor: measured = scale·true + bias + noise(range), with 95 % confidence intervals.
 
-The line is a least-squares fit with intervals by Student's t. The restricted likelihood ratio of `noise_shape` tests
-at the 5 % level whether the noise depends on range (sd = s0 + s1·range). If it does not, the intervals are exact for
-normal noise: t for the line, χ² for the sd. If it does, the rows are weighted by that sd. The result also describes the
-errors measured − true, as if the scale were 1, because range tests are usually quoted so.
+`calibrate` fits the line by least squares; Student's t gives the intervals of bias and scale. The restricted likelihood
+ratio of `noise_shape` tests at the 5 % level whether the noise depends on range (sd = s0 + s1·range). If the noise does
+not depend on range, the intervals are exact for normal noise: t for the line, χ² for the sd. If the noise depends on
+range, each reading is weighted by the inverse of its variance sd². The result also gives mean and sd of the errors
+measured − true, because range tests are usually reported without a scale.
 
-Simulated data give the coverage of the intervals. It is 94 to 97 % if the noise is the same at all ranges, and also if
-the noise depends on range and there are at least about 50 rows. With fewer rows, the test often does not detect that
-the noise depends on range. If the noise falls fivefold over 12 to 18 rows, the interval of the bias has a coverage of
-only 88 to 91 % (if the noise grows: more than 93 %).
+The coverage of the intervals was computed from simulated data. The coverage is 94 to 97 % if the noise is the same at
+all ranges, and also if the noise depends on range and there are at least about 50 readings. With fewer readings, the
+test often does not detect that the noise depends on range. If the sd of the noise falls to one fifth over 12 to 18
+readings, the interval of the bias has a coverage of only 88 to 91 %; if the sd rises fivefold, the coverage exceeds 93
+%.
 """
 
 from __future__ import annotations
@@ -65,29 +67,31 @@ class Estimate:
             raise InputError("estimate is not finite", key="calibration", value=(self.value, self.low, self.high))
 
     def to_list(self) -> list[float]:
-        """Return value, lower end and upper end."""
+        """Return the value, and the lower and upper end of its 95 % confidence interval."""
         return [self.value, self.low, self.high]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """One sensor's calibration; lengths in metres, arrays by ascending true distance.
+    """The calibration of one sensor; lengths are in metres, and arrays are sorted by ascending true distance.
 
     Attributes:
         true: (n,) true distances.
         measured: (n,) readings of the sensor.
-        order: (n,) index of each row in the input data.
+        order: (n,) position of each sorted reading in the input data.
         bias: value of the fitted line at true = 0.
         scale: slope of the fitted line [1].
-        noise_sd: sd about the line; root of the mean of sd² over the rows if the noise depends on range.
-        noise_at_zero: s0 of sd = s0 + s1·range; None if one sd fits all ranges, or with too few rows.
-        noise_slope: s1 [m/m] of sd = s0 + s1·range; None with too few rows or without noise.
-        noise_slope_p: p-value of the noise slope; None if `noise_slope` is None.
+        noise_sd: sd of the readings about the line; if the noise depends on range, the root of the mean of sd² over the
+            readings.
+        noise_at_zero: s0 of sd = s0 + s1·range; None if one sd fits all ranges, or if there are too few readings.
+        noise_slope: s1 [m/m] of sd = s0 + s1·range; None if there are too few readings or no noise.
+        noise_slope_p: p-value of the test that the noise slope is 0; None if `noise_slope` is None.
         mean_error: mean of measured − true.
-        error_sd: sd of measured − true about their mean.
-        relative_sd: (n,) fitted sd at each row, divided by `noise_sd`.
-        studentised: (n,) externally studentised residuals: each is divided by its sd from the other rows.
-        outliers: (k,) indices of the rows that `OUTLIER_RULE` marks.
+        error_sd: sd of the errors measured − true about their mean.
+        relative_sd: (n,) fitted sd of each reading, divided by `noise_sd`.
+        studentised: (n,) externally studentised residuals: each residual is divided by its sd, estimated from the other
+            readings.
+        outliers: (k,) indices of the outliers: readings whose absolute studentised residual exceeds `outlier_bound`.
         rests_on_outliers: whether the noise depends on range at the 5 % level only because of the outliers.
     """
 
@@ -119,7 +123,7 @@ class Calibration:
 
     @property
     def other_medium(self) -> bool:
-        """Whether the scale shows a converter with the speed of sound of air that is used in water, or the reverse."""
+        """Whether the scale shows that a converter with the speed of sound of air was used in water, or the reverse."""
         return self.scale.value > 0 and _other_medium(self.scale.value)
 
     @property
@@ -129,12 +133,12 @@ class Calibration:
 
     @property
     def largest(self) -> int:
-        """Index of the row with the largest |measured − true|."""
+        """Index of the reading with the largest |measured − true|."""
         return int(np.argmax(np.abs(self.errors)))
 
     @property
     def outlier_bound(self) -> float:
-        """Absolute studentised residual above which a row is an outlier."""
+        """Absolute studentised residual above which a reading is an outlier."""
         return _bound(len(self.true))
 
     @property
@@ -161,12 +165,13 @@ class Calibration:
 
 
 def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
-    """Fit bias, scale and noise to true and measured distances (n,) [m], in any order.
+    """Fit bias, scale and noise to true and measured distances (n,) [m], given in any order.
 
     Raises:
         InputError: if there are fewer than `LEAST_ROWS` rows or `LEAST_DISTANCES` distinct distances, or a number is
-            not finite or is below 0. Also if the median ratio of measured to true lies outside 1/3 to 3 and does not
-            suggest a converter for air that is used in water, or the reverse: then the units may differ.
+            not finite or is below 0. InputError is also raised if the median ratio of measured to true distance lies
+            outside 1/3 to 3, because then the units may differ; a ratio that suggests a converter for air used in
+            water, or the reverse, is accepted.
 
     Example:
         >>> import numpy as np
@@ -216,7 +221,7 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
 
 
 def _varies(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
-    """Return whether the noise of these rows depends on range at the 5 % level."""
+    """Return whether the noise of these readings depends on range at the 5 % level."""
     if len(x) < LEAST_ROWS_OF_SLOPE or len(np.unique(x)) < LEAST_DISTANCES:
         return False
     line = fit_line(x, y, np.ones(len(x)))

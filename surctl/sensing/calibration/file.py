@@ -1,4 +1,4 @@
-"""Calibration from a CSV file or from built-in Table II; results as CSV rows and as a scenario's `[sonar]` table."""
+"""Calibration from a CSV file or from built-in Table II; the result as CSV text, or as `[sonar]` of a scenario file."""
 
 from __future__ import annotations
 
@@ -45,11 +45,12 @@ class SensorCalibration:
     Attributes:
         sensor: name of the sensor in the file, "" if the file has no such column.
         medium: medium in the file, "" if the file has no such column.
-        source: origin of the rows, one printable line.
+        source: origin of the data, as one printable line.
         calibration: the calibration.
-        lines: (n,) line in the file of each row of `calibration`; 0 for built-in data.
-        skipped: number of rows skipped because a number was missing, NaN or infinite.
-        unsorted: number of rows whose true distance was below that of the previous row; all rows were sorted.
+        lines: (n,) line number in the file of each reading in `calibration`; 0 for built-in data.
+        skipped: number of file lines skipped because a number was missing, NaN or infinite.
+        unsorted: number of file lines whose true distance was below that of the previous line; all readings were
+            sorted.
     """
 
     sensor: str
@@ -68,7 +69,7 @@ class SensorCalibration:
 
     @property
     def notes(self) -> list[str]:
-        """Notes on the rows for the user, one sentence each."""
+        """Notes for the user on skipped, sorted or otherwise noteworthy data, one sentence per note."""
         said = []
         if self.skipped:
             said.append(f"rows skipped because a number is missing, NaN or infinite: {self.skipped}")
@@ -88,7 +89,7 @@ class SensorCalibration:
         return said
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the calibration for JSON, with the file lines of its outliers."""
+        """Return the calibration for JSON, with the line numbers of its outliers in the file."""
         f = self.calibration
         return {
             "sensor": self.sensor,
@@ -106,14 +107,15 @@ class SensorCalibration:
 
 
 def calibrate_file(path: Path) -> list[SensorCalibration]:
-    """Calibrate every sensor and medium of a CSV file, in the order of their first rows.
+    """Return a calibration of every sensor and medium in a CSV file, in the order of their first lines in the file.
 
-    The file has the columns `true_m, measured_m`, or both in `_cm` or `_mm`, and also `sensor` and `medium` (text) if
-    there are several; other columns are ignored. Rows with a missing, NaN or infinite number are skipped and counted.
-    Rows that are not in ascending order are sorted and counted. A distance below 0 is an error.
+    The file has the columns `true_m` and `measured_m`, or both with the suffix `_cm` or `_mm`. A file with several
+    sensors or media also has the text columns `sensor` and `medium`. Other columns are ignored. Lines with a missing,
+    NaN or infinite number are skipped and counted. Lines whose true distances are not in ascending order are sorted and
+    counted. A distance below 0 is an error.
 
     Raises:
-        InputError: if `read_recorded` or `calibrate` raises it, a column is missing, or units are mixed.
+        InputError: if `read_recorded` or `calibrate` raises InputError, a column is missing, or units are mixed.
 
     Example:
         >>> from pathlib import Path
@@ -184,7 +186,7 @@ def calibrate_table_ii() -> list[SensorCalibration]:
 
 
 def sonar_fragment(one: SensorCalibration) -> str:
-    """Return TOML text for a scenario: `[sonar]` with bias_m, scale and noise_sd_m, and their intervals as comments.
+    """Return the `[sonar]` table of a scenario file: bias_m, scale, noise_sd_m, and their 95 % intervals as comments.
 
     Example:
         >>> from surctl.sensing import calibrate_table_ii, sonar_fragment
@@ -218,7 +220,7 @@ def sonar_fragment(one: SensorCalibration) -> str:
 
 
 def calibration_rows(results: Sequence[SensorCalibration]) -> str:
-    """Return every row as CSV text: its line in the file, error, residual, and whether it is marked as an outlier.
+    """Return CSV text with each reading's line in the file, error, residual, and whether the reading is an outlier.
 
     Example:
         >>> from surctl.sensing import calibrate_table_ii, calibration_rows
@@ -245,7 +247,7 @@ def calibration_rows(results: Sequence[SensorCalibration]) -> str:
 
 
 def _columns(table: Recorded) -> tuple[str, str, float]:
-    """Return the names of the two distance columns and the factor to metres."""
+    """Return the names of the two distance columns, and the factor that converts their unit to metres."""
     there = [unit for unit, pair in zip(_UNITS, _PAIRS, strict=True) if set(pair) <= set(table.columns)]
     if len(there) > 1:
         raise InputError(
@@ -265,7 +267,7 @@ def _columns(table: Recorded) -> tuple[str, str, float]:
 
 
 def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]]]:
-    """Yield the rows of each sensor and medium, in the order of their first rows."""
+    """Yield the data lines of each sensor and medium, in the order of their first lines in the file."""
     count = len(table.lines)
     names = [[c.strip() for c in table.columns.get(key, [""] * count)] for key in ("sensor", "medium")]
     rows: dict[tuple[str, str], list[int]] = {}
@@ -293,7 +295,7 @@ def _span(estimate: Estimate) -> str:
 
 
 def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
-    """Return a distinct part of a file name for each result: "-sensor-medium", or "" for a single unnamed sensor.
+    """Return a distinct file-name suffix for each calibration: "-sensor-medium", or "" for a single unnamed sensor.
 
     Example:
         >>> from surctl.sensing import calibrate_table_ii, file_stems
@@ -311,10 +313,10 @@ def file_stems(results: Sequence[SensorCalibration]) -> list[str]:
 
 
 def pick_calibration(name: str) -> list[SensorCalibration]:
-    """Return the calibrations for the command's FILE argument: the name of the built-in table, or of a file.
+    """Return the calibrations for the command-line argument FILE: the name of the built-in table, or a file path.
 
     Raises:
-        InputError: if the file does not exist, or `calibrate_file` raises it.
+        InputError: if the file does not exist, or `calibrate_file` raises InputError.
 
     Example:
         >>> from surctl.sensing import pick_calibration

@@ -1,9 +1,10 @@
 """Fit of range-dependent noise, sd(x) = s0 + s1·x, to the residuals of a straight line by restricted likelihood.
 
-The residuals of n readings about a line are e ~ N(0, sd(x)²). The shape of the noise is λ = ln(sd at the far end / sd
-at the near end), limited to |λ| ≤ ln 50. For a given λ, the level of the noise has a closed form, and one weighted
-regression gives the restricted likelihood of Patterson and Thompson (1971). An interval contains the values that a
-likelihood-ratio test does not reject, with t²(0.975; n − 3) instead of χ²(1).
+The residuals of n readings about a line are e ~ N(0, sd(x)²). The shape of the noise is λ = ln(sd at the largest range
+/ sd at the smallest range), limited to |λ| ≤ ln 50. For a given λ, the maximum-likelihood level of the noise has a
+closed form, and one weighted regression gives the restricted likelihood of Patterson and Thompson (1971). The 95 %
+interval of a parameter contains the values that a likelihood-ratio test does not reject, with t²(0.975; n − 3) instead
+of χ²(1).
 """
 
 from __future__ import annotations
@@ -30,13 +31,14 @@ class NoiseShape:
     """The fitted noise as a function of range.
 
     Attributes:
-        p: p-value of the likelihood-ratio test for noise that is the same at all ranges.
+        p: p-value of the likelihood-ratio test of the hypothesis that the noise is the same at all ranges.
         s0: sd extrapolated to range 0 [m]: estimate, low, high (95 %); it may be negative.
-        s1: slope of the sd [m/m]: estimate, low, high.
-        level: root of the mean of sd² over the rows [m]: estimate, low, high.
-        relative: (n,) sd at each row divided by `level`, for weights.
-        line: (2, 3) intercept at x = 0 and slope of the weighted line: estimate, low, high. The interval is the
-            marginal over λ (flat prior) of Student's t given λ, so that it accounts for the estimated weights.
+        s1: slope of the sd [m/m]: estimate, low, high (95 %).
+        level: root of the mean of sd² over the readings [m]: estimate, low, high (95 %).
+        relative: (n,) sd of each reading divided by `level`; the weights of the line fit follow from it.
+        line: (2, 3) weighted line, with rows for intercept at x = 0 and slope, and columns estimate, low, high (95 %).
+            Each interval comes from Student's t given λ, averaged over λ with a flat prior, so the interval accounts
+            for the estimated weights.
     """
 
     p: float
@@ -91,7 +93,7 @@ def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> Noise
 
 @dataclass(frozen=True, kw_only=True)
 class _Cells:
-    """Sums over the rows that share a weight: count, x, x², r, x r, r² (x minus its mean), and the x of the weight."""
+    """Sums over the readings that share a weight: 1, x, x², r, x r, r² (x minus its mean); and the x of that weight."""
 
     sums: NDArray[np.float64]
     at: NDArray[np.float64]
@@ -115,7 +117,7 @@ class _Cells:
 
 @dataclass(frozen=True, kw_only=True)
 class _Profile:
-    """For each λ: restricted likelihood at the best level, the level, near-end sd divided by it, line about centre."""
+    """For each λ: largest restricted likelihood, its noise level, sd at the near end over this level, centred line."""
 
     shape: NDArray[np.float64]
     likelihood: NDArray[np.float64]
@@ -142,7 +144,7 @@ def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
 
 
 def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return factors t < 1 < t' on the level that lower the likelihood by `drop`: ln t + (1/t² − 1)/2 = drop/dof."""
+    """Return the factors t < 1 < t' on the level that lower ln L by `drop`, from ln t + (1/t² − 1)/2 = drop/dof."""
 
     def lost(t: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.log(t) + 0.5 * (t**-2 - 1.0) - drop / dof
@@ -159,7 +161,7 @@ def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float
 
 
 def _marginal_line(profile: _Profile, centre: float, dof: int, best: int) -> NDArray[np.float64]:
-    """Return intercept at 0 and slope with the 2.5 % and 97.5 % points of the mixture of t over λ, (2, 3)."""
+    """Return (2, 3): intercept at 0 and slope, each with the 2.5 % and 97.5 % points of Student's t averaged over λ."""
     from scipy.special import stdtr  # Student's distribution function, without the overhead of scipy.stats
 
     some = slice(best % _THIN, None, _THIN)  # sufficient for the integral

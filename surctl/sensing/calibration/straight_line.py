@@ -1,4 +1,4 @@
-"""Weighted least-squares fit of a straight line, and its studentised residuals."""
+"""Weighted least-squares fit of a straight line, and the studentised residuals of the fit."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ __all__ = ["StraightLine", "fit_line", "studentised_residuals"]
 
 @dataclass(frozen=True, kw_only=True)
 class StraightLine:
-    """Least-squares fit y = beta[0] + beta[1]·x to rows with known relative sd.
+    """The least-squares fit y = beta[0] + beta[1]·x to points whose relative standard deviations are known.
 
     Attributes:
-        beta: (2,) intercept and slope.
-        beta_sd: (2,) standard errors of intercept and slope.
+        beta: (2,) intercept beta[0] and slope beta[1] of the fitted line.
+        beta_sd: (2,) standard error of the intercept, and of the slope.
         residuals: (n,) residuals y − line.
-        scaled: (n,) residuals divided by the relative sd.
+        scaled: (n,) residual of each point divided by its relative sd.
         leverage: (n,) diagonal of the hat matrix.
-        sd: estimated sd of a row with relative sd 1, with n − 2 degrees of freedom.
+        sd: estimated sd of a point with relative sd 1, with n − 2 degrees of freedom.
     """
 
     beta: NDArray[np.float64]
@@ -33,7 +33,7 @@ class StraightLine:
 
 
 def fit_line(x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[np.float64]) -> StraightLine:
-    """Fit y (n,) on x (n,) by least squares, each row divided by its relative sd (n,) > 0; n > 2, x not all equal."""
+    """Fit y (n,) on x (n,) by least squares, each point divided by its relative sd (n,) > 0; n > 2, x not all equal."""
     columns = np.column_stack([np.ones_like(x), x]) / relative[:, None]
     q, r = np.linalg.qr(columns)
     error = (y - x) / relative  # from slope 1, which is typical of sensors: avoids loss of digits
@@ -52,9 +52,9 @@ def fit_line(x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[n
 
 
 def studentised_residuals(line: StraightLine) -> NDArray[np.float64]:
-    """Return the externally studentised residuals (n,), divided by the sd of the other rows (Cook and Weisberg 1982).
+    """Return externally studentised residuals (n,): divided by the sd from the other points (Cook and Weisberg 1982).
 
-    A residual is very large, but finite, if the other rows have no noise. The function requires n > 3.
+    If the other points have no noise, a studentised residual is very large but finite. The function requires n > 3.
     """
     n = len(line.scaled)
     free = np.maximum(1.0 - line.leverage, 1e-12)

@@ -53,12 +53,12 @@ class RangeTest:
         return error
 
     def percent(self, medium: Medium) -> NDArray[np.float64]:
-        """Return the recomputed relative error |measured − desired| / desired (n,) [%], not rounded."""
+        """Return the relative errors |measured − desired| / desired (n,) [%], recomputed from the readings."""
         relative: NDArray[np.float64] = 100.0 * np.abs(self.errors(medium)) / self.desired
         return relative
 
     def disagreeing(self, medium: Medium) -> NDArray[np.intp]:
-        """Return the indices of the rows whose printed percentage differs from the recomputed, rounded one (E2)."""
+        """Return the indices of readings whose printed percentage differs from the recomputed value (erratum E2)."""
         gap = np.abs(self.percent(medium) - self.column(medium).printed_percent)
         return np.flatnonzero(gap > 0.05 + 1e-9)
 

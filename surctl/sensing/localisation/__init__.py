@@ -1,1 +1,1 @@
-"""Localisation of the robot and of moving obstacles from messages of the base station, which may be late or lost."""
+"""Localisation of the robot and of moving obstacles from base-station messages, which may be late or lost."""

@@ -1,9 +1,10 @@
 """Measurements by the base station: moving obstacles, and the robot's own position.
 
 `observe` and `measure` return measurements without delay or loss. `message` and `fix` return periodic measurements that
-arrive late, and some are lost. The caller passes the state at the time of a late measurement, from a buffer (`delayed`)
-or from the known motion of an obstacle. The noise is white and Gaussian; the caller draws the standard normal numbers.
-Methods whose names end in `_symbols` do the same in CasADi symbols, for a compiled loop.
+arrive late or are lost. The caller passes the state at the time of a late measurement, from a buffer (`delayed`) or
+from the known motion of an obstacle. The noise is white and Gaussian; the caller draws the standard normal numbers.
+A method whose name ends in `_symbols` returns the result of the method without this suffix, in CasADi symbols for a
+compiled loop.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class BaseStation:
     Attributes:
         position_sd: standard deviation of each measured coordinate [m].
         velocity_sd: standard deviation of each measured velocity component [m/s].
-        messages: period, latency and loss of the messages of `message`.
+        messages: period, latency and loss probability of the messages that `message` returns.
     """
 
     position_sd: float = 0.01
@@ -51,7 +52,7 @@ class BaseStation:
             noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
 
         Raises:
-            InputError: if the shapes are not (K, 2) and (K, 2), or `noise` does not fit them.
+            InputError: if `positions` or `velocities` is not (K, 2), or `noise` is not (K, 4).
         """
         where, speed = np.asarray(positions, dtype=float), np.asarray(velocities, dtype=float)
         if where.ndim != 2 or where.shape[1] != 2 or where.shape != speed.shape:
@@ -65,10 +66,11 @@ class BaseStation:
     def message(
         self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], chance: float, dt: float
     ) -> tuple[NDArray[np.float64], bool]:
-        """Return the message (K, 6) that arrives at a control period, and whether one arrives; zeros if none does.
+        """Return the message (K, 6) that arrives at a control period (zeros without a message), and whether it arrives.
 
         Args:
-            then: (K, 6) true states of the obstacles `messages.latency` ago in {E}: x, y, radius, vx, vy, valid.
+            then: (K, 6) true states of the obstacles in {E} at the time `messages.latency` before: x, y, radius, vx,
+                vy, valid.
             step: number of the control period, from 0.
             noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
             chance: a standard normal number that decides the loss of the whole message.
@@ -88,7 +90,7 @@ class BaseStation:
     def message_symbols(
         self, then: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
     ) -> tuple[ca.SX, ca.SX]:
-        """Return the results of `message` in CasADi symbols: (K, 6), and 0 or 1."""
+        """Return the message (K, 6), and 1 if it arrives, else 0, as `message` does, in CasADi symbols."""
         arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
         place, speed = then[:, :2] + self.position_sd * noise[:, :2], then[:, 3:5] + self.velocity_sd * noise[:, 2:]
         rows = ca.horzcat(place, then[:, 2], speed, then[:, 5])
@@ -103,8 +105,8 @@ class OwnState:
     Attributes:
         position_sd: standard deviation of measured x, y and z [m]; 0 gives exact values.
         yaw_sd: standard deviation of measured ψ [rad]; 0 gives exact values.
-        rate_sd: standard deviation of measured r [rad/s] (*chosen*); 0 gives exact values.
-        fixes: period, latency and loss of the position fixes of `fix`.
+        rate_sd: standard deviation of measured yaw rate r [rad/s] (*chosen*); 0 gives exact values.
+        fixes: period, latency and loss probability of the position fixes that `fix` returns.
     """
 
     position_sd: float = 0.01
@@ -121,10 +123,10 @@ class OwnState:
     def fix(
         self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], dt: float
     ) -> tuple[NDArray[np.float64], bool]:
-        """Return the fix (3,) [m] in {E} that arrives at a control period, and whether one arrives; zeros if none does.
+        """Return the fix (3,) [m] in {E} that arrives at a control period (zeros without a fix); whether it arrives.
 
         Args:
-            then: (3,) true x, y, z at the time `fixes.latency` ago [m].
+            then: (3,) true x, y, z of the robot [m] at the time `fixes.latency` before.
             step: number of the control period, from 0.
             noise: (4,) standard normal numbers, for x, y, z and the loss.
             dt: control period [s].
@@ -141,7 +143,7 @@ class OwnState:
         return (place + self.position_sd * noise[:3] if arrived else np.zeros(3)), arrived
 
     def fix_symbols(self, then: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
-        """Return the results of `fix` in CasADi symbols: (3,), and 0 or 1."""
+        """Return the fix (3,), and 1 if it arrives, else 0, as `fix` does, in CasADi symbols."""
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, then + self.position_sd * noise[:3], 0.0), arrived
 
@@ -158,7 +160,7 @@ class OwnState:
         return float(eta[3] + self.yaw_sd * noise[0]), float(nu[3] + self.rate_sd * noise[1])
 
     def imu_symbols(self, eta: ca.SX, nu: ca.SX, *, noise: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the results of `imu` in CasADi symbols."""
+        """Return measured ψ [rad] and r [rad/s], as `imu` does, in CasADi symbols."""
         return eta[3] + self.yaw_sd * noise[0], nu[3] + self.rate_sd * noise[1]
 
     def measure(
@@ -172,7 +174,7 @@ class OwnState:
             noise: (4,) standard normal numbers, for x, y, z and ψ.
 
         Raises:
-            InputError: if a shape is not (4,).
+            InputError: if the shape of an argument is not (4,).
         """
         pose, velocity = np.asarray(eta, dtype=float), np.array(nu, dtype=float)
         if pose.shape != (4,) or velocity.shape != (4,) or np.shape(noise) != (4,):

@@ -1,7 +1,7 @@
 """Delivery of messages: periodic and late, with random losses and scheduled gaps.
 
-The functions depend only on the number of the control period and on a random number. They exist for the Python loop
-and, in CasADi symbols, for the compiled loop.
+Whether a message arrives depends only on the number of the control period and on a random number. Each function exists
+in two versions: for the Python loop, and in CasADi symbols for the compiled loop.
 """
 
 from __future__ import annotations
@@ -54,27 +54,27 @@ class Delivery:
 
     @property
     def lost_below(self) -> float:
-        """Threshold of loss: a message is lost if its standard normal number lies below this value."""
+        """Threshold of loss: a message is lost if the standard normal number drawn for it lies below this value."""
         if self.loss in (0, 1):
             return _ALWAYS if self.loss else -_ALWAYS
         return NormalDist().inv_cdf(self.loss)
 
     def late(self, dt: float) -> int:
-        """Return the control periods of `dt` [s] between measurement and arrival; InputError if not a whole number."""
+        """Return the number of control periods dt [s] from measurement to arrival; InputError if it is not whole."""
         return whole_steps("delivery.latency", self.latency, dt=dt)
 
     def every(self, dt: float) -> int:
-        """Return the control periods of `dt` [s] between two measurements; InputError if not a whole number."""
+        """Return the number of control periods dt [s] between two measurements; InputError if it is not whole."""
         return whole_steps("delivery.period", self.period, dt=dt)
 
     def arrives(self, step: int, *, chance: float, dt: float) -> bool:
-        """Return whether a message arrives at this control period, with a measurement from `late(dt)` periods before.
+        """Return whether a message, measured `late(dt)` control periods before, arrives at this control period.
 
         The first measurement takes place at period 0.
 
         Args:
             step: number of the control period, from 0.
-            chance: a standard normal number, drawn anew for each period.
+            chance: a standard normal number that decides the loss, drawn anew for each control period.
             dt: control period [s].
 
         Raises:
@@ -85,7 +85,7 @@ class Delivery:
         return due and chance >= self.lost_below and not any(a <= measured < b for a, b in self._blind(dt))
 
     def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
-        """Return the result of `arrives` in CasADi symbols, 0 or 1; `step` is a whole number."""
+        """Return 1 if a message arrives at control period `step`, else 0, as `arrives` does, in CasADi symbols."""
         measured, every = step - self.late(dt), self.every(dt)
         there = ca.logic_and(measured >= 0, measured - every * ca.floor(measured / every) == 0)
         there = ca.logic_and(there, chance >= self.lost_below)
@@ -94,7 +94,7 @@ class Delivery:
         return there
 
     def _blind(self, dt: float) -> list[tuple[int, int]]:
-        """Return the gaps as control periods: the first period in the gap, and the first period after it."""
+        """Return for each gap two control periods: the first period in the gap, and the first period after the gap."""
         return [(ceil(a / dt - _ROUNDING), ceil(b / dt - _ROUNDING)) for a, b in self.gaps]
 
 
@@ -102,7 +102,7 @@ def whole_steps(key: str, time: float, *, dt: float) -> int:
     """Return a time [s] as a number of control periods of `dt` [s].
 
     Raises:
-        InputError: if the time is not a multiple of dt; the error names it by `key`.
+        InputError: if the time is not a multiple of dt; the error names the time by `key`.
     """
     count = round(time / dt)
     if abs(time / dt - count) > 1e-6:
@@ -111,10 +111,10 @@ def whole_steps(key: str, time: float, *, dt: float) -> int:
 
 
 def delayed(ring: NDArray[np.float64], now: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the value of k steps ago, (n,), and the updated ring of the last k values, (k, n).
+    """Return the value (n,) from k steps ago, and the updated ring buffer (k, n) of the last k values.
 
     Args:
-        ring: (k, n) last k values, newest first; with k = 0 there is no delay.
+        ring: (k, n) ring buffer of the last k values, newest first; with k = 0 there is no delay.
         now: (n,) present value.
 
     Example:
@@ -130,7 +130,7 @@ def delayed(ring: NDArray[np.float64], now: NDArray[np.float64]) -> tuple[NDArra
 
 
 def delayed_symbols(ring: ca.SX, now: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the results of `delayed` in CasADi symbols: (n, 1) and (k, n).
+    """Return the delayed value (n, 1) and the ring buffer (k, n), as `delayed` does, in CasADi symbols.
 
     Example:
         >>> import casadi as ca

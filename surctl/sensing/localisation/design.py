@@ -1,4 +1,4 @@
-"""The constant matrices of the own-state filter: transition, process noise, steady covariance and steady gains."""
+"""The constant matrices of the own-state filter: transition, process noise, steady covariance, and steady gains."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ def transition(dt: float, disturbance_time: float) -> Matrix:
 
 
 def white(dt: float, size: float) -> Matrix:
-    """Return the covariance (3, 3) that white acceleration noise [m/s^1.5] adds on one axis in a step."""
+    """Return the covariance (3, 3) that white acceleration noise [m/s^1.5] adds to the state of one axis in a step."""
     return size**2 * np.array([[dt**3 / 3, dt**2 / 2, 0.0], [dt**2 / 2, dt, 0.0], [0.0, 0.0, 0.0]])
 
 
 def growth(dt: float, *, acceleration_noise: float, disturbance_sd: float, disturbance_time: float) -> Matrix:
-    """Return Q (3, 3) of one axis for one step.
+    """Return the process-noise covariance Q (3, 3) of one axis for one step.
 
-    Q consists of white acceleration noise [m/s^1.5] and of the noise that keeps the disturbance's sd constant [m/s²].
+    Q is the sum of two parts: white acceleration noise [m/s^1.5], and the noise that keeps the standard deviation of
+    the disturbance acceleration [m/s²] constant.
     """
     fresh = disturbance_sd**2 * (1.0 - np.exp(-2.0 * dt / disturbance_time))
     return white(dt, acceleration_noise) + np.diag([0.0, 0.0, fresh])
 
 
 def ahead(step: Matrix, noise: Matrix, steps: int) -> tuple[Matrix, Matrix]:
-    """Return Φ and Q for `steps` steps combined."""
+    """Return the transition matrix Φ and the process-noise covariance Q over `steps` steps together."""
     whole, grown = np.eye(len(step)), np.zeros_like(step)
     for _ in range(steps):
         whole, grown = step @ whole, step @ grown @ step.T + noise
@@ -44,7 +45,7 @@ def ahead(step: Matrix, noise: Matrix, steps: int) -> tuple[Matrix, Matrix]:
 
 
 def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every: int) -> Matrix:
-    """Return the steady covariance (3, 3) right after a fix, by Riccati recursion, for a fix every `every` steps."""
+    """Return the steady covariance (3, 3) just after a fix, with one fix per `every` steps, by Riccati recursion."""
     whole, grown = ahead(step, noise, every)
     P = np.diag([fix_variance, 1.0, noise[2, 2] / (1.0 - step[2, 2] ** 2)])
     for _ in range(_RECURSION_STEPS):
@@ -54,13 +55,13 @@ def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every
 
 
 def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: float) -> Matrix:
-    """Return the steady Kalman gains (2, 2) of yaw and yaw rate (rows) for their measured values (columns).
+    """Return the steady Kalman gains (2, 2) from measured yaw and yaw rate (columns) to their estimates (rows).
 
     Args:
         dt: time between two measurements [s].
         yaw_sd: standard deviation of measured yaw [rad].
         rate_sd: standard deviation of measured yaw rate [rad/s].
-        acceleration_noise: white noise of the yaw acceleration that the model omits [rad/s^1.5].
+        acceleration_noise: white noise [rad/s^1.5] that represents the unmodelled yaw acceleration.
     """
     F, Q = np.array([[1.0, dt], [0.0, 1.0]]), white(dt, acceleration_noise)[:2, :2]
     R = np.diag([yaw_sd**2, rate_sd**2])

@@ -17,8 +17,8 @@ def believed_acceleration(
 ) -> tuple[ca.SX, ca.SX]:
     """Return the vehicle model's (3) mean acceleration over a step, (3,) in {E} [m/s²], and yaw acceleration [rad/s²].
 
-    The step is linearly implicit: it uses the drag at half the period, so that it is stable for any drag. In {E} only
-    the difference of m11 and m22 causes a Coriolis force: (m22 − m11)(v r, u r, 0, −u v) in {B}.
+    The integration step is linearly implicit: it uses the drag at half the period, so it is stable for any drag. For
+    accelerations in {E}, only the difference m22 − m11 leaves a Coriolis force, (m22 − m11)(v r, u r, 0, −u v) in {B}.
     """
     c, s = ca.cos(psi), ca.sin(psi)
     nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], rate)
@@ -37,7 +37,7 @@ def from_upper(upper: ca.SX) -> ca.SX:
 
 
 def wrapped(angle: ca.SX) -> ca.SX:
-    """Return the same angle [rad] in (−π, π]."""
+    """Return the angle [rad] wrapped to (−π, π]."""
     turn = 2.0 * pi
     once = angle + turn * ca.floor((pi - angle) / turn)
     return once - turn * (once > pi) + turn * (once <= -pi)

@@ -1,6 +1,7 @@
-"""Tracking of moving obstacles from messages that may be late or lost: present positions, with error bounds.
+"""A tracker that estimates the present positions of moving obstacles, with error bounds, from late or lost messages.
 
-The tracker builds CasADi expressions with explicit state for the exported law. `mover_step` is the same in NumPy.
+The tracker builds CasADi expressions with explicit state for the exported law. `mover_step` computes the tracker's
+results in NumPy.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ class Movers(NamedTuple, Generic[T]):
 
 @dataclass(frozen=True, kw_only=True)
 class MoverTracker:
-    """Tracker that stores each slot's last message and extrapolates it in a straight line.
+    """A tracker that stores the last message of each obstacle slot and extrapolates the obstacle in a straight line.
 
-    The bound is `sigmas`·(position_sd + velocity_sd·age) + acceleration·age²/2. If a message marks a slot as empty,
-    the slot is empty at once. If no message arrives, the tracker keeps the obstacle until its age exceeds `forget`.
+    The bound on the position error is `sigmas`·(position_sd + velocity_sd·age) + acceleration·age²/2. If a message
+    marks a slot as empty, the slot is empty at once. If no message arrives, the tracker keeps the obstacle until the
+    age of its last message exceeds `forget`.
 
     Attributes:
         dt: control period [s].
@@ -48,10 +50,11 @@ class MoverTracker:
         latency: age of a message when it arrives [s], below `forget`.
         position_sd: standard deviation of each coordinate in a message [m].
         velocity_sd: standard deviation of each velocity component in a message [m/s].
-        acceleration: largest acceleration of an obstacle [m/s²] (*chosen*: a light robot of the same size under full
-            thrust).
-        forget: longest age of a message [s] (*chosen*).
-        sigmas: number of standard deviations in the bound (*chosen*: 3 contain 98.9 % of a planar Gaussian).
+        acceleration: largest acceleration of an obstacle [m/s²] (design choice: a light robot of the size of ours under
+            full thrust).
+        forget: age of the last message [s] above which the tracker drops the obstacle (design choice).
+        sigmas: number of standard deviations in the bound (design choice: 3 standard deviations contain 98.9 % of a
+            planar Gaussian).
     """
 
     dt: float
@@ -103,8 +106,8 @@ class MoverTracker:
 
         Args:
             state: state by port name, with the shapes of `ports(prefix)`.
-            message: (slots, 6) x, y, radius, vx, vy, valid, measured `latency` ago in {E}; if no message arrived, any
-                finite values.
+            message: (slots, 6) x, y, radius, vx, vy, valid of each obstacle, measured in {E} `latency` before; if no
+                message arrived, any finite values.
             message_fresh: 1 if a message has arrived since the last step, else 0.
             prefix: prefix of the port names of the state.
         """
@@ -150,7 +153,7 @@ def mover_step(
     message_fresh: float,
     prefix: str = "",
 ) -> Movers[NDArray[np.float64]]:
-    """Return the result of `MoverTracker.update` from NumPy arrays in the ports' shapes, which remain unchanged.
+    """Return the result of `MoverTracker.update` for NumPy arrays with the shapes of the ports; no input is changed.
 
     Example:
         >>> import numpy as np

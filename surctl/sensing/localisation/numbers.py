@@ -27,11 +27,11 @@ def own_state_step(
     model: Mapping[str, Vector],
     prefix: str = "",
 ) -> OwnEstimate[Vector]:
-    """Return the estimate after one control step, as `OwnStateFilter.update`, from arrays in the ports' shapes.
+    """Return the estimate after one control step, as `OwnStateFilter.update` does, for arrays with the ports' shapes.
 
     Args:
         own: the filter.
-        state: state by port name, as from `Layout(own.ports(prefix)).unpack`; it remains unchanged.
+        state: state by port name, as `Layout(own.ports(prefix)).unpack` returns it; the function does not change it.
         fix: (3,) position fix [m] in {E}.
         fix_fresh: 1 if a fix has arrived since the last step, else 0.
         yaw: measured ψ [rad].
@@ -107,7 +107,7 @@ def own_state_step(
 
 
 def _carried(own: OwnStateFilter, x: Vector, accelerations: Vector) -> Vector:
-    """Return position, velocity and disturbance (rows of (3, 3)) after the steps of a ring (k, 3), newest first."""
+    """Return position, velocity, disturbance (rows of (3, 3)) after the steps of a ring buffer (k, 3), newest first."""
     phi = own.step[0]
     for acceleration in accelerations[::-1]:
         x = phi @ x + np.outer([0.5 * own.dt**2, own.dt, 0.0], acceleration)
@@ -115,7 +115,7 @@ def _carried(own: OwnStateFilter, x: Vector, accelerations: Vector) -> Vector:
 
 
 def _grown(own: OwnStateFilter, P: Vector, accelerations: Vector) -> Vector:
-    """Return the covariance (3, 3) after the steps of a ring (k, 3), newest first."""
+    """Return the covariance (3, 3) after the steps whose accelerations are in a ring buffer (k, 3), newest first."""
     phi, noise = own.step
     for acceleration in accelerations[::-1]:
         P = phi @ P @ phi.T + noise + (acceleration @ acceleration) * own.model_covariance
@@ -125,7 +125,7 @@ def _grown(own: OwnStateFilter, P: Vector, accelerations: Vector) -> Vector:
 def _corrected(
     own: OwnStateFilter, old: Mapping[str, Vector], x: Vector, P: Vector, fix: Vector, fresh: bool
 ) -> tuple[dict[str, Vector], Vector]:
-    """Return the filter's stored values and means (3, 3) for the time `latency` ago, corrected by the fix."""
+    """Return the filter's stored values and state means (3, 3) for the time `latency` before, corrected by the fix."""
     known, refused, offset = bool(old["known"][0]), float(old["refused"][0]), old["offset"]
     age, R = min(float(old["age"][0]) + own.dt, LONGEST_AGE), own.position_sd**2
     error = fix - x[0]
@@ -155,7 +155,7 @@ def _corrected(
 def _acceleration(
     psi: float, velocity: Vector, rate: float, thrust: Vector, model: Mapping[str, Vector], dt: float
 ) -> tuple[Vector, float]:
-    """Return the vehicle model's mean acceleration over a step in {E} [m/s²], and its yaw acceleration [rad/s²]."""
+    """Return the vehicle model's mean acceleration (3,) over a step in {E} [m/s²], and yaw acceleration [rad/s²]."""
     nu = np.append(_turned(-psi) @ velocity, rate)
     mass = np.maximum(model["mass"], 1e-6)
     X, XX = np.asarray(model["linear_drag"]), np.asarray(model["quadratic_drag"])
@@ -179,7 +179,7 @@ def _square(upper: Vector) -> Vector:
 
 
 def _wrap(angle: float) -> float:
-    """Return the same angle [rad] in (−π, π]."""
+    """Return the angle [rad] wrapped to (−π, π]."""
     turns = np.floor((pi - angle) / (2 * pi))
     once = float(angle + 2 * pi * turns)
     return once - 2 * pi if once > pi else once + 2 * pi if once <= -pi else once

@@ -1,13 +1,14 @@
 """The own-state filter: a Kalman filter for position and velocity from late camera fixes, IMU and vehicle model.
 
-The filter estimates the position `latency` ago. So it compares each fix with the position at the time of measurement,
-by plain Kalman steps, even after long gaps. It predicts the present position with the accelerations of the steps since
-then, which it stores in a ring. The accelerations come from the vehicle model (3) under the last command (with thrust
-limit and lag, and drag at the estimated ground velocity), rotated to {E} by the heading. The filter also estimates a
-disturbance acceleration in {E}, which represents all model errors (mass, drag, waves, current).
+The filter estimates the position at the time `latency` before the present. So plain Kalman steps compare each fix with
+the position at the time of its measurement, even after long gaps. The filter predicts the present position with the
+accelerations of the steps since that measurement, which it stores in a ring buffer. The accelerations come from the
+vehicle model (3) under the last command (with thrust limit and lag, and drag at the estimated ground velocity), rotated
+to {E} by the heading. The filter also estimates a disturbance acceleration in {E}, which represents all model errors
+(mass, drag, waves, current).
 
-x, y and z share one covariance, which ignores the damping by drag, so that in a gap it is too large rather than too
-small. Yaw and yaw rate are measured in every step, so their gains are constant.
+x, y and z share one covariance. The covariance ignores the damping by drag, so in a gap between fixes it is too large
+rather than too small. Yaw and yaw rate are measured in every step, so their gains are constant.
 
 The filter builds CasADi expressions with explicit state for the exported law.
 """
@@ -42,7 +43,7 @@ _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # stored entries of a
 
 
 class OwnEstimate(NamedTuple, Generic[T]):
-    """The estimate after a step: SX columns from `OwnStateFilter.update`, arrays from `own_state_step`."""
+    """The estimate after a step, as SX columns from `OwnStateFilter.update` or as arrays from `own_state_step`."""
 
     state: dict[str, T]
     """Next state by port name."""
@@ -76,8 +77,7 @@ class OwnStateFilter:
         acceleration_noise: white acceleration noise that is always present [m/s^1.5] (*chosen*).
         model_noise: additional white acceleration noise for each m/s² of modelled acceleration [s^0.5] (*chosen*),
             because the errors from a wrong mass and from thrust noise grow with the thrust.
-        yaw_acceleration_noise: white noise of the yaw acceleration, which the vehicle model omits [rad/s^1.5]
-            (*chosen*).
+        yaw_acceleration_noise: white noise [rad/s^1.5] that represents the unmodelled yaw acceleration (*chosen*).
         velocity_start_sd: standard deviation of the velocity when the filter starts from a fix [m/s] (*chosen*).
         thrust_lag: time constant of the thrust's first-order lag in the vehicle model [s]; 0 for no lag.
         gate: number of standard deviations from the estimate beyond which a fix is refused (*chosen*).
@@ -123,7 +123,7 @@ class OwnStateFilter:
 
     @cached_property
     def step(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Φ and Q (3, 3) of one step for position, velocity and disturbance along one axis of {E}."""
+        """Transition Φ and process noise Q (3, 3) of a step: position, velocity, disturbance along one axis of {E}."""
         noise = growth(
             self.dt,
             acceleration_noise=self.acceleration_noise,
@@ -160,14 +160,14 @@ class OwnStateFilter:
 
     @property
     def thrust_shares(self) -> tuple[float, float]:
-        """Share of the old thrust that remains after a step, and its mean share during the step."""
+        """Share of the previous thrust that remains at the end of a step, and the mean of this share over the step."""
         if self.thrust_lag == 0:
             return 0.0, 0.0
         left = exp(-self.dt / self.thrust_lag)
         return left, (1.0 - left) * self.thrust_lag / self.dt
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state; position, velocity, disturbance and covariance are from `latency` ago."""
+        """Return the ports of the state; its position, velocity, disturbance and covariance are `latency` old."""
         modelled = "acceleration of the vehicle model in {E} in the last steps, newest first"
         ring = Port(f"{prefix}accelerations", (self.late, 3), "m/s^2", modelled)
         return (
@@ -197,15 +197,15 @@ class OwnStateFilter:
         model: Mapping[str, ca.SX],
         prefix: str = "",
     ) -> OwnEstimate[ca.SX]:
-        """Return the estimate after one control step of the Kalman filter (e.g. Brown and Hwang 2012, ch. 4).
+        """Return the estimate after one control step of the Kalman filter (see Brown and Hwang 2012, ch. 4).
 
-        The filter starts from the first fix. It restarts from a refused fix if that is the third consecutive one and
-        they agree. Refused fixes agree if they have the same offset from the estimate, within the gate; offsets are
-        compared because they do not contain the robot's own motion.
+        The filter starts from the first fix. The filter restarts from a refused fix if three consecutive fixes were
+        refused and agree with each other. Refused fixes agree if they have the same offset from the estimate, within
+        the gate; offsets are compared because they do not contain the robot's own motion.
 
         Args:
             state: state by port name, with the shapes of `ports(prefix)`.
-            fix: (3,) position in {E} `latency` ago [m]; if no fix arrived, any finite values.
+            fix: (3,) position [m] in {E}, measured `latency` before; if no fix arrived, any finite values.
             fix_fresh: 1 if a fix has arrived since the last step, else 0.
             yaw: measured ψ [rad], with any number of full turns.
             yaw_rate: measured r [rad/s].
@@ -252,7 +252,7 @@ class OwnStateFilter:
         return command + left * (old - command), command + mean * (old - command)
 
     def _now(self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, accelerations: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return position and velocity (3,) after the steps whose accelerations are in the ring (k, 3), oldest last."""
+        """Return position and velocity (3,) after k steps with the accelerations (k, 3) of the ring buffer."""
         for k in reversed(range(accelerations.shape[0])):
             position, velocity, disturbance = self._moved(position, velocity, disturbance, accelerations[k, :].T)
         return position, velocity
@@ -266,7 +266,7 @@ class OwnStateFilter:
         return position + self.dt * velocity + 0.5 * self.dt * change, velocity + change, left * disturbance
 
     def _corrected(self, old: Mapping[str, ca.SX], acceleration: ca.SX, fix: ca.SX, fresh: ca.SX) -> dict[str, ca.SX]:
-        """Return the stored values for the time `latency` ago, predicted by one step and corrected by the fix."""
+        """Return the stored values for the time `latency` before, predicted by one step and corrected by the fix."""
         known, variance = old["known"] > 0.5, self.position_sd**2
         position, velocity, disturbance = self._moved(
             old["position"], old["velocity"], old["disturbance"], acceleration
@@ -302,7 +302,7 @@ class OwnStateFilter:
         }
 
     def _grown(self, P: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Return the covariance (3, 3) after one step; its growth increases with the modelled acceleration."""
+        """Return the covariance (3, 3) after one step; it grows more with a larger modelled acceleration."""
         phi, noise, model_covariance = ca.DM(self.step[0]), ca.DM(self.step[1]), ca.DM(self.model_covariance)
         grown: ca.SX = phi @ P @ phi.T + noise + ca.sumsqr(acceleration) * model_covariance
         return grown

@@ -1,1 +1,1 @@
-"""Obstacle positions from measured ranges: contacts, and the local map."""
+"""Estimation of obstacle positions from measured ranges, as contacts and as a local map."""

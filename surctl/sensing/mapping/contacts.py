@@ -1,8 +1,8 @@
 """Contacts from measured ranges: the positions of echoes that the known walls and obstacles do not explain.
 
-The functions build CasADi expressions for the exported law. The heading enters as (cos ψ, sin ψ), azimuths and beam
-angle as floats, so that dot and cross products replace all computation of angles. This version stores one echo per
-sensor and has no map of cells. All positions are planar at the robot's depth, in the world frame {E}, in metres.
+The functions build CasADi expressions for the exported law. The heading is an input as (cos ψ, sin ψ); azimuths and
+beam angle are floats. So dot and cross products replace all computation of angles. The echo memory stores one echo per
+sensor; it is not a map of cells. All positions are planar at the robot's depth, in the world frame {E}, in metres.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def expected_range(
 ) -> ca.SX:
     """Return the range [m] that one sensor would measure from known walls and obstacles alone; at most 2·maximum.
 
-    The function uses the closed form of `surctl.world.Shape.nearest_in_cone`: the foot point if it is inside the cone,
-    else the edge rays.
+    The function uses the closed form of `surctl.world.Shape.nearest_in_cone`: the nearest point is the foot point if
+    the foot point is inside the cone, otherwise a point on an edge ray.
 
     Args:
         position: (2,) robot's centre in {E} [m].
@@ -48,7 +48,7 @@ def expected_range(
         azimuth: azimuth of the sensor in {B} [rad].
         hull_radius: distance from the robot's centre to the apex [m]; a symbol in a law for any vehicle.
         half_angle: half the opening angle of the cone [rad], 0 < half_angle < π/2.
-        maximum: longest range of the sensor [m].
+        maximum: longest range that the sensor measures [m].
 
     Raises:
         InputError: if half_angle is out of range.
@@ -85,7 +85,7 @@ def expected_range(
 
 
 class Contacts(NamedTuple):
-    """Contacts at one control step, as CasADi SX expressions."""
+    """The contacts at one control step, as CasADi SX expressions."""
 
     points: ca.SX
     """(n, 2) contact points in {E} [m]."""
@@ -104,7 +104,7 @@ def sonar_contacts(
     margin: float = 0.1,
     tolerance: float = 0.1,
 ) -> Contacts:
-    """Return the contact of each sensor: the point at `range_hat` on its axis, valid for an unexplained echo.
+    """Return the contact of each sensor: the point on the beam axis at `range_hat`, valid for an unexplained echo.
 
     A range is an echo if range_hat < maximum − margin. The known walls and obstacles explain the echo if
     range_hat ≥ expected − tolerance.
@@ -116,8 +116,8 @@ def sonar_contacts(
         heading: (2,) cos ψ, sin ψ.
         hull_radius: distance from the robot's centre to the apexes [m].
         expected: (n,) expected ranges from `expected_range` [m].
-        margin: distance below the maximum at which a range still counts as no echo [m].
-        tolerance: distance below `expected` at which the known world still explains an echo [m].
+        margin: a range above `maximum` − `margin` counts as no echo [m].
+        tolerance: a range above `expected` − `tolerance` is explained by the known walls and obstacles [m].
 
     Example:
         >>> import casadi as ca
@@ -138,9 +138,9 @@ def sonar_contacts(
 
 @dataclass(frozen=True, kw_only=True)
 class ContactMemory:
-    """Memory of the last unexplained echo of each sensor, fixed in {E} and dropped after `hold`.
+    """A memory of the last unexplained echo of each sensor, at a fixed position in {E}, dropped after the time `hold`.
 
-    Later readings without an echo do not remove a stored echo: a beam may turn away from an obstacle.
+    Later readings without an echo do not remove a stored echo, because the beam may have turned away from the obstacle.
 
     Attributes:
         sensors: number of sensors n.
@@ -162,7 +162,7 @@ class ContactMemory:
             raise InputError("must be at least 1", key="contacts.sensors", value=self.sensors)
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state; in the initial state all echoes are too old to count."""
+        """Return the ports of the state; in the initial state every echo is older than `hold` and so not valid."""
         return (
             Port(f"{prefix}echo", (self.sensors, 2), "m", "last unexplained echo of each sensor, x, y in {E}"),
             Port(

@@ -1,4 +1,4 @@
-"""One sonar firing as an input of the local map: its numbers, and the tests of a single cell against them."""
+"""One sonar firing as an input of the local map, and the tests of a map cell against the numbers of the firing."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside"
 
 
 def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
-    """Return each firing as a dictionary with the names of `READING`."""
+    """Return each firing as a dictionary whose keys are the names in `READING`."""
     out = []
     for s in range(count):
         at, one = s * READING_SIZE, {}
@@ -80,7 +80,7 @@ def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
 
 
 def named_limits(limits: ca.SX) -> dict[str, ca.SX]:
-    """Return the `LIMITS` of a firing as a dictionary by name."""
+    """Return the limits of a firing as a dictionary whose keys are the names in `LIMITS`."""
     return {name: limits[k] for k, name in enumerate(LIMITS)}
 
 
@@ -96,12 +96,12 @@ def on_arc(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
 
 
 def _inside(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
-    """Return a cell's distance into the cone from the nearer edge of the cone [m]."""
+    """Return the depth of a cell inside the cone: the distance from the nearer edge of the cone [m]."""
     return line[0] * limit["sine"] - line[1] * limit["cosine"]
 
 
 def in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: ca.SX) -> ca.SX:
-    """Return whether the whole cell is free: deep enough inside the cone, and nearer than the echo."""
+    """Return whether the whole cell is free: it lies deep enough inside the cone, and is nearer than the echo."""
     beam = line[0] * limit["sine"]
     deep = ca.fmin(limit["whole"], ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
     short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], value <= BLIND))

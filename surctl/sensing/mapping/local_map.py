@@ -1,18 +1,18 @@
-"""The local map: a small map around the robot, fixed in the world, which the measured ranges carve and mark.
+"""The local map: a grid of cells around the robot, aligned with {E}; measured ranges carve and mark the cells.
 
 A range d means that the cone is free up to d, and that an object lies somewhere on the arc at d. So a reading clears
 the cells nearer than d and marks the cells on the arc that are not known to be free. If all cells on the arc are known
-to be free (an object moved), the reading marks the whole arc. One reading of a wide beam therefore marks far too many
-cells. As the robot turns, the edges of other cones cross the false marks and clear them (range-only mapping; cf.
-Moravec and Elfes 1985, "High resolution maps from wide angle sonar").
+to be free (an object moved), the reading marks the whole arc. So one reading of a wide beam marks many cells that are
+in fact free. As the robot turns, the edges of later cones cross these false marks and clear them (range-only mapping;
+see Moravec and Elfes 1985, "High resolution maps from wide angle sonar").
 
-The map is a torus: world cell (I, J) is stored at (I mod N, J mod N). The window moves with the robot, and a cell that
-enters at one side replaces the cell that leaves at the opposite side, so the size of the map does not depend on the
-site. The window never extends beyond the site's walls if it fits between them, because the map needs no cells there.
-Unknown cells do not count in the two cells beside a wall, where the range error hides them from most beams: any object
-there that is wider than two cells also extends into the third cell.
-Each cell holds one number: 1 if just marked, fading to 0 in `mark_time`; −1 if just cleared, fading to 0 in
-`free_time`.
+The map is stored as a torus: the cell (I, J) of the world is stored at index (I mod N, J mod N). The map is a window
+that moves with the robot. A cell that enters the window at one side replaces the cell that leaves at the opposite side,
+so the size of the map does not depend on the site. If the window fits between the walls of the site, it never extends
+beyond the walls, because no cells are needed there. Unknown cells among the two cells beside a wall are ignored,
+because the range error hides these two cells from most beams. An object there that is wider than two cells also extends
+into the third cell, which is not ignored. Each cell holds one number. Just after marking, the number is 1, and it fades
+to 0 within `mark_time`. Just after clearing, the number is −1, and it fades to 0 within `free_time`.
 """
 
 from __future__ import annotations
@@ -37,17 +37,19 @@ _WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # input
 
 @dataclass(frozen=True, kw_only=True)
 class LocalMap:
-    """The fixed sizes and times of the local map.
+    """The local map with its fixed sizes and times.
 
     Attributes:
         dt: period of the updates [s].
         slots: largest number of firings in one period.
-        blocks: number of blocks along one side of the map.
-        block: number of cells along one side of a block; the map finds the nearest marked and unknown cell per block.
+        blocks: number of blocks (square groups of cells) along one side of the map.
+        block: number of cells along one side of a block, a square group of cells; in each block the map finds the
+            nearest marked cell and the nearest unknown cell.
         sectors: number of directions in which the map returns the nearest cells, a multiple of 4.
         mark_time: time [s] until a marked cell has faded to 0 (*chosen*).
         free_time: time [s] until a cleared cell has faded to 0 (*chosen*).
-        known: last part of `free_time` in which a cleared cell no longer counts as known to be free (*chosen*).
+        known: fraction of `free_time`, at its end, in which a cleared cell no longer counts as known to be free
+            (*chosen*).
     """
 
     dt: float
@@ -81,10 +83,11 @@ class LocalMap:
 
     @property
     def held(self) -> int:
-        """Smallest number of cells not known to be free at which the unknown cells of a block count.
+        """Smallest number of cells not known to be free in a block whose unknown cells are not ignored.
 
         A disc two cells wide touches the cell of its centre and the four adjacent cells; at least three of these five
-        cells lie in one block. So no object of this size can hide in blocks with fewer such cells.
+        cells lie in one block. So no object of this size can hide in blocks with fewer cells that are not known to be
+        free.
         """
         return min(_HOLDS, self.block * self.block)
 
@@ -94,7 +97,7 @@ class LocalMap:
         return (1.0 - self.known) * self.free_time
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state: the cells, block after block and row by row, and the window's lowest cell."""
+        """Return the ports of the state: the cells, block by block and row by row, and the window's lowest cell."""
         return (
             Port(f"{prefix}cells", (self.side * self.side,), "1", "1 marked, 0 unknown, -1 cleared; block by block"),
             Port(f"{prefix}corner", (2,), "1", "lowest cell of the window along x and y of {E}", _NOWHERE),
@@ -103,20 +106,21 @@ class LocalMap:
     def routine(self) -> Routine:
         """Return the routine (cells, corner, place, walls, slots) → (cells, corner, marked, unknown).
 
-        `place` (4,) holds the robot's x, y in {E} [m], the hull radius [m] and the edge length of a cell [m]. `walls`
-        (4,) holds x_min, x_max, y_min, y_max of the site in {E} [m]; give distant walls if there are none. `slots`
-        (slots · 10,) holds the firings one after another, see `READING`. `marked` and `unknown` (sectors · 3,) hold for
-        each direction the offset x, y [m] from the robot's centre to the nearest marked or unknown cell and its squared
-        distance [m²], 1e6 if there is none.
+        `place` (4,) holds the robot's position x, y in {E} [m], the hull radius [m] and the edge length of a cell [m].
+        `walls` (4,) holds x_min, x_max, y_min, y_max of the site in {E} [m]; give distant walls if there are none.
+        `slots` (slots · 10,) holds the firings one after another, each with the 10 numbers of `READING`. `marked`
+        (sectors · 3,) holds three numbers for each direction: the offset x, y [m] from the robot's centre to the
+        nearest marked cell, and the squared distance [m²] of this cell, 1e6 if no cell is marked. `unknown` (sectors ·
+        3,) holds the corresponding numbers for the nearest unknown cell.
         """
         return _Steps(self).routine()
 
 
 class _Steps:
-    """The loops around the programs of the local map.
+    """The loops that call the programs of the local map (`MapPrograms`) for all cells and blocks.
 
-    A firing skips the blocks that it does not touch: its loop of one iteration does nothing if the flag is set at the
-    start. The bounds of a block's columns and rows give the flag.
+    A firing skips each block of cells that its cone does not touch. For this purpose, a flag is computed from the
+    bounds of the block's columns and rows; if the flag is set, a loop with one iteration is not executed.
     """
 
     def __init__(self, local_map: LocalMap) -> None:
@@ -197,7 +201,7 @@ class _Steps:
         return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
 
     def _rows(self) -> tuple[Step, ...]:
-        """Return the steps for the rows of a row of blocks and their bounds; both passes compute them anew."""
+        """Return the steps that compute the cell rows of a row of blocks, and the bounds of these cell rows."""
         fixed = ("group", *_WHERE)
         return (
             Loop(self.programs.line(), self.block, (), self.rows, fixed=fixed, index=True),
@@ -207,7 +211,7 @@ class _Steps:
     # --- whether a cell explains the echo of a firing -----------------------------------------------------------------
 
     def _seek_row(self) -> Routine:
-        """Return the routine for a row of blocks: which firings a cell explains; it ends when all are explained."""
+        """Return the routine that searches a row of blocks for cells that explain the firings."""
         blocks, state = self.local_map.blocks, ("complete", *self.explained)
         fixed, pieces = ("zeros", *self.limits), (*self.columns, "column_bounds")
         last = ("complete_next", *self.explained_next)
@@ -249,7 +253,7 @@ class _Steps:
         return Routine("seek_block", self._sized(*inputs, "row_bounds"), tuple(steps), last)
 
     def _seek_cells(self) -> Routine:
-        """Return the routine that searches the cells of one block for one that explains a firing."""
+        """Return the routine that searches one block for a cell that explains a firing."""
         row = self._over_row(self.programs.seek(), carried=("hits",))
         lines, fixed = ("cells", "row", "row_beam"), ("column", "column_beam", "limits")
         steps = (
@@ -263,7 +267,7 @@ class _Steps:
     # --- what the firings change --------------------------------------------------------------------------------------
 
     def _change_row(self) -> Routine:
-        """Return the routine for a row of blocks: its cells after this period, and the nearest cells so far."""
+        """Return the routine that updates the cells in a row of blocks, and the nearest cells found so far."""
         blocks, best = self.local_map.blocks, ("marked", "unknown")
         fixed, pieces = ("zeros", "none", "hull", *self.explained, *self.limits), (*self.columns, "column_bounds")
         last = ("marked_next", "unknown_next", "cells_next")
@@ -319,7 +323,7 @@ class _Steps:
         return Routine("change_block", self._sized(*inputs, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
 
     def _enter(self, which: str) -> Routine:
-        """Return the routine that enters a block's nearest cell if it is the nearest so far in its direction."""
+        """Return the routine that stores a block's nearest cell if no nearer cell was found so far in its direction."""
         nearest = self.programs.nearest(unknown=which == "unknown")
         steps = (
             Loop(nearest, self.block, ("none",), ("near",), sliced=("cells", "row"), fixed=("column", "hull")),
@@ -341,7 +345,7 @@ class _Steps:
     # --- from one cell to a row of a block, and to a block ------------------------------------------------------------
 
     def _over_row(self, program: Program, *, carried: tuple[str, ...] = ()) -> Routine:
-        """Return a routine that runs a cell program over a row of a block; inputs: lanes, cells, row, columns, rest."""
+        """Return a routine that runs a program for one cell on every cell in one row of a block."""
         sizes = dict(program.inputs)
         renamed = dict(zip(sizes, carried, strict=False))
         own = tuple(name for name in sizes if name in ("cells", "column", "column_beam"))
@@ -355,7 +359,7 @@ class _Steps:
         return Routine(f"{program.name}_row", tuple((name, wide[name]) for name in order), (loop,), results)
 
     def _over_block(self, program: Program) -> Routine:
-        """Return a routine that runs a cell program over a block, for a loop of one iteration."""
+        """Return a routine that runs a program for one cell on every cell of a block."""
         row = self._over_row(program)
         names = tuple(name for name, _ in row.inputs)
         lines = tuple(name for name in names if name in ("cells", "row", "row_beam"))
@@ -364,7 +368,7 @@ class _Steps:
         return Routine(f"{program.name}_block", self._sized("flag", *names), steps, ("flag", "after"))
 
     def _sized(self, *names: str | tuple[str, int]) -> tuple[tuple[str, int], ...]:
-        """Return input arrays with their sizes, for one block unless the name comes with a number of blocks."""
+        """Return names and sizes of input arrays, for one block unless a name is given with a number of blocks."""
         b, sectors = self.block, len(NONE) * self.local_map.sectors
         sizes = {"cells": b * b, "column": b * BASE, "row": b * BASE, "zeros": self.lanes, "none": len(NONE), "hull": 2}
         sizes |= dict.fromkeys(("marked", "unknown", "best"), sectors)

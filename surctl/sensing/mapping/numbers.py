@@ -1,4 +1,4 @@
-"""The local map in NumPy: an update that equals `LocalMap.routine`, computed on whole arrays, and a view for plots."""
+"""The local map in NumPy: an update with the results of `LocalMap.routine`, and a view of the map for plots."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ _SIZE = sum(size for _, size, _ in READING)
 def map_step(
     local_map: LocalMap, cells: ArrayLike, corner: ArrayLike, place: ArrayLike, walls: ArrayLike, readings: ArrayLike
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return cells, corner, marked and unknown after one period of the map, equal to `LocalMap.routine`.
+    """Return cells, corner, marked and unknown after one update period, with the values of `LocalMap.routine`.
 
     Args:
         local_map: the map.
-        cells: (N²,) values of the cells, block after block as in `LocalMap.ports`.
+        cells: (N²,) values of the cells, block by block as in `LocalMap.ports`.
         corner: (2,) lowest cell of the window along x and y of {E}.
-        place: (4,) the robot's x, y in {E} [m], hull radius [m], edge length of a cell [m].
+        place: (4,) the robot's position x, y in {E} [m], hull radius [m], edge length of a cell [m].
         walls: (4,) x_min, x_max, y_min, y_max of the site in {E} [m].
-        readings: (slots · 10,) firings, see `READING`.
+        readings: (slots · 10,) firings, each with the 10 numbers of `READING`.
 
     Raises:
-        InputError: if an array has another size.
+        InputError: if an array does not have the stated size.
 
     Example:
         >>> import numpy as np
@@ -96,16 +96,16 @@ def map_step(
 def map_view(
     local_map: LocalMap, cells: ArrayLike, corner: ArrayLike, *, edge: float = 1.0
 ) -> tuple[Vector, Vector, Vector]:
-    """Return the map in {E}: values (N, N) by y, then x, and the cell centres' coordinates x (N,) and y (N,).
+    """Return the map in {E}: values (N, N) indexed by y, then x; coordinates x (N,) and y (N,) of the cell centres.
 
     Args:
         local_map: the map.
-        cells: (N²,) cells of the state.
-        corner: (2,) corner of the state.
-        edge: edge length of a cell [m]; with 1 the centres are in cells.
+        cells: (N²,) values of the cells in the state of the map.
+        corner: (2,) lowest cell of the window in the state of the map.
+        edge: edge length of a cell [m]; with 1 the coordinates of the centres are in cells.
 
     Raises:
-        InputError: if an array has another size.
+        InputError: if an array does not have the stated size.
 
     Example:
         >>> from surctl.sensing import LocalMap, map_view
@@ -122,7 +122,7 @@ def map_view(
 
 
 class _Beam:
-    """One firing and all cells: distance along the beam's axis, distance across it, squared range; (N, N) each."""
+    """All cells relative to one firing: distance along the beam, distance across it, squared range; (N, N) each."""
 
     def __init__(self, firing: dict[str, Vector], x: Vector, y: Vector) -> None:
         away_x, away_y = x - firing["apex"][0], (y - firing["apex"][1])[:, None]
@@ -135,7 +135,7 @@ class _Beam:
 
     @property
     def depth(self) -> Vector:
-        """Distance of each cell into the cone from the nearer edge of the cone [m]."""
+        """Depth of each cell inside the cone: the distance from the nearer edge of the cone [m]."""
         return np.asarray(self.along * self.sine - self.across * self.cosine)
 
     def on_arc(self, edge: float) -> NDArray[np.bool_]:
@@ -144,7 +144,7 @@ class _Beam:
         return np.asarray(band & (self.depth > -0.5 * edge))
 
     def in_front(self, edge: float, value: Vector) -> NDArray[np.bool_]:
-        """Return which cells are free: nearer than the echo, and deep enough in the cone for their present value."""
+        """Return which cells are free: nearer than the echo, and as deep in the cone as their present value needs."""
         share = np.where(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
         deep = np.minimum(_INSIDE * edge + _INSIDE_MORE, share * self.along * self.sine)
         return np.asarray((self.depth > deep) & (self.square < self.clear**2) & ((self.clear > 0) | (value <= BLIND)))
@@ -157,25 +157,25 @@ def _window(n: int, here: Vector, ends: Vector) -> Vector:
 
 
 def _world(n: int, corner: Vector) -> Vector:
-    """Return the world cell along x and y that is stored at each place of the torus, (2, N)."""
+    """Return the indices (2, N), along x and y, of the world cells that are stored at the N indices of the torus."""
     rank = np.arange(n)
     return np.array([low + np.mod(rank - low, n) for low in corner])
 
 
 def _torus(local_map: LocalMap, cells: NDArray[T]) -> NDArray[T]:
-    """Return the cells as (N, N) by y, then x; the input is ordered block after block."""
+    """Return the cells as an array (N, N) indexed by y, then x, from cells ordered block by block."""
     many, size = local_map.blocks, local_map.block
     return cells.reshape(many, many, size, size).swapaxes(1, 2).reshape(local_map.side, local_map.side)
 
 
 def _blocks(local_map: LocalMap, torus: NDArray[T]) -> NDArray[T]:
-    """Return the cells by block, (blocks², block²), from (N, N)."""
+    """Return the cells grouped by block, (blocks², block²), from an array (N, N)."""
     many, size = local_map.blocks, local_map.block
     return torus.reshape(many, size, many, size).swapaxes(1, 2).reshape(many * many, size * size)
 
 
 def _nearest(local_map: LocalMap, which: NDArray[np.bool_], dx: Vector, dy: Vector, square: Vector) -> Vector:
-    """Return the nearest cell in each direction, (sectors · 3,), among the nearest selected cells of all blocks."""
+    """Return the nearest cell in each direction, (sectors · 3,), among the nearest selected cell of every block."""
     held = _blocks(local_map, np.where(which & (square < _FAR), square, _FAR))
     at = (np.arange(len(held)), np.argmin(held, axis=1))
     x, y, far = _blocks(local_map, dx)[at], _blocks(local_map, dy)[at], held[at]

@@ -1,10 +1,11 @@
-"""The programs of the local map, each for one cell, one row of a block, or one block.
+"""The CasADi programs of the local map, each for one cell, one row of a block of cells, or one block of cells.
 
-`LocalMap.routine` calls them in loops. Each column and each row of cells has a base and, for each firing, a beam. The
-base holds the offset from the robot [m], its square [m²], whether the line was in the previous window, and the square
-for unknown cells (1e6 if unknown cells in this line do not count). The beam holds the contributions of the line to a
-cell's distance along the beam's axis [m], distance across it [m], and squared range [m²]. The sum over a cell's column
-and row gives the squared distance and the beam of the cell.
+`LocalMap.routine` calls them in loops. Each column and each row of cells has a vector called base and, for each firing,
+a vector called beam. The base holds four numbers: the offset of the column or row from the robot [m]; the square of the
+offset [m²]; whether the column or row was in the previous window; and the square of the offset for unknown cells (1e6
+if unknown cells in this column or row are ignored). The beam holds what the column or row contributes to three
+distances of a cell: the distance along the beam's axis [m], the distance from this axis [m], and the squared range
+[m²]. The vectors of a cell's column and row are added to obtain the squared distance and the beam of the cell.
 """
 
 from __future__ import annotations
@@ -51,12 +52,13 @@ class MapPrograms:
         slots: largest number of firings in one period.
         side: number of cells along one side of the window.
         block: number of cells along one side of a block.
-        lanes: number of cells in a row that are processed together; columns are stored in groups of this size, entry
-            by entry.
-        sectors: number of directions.
-        fades: amounts by which a marked and a cleared cell fade in one period.
-        known: smallest part of `free_time` that must remain for a cell to count as known to be free.
-        held: smallest number of cells not known to be free at which the unknown cells of a block count.
+        lanes: number of cells in a row that are processed together (SIMD lanes); columns are stored in groups of this
+            size, entry by entry.
+        sectors: number of directions in which the map returns the nearest cells.
+        fades: amount by which a marked cell fades in one period, and amount by which a cleared cell fades.
+        known: smallest fraction of `free_time` that must remain for a cleared cell to count as known to be free.
+        held: smallest number of cells not known to be free that a block must contain; otherwise its unknown cells are
+            ignored.
     """
 
     slots: int
@@ -74,7 +76,7 @@ class MapPrograms:
         return 1 + BOUNDS * self.slots
 
     def corner(self) -> Program:
-        """Program for the window's lowest cell: the robot is central, unless the window would pass the site's walls."""
+        """Program for the window's lowest cell: the robot is central, unless the window would pass a site wall."""
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         lowest = ca.floor(walls[[0, 2]] / place[3] + _SLACK)
         end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
@@ -83,7 +85,7 @@ class MapPrograms:
         return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner})
 
     def prepare(self) -> Program:
-        """Program for the limits of each firing and of the hull, and whether no cell can explain a firing."""
+        """Program that computes the limits of firings and hull, and tests whether no cell can explain a firing."""
         place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * READING_SIZE)
         hull, edge = place[2], place[3]
         limits, explained = {}, {}
@@ -99,7 +101,7 @@ class MapPrograms:
         return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
     def line(self) -> Program:
-        """Program for the base and the beams of one column or row, number `at` of a group as wide as a block."""
+        """Program that computes base and beams of the column or row with index `at` in a group as wide as a block."""
         at, group, span = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("span")
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         slots = ca.SX.sym("slots", self.slots * READING_SIZE)
@@ -133,7 +135,7 @@ class MapPrograms:
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
 
     def bounds(self, *, columns: bool) -> Program:
-        """Program for the extreme values of a block's columns or rows, which may be far apart in the world."""
+        """Program for the extreme values over a block's columns or rows, which may be far apart in the world."""
         base = ca.SX.sym("base", BASE * self.block)
         beams = [ca.SX.sym(f"beam_{s}", BEAM * self.block) for s in range(self.slots)]
 
@@ -148,7 +150,7 @@ class MapPrograms:
         return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
     def idle(self) -> Program:
-        """Program for one block: whether each firing changes no cell, and whether the hull covers no cell."""
+        """Program that tests, per firing, whether it changes no cell of a block; and whether the hull covers none."""
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits, hull = self._limits(), ca.SX.sym("hull", 2)
         outputs = {}
@@ -161,7 +163,7 @@ class MapPrograms:
         return lower_named("idle", inputs, outputs)
 
     def blank_arc(self) -> Program:
-        """Program for one block: whether no cell can explain a firing, or another cell already explains it."""
+        """Program that tests whether no cell of a block can explain a firing, or another cell already does."""
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits = self._limits()
         explained = {f"explained_{s}": ca.SX.sym(f"explained_{s}") for s in range(self.slots)}
@@ -174,11 +176,11 @@ class MapPrograms:
         return lower_named("blank_arc", inputs, outputs)
 
     def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return whether all cells lie beside the cone, the least squared range, and whether all cells lie off the arc.
+        """Return whether all cells are beside the cone, their least squared range, and whether all are off the arc.
 
-        The bounds use the same sums and products as a cell, and rounding preserves their order. So a condition that
-        holds for the bounds holds for every cell, to the last bit. Every condition is false for NaN, so that a block
-        with NaN is not skipped.
+        The bounds are computed with the sums and products that are used for a cell, and rounding preserves the order of
+        values. So a condition that holds for the bounds also holds for every cell, despite rounding. Every condition is
+        false for NaN, so a block with NaN is not skipped.
         """
         at = 1 + BOUNDS * s
         along, low, high, least, most = (row[at + k] + column[at + k] for k in range(BOUNDS))
@@ -222,7 +224,7 @@ class MapPrograms:
         return lower_named("observe", inputs, {"after": after})
 
     def cover(self) -> Program:
-        """Program for a cell's value near the hull: every cell that the hull covers is free."""
+        """Program for a cell's value near the hull: a cell that the hull covers becomes free."""
         value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
         hull = ca.SX.sym("hull", 2)
         inputs = {"cells": value, "column": column, "row": row, "hull": hull}
@@ -237,14 +239,14 @@ class MapPrograms:
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
 
     def without(self) -> Program:
-        """Program for one block: whether no cell is marked, and whether too few cells could be unknown."""
+        """Program that tests, for one block, whether no cell is marked, and whether too few cells can be unknown."""
         largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
         held = ca.sum1(count) < self.held
         outputs = {"no_mark": _largest(ca.vertsplit(largest)) <= 0, "no_blank": held}
         return lower_named("without", {"largest": largest, "count": count}, outputs)
 
     def any_hit(self) -> Program:
-        """Program that tests whether a cell in any lane explains the firing."""
+        """Program that tests whether any of the cells that are processed together explains the firing."""
         hits = ca.SX.sym("hits", self.lanes)
         hit = hits[0]
         for k in range(1, self.lanes):
@@ -252,7 +254,7 @@ class MapPrograms:
         return lower_named("any_hit", {"hits": hits}, {"hit": hit})
 
     def all_explained(self) -> Program:
-        """Program that tests whether every firing is explained by a cell, so that the search can end."""
+        """Program that tests whether every firing is explained by some cell, so that the search can end."""
         explained = [ca.SX.sym(f"explained_{s}") for s in range(self.slots)]
         complete = explained[0]
         for one in explained[1:]:
@@ -262,7 +264,7 @@ class MapPrograms:
         )
 
     def nearest(self, *, unknown: bool) -> Program:
-        """Program that adds a row to the search for a block's nearest marked or unknown cell; of equals, the first."""
+        """Program that searches a further row for a block's nearest marked or unknown cell; the first if equal."""
         near, hull = ca.SX.sym("near", 3), ca.SX.sym("hull", 2)
         cells, row, columns = (
             ca.SX.sym("cells", self.block),
@@ -302,12 +304,12 @@ class MapPrograms:
         )
 
     def farther(self) -> Program:
-        """Program that tests whether a cell is no nearer than the nearest cell so far in its direction."""
+        """Program that tests whether a cell is at least as far as the nearest cell found so far in its direction."""
         near, best = ca.SX.sym("near", 3), ca.SX.sym("best", 3)
         return lower_named("farther", {"near": near, "best": best}, {"farther": near[2] >= best[2]})
 
     def enter(self) -> Program:
-        """Program that enters a cell as the nearest cell so far in its direction."""
+        """Program that stores a cell as the nearest cell found so far in its direction."""
         flag, best = ca.SX.sym("flag"), ca.SX.sym("best", 3 * self.sectors)
         near, sector = ca.SX.sym("near", 3), ca.SX.sym("sector")
         rows = [ca.if_else(sector == k, near, best[3 * k : 3 * k + 3]) for k in range(self.sectors)]
@@ -317,7 +319,7 @@ class MapPrograms:
     # --- parts --------------------------------------------------------------------------------------------------------
 
     def _entry(self, column: int, size: int, entry: int) -> int:
-        """Return the index at which an entry of one of a block's columns is stored."""
+        """Return the index at which an entry of a column's base or beam is stored, for a column of a block."""
         group, lane = divmod(column, self.lanes)
         return (group * size + entry) * self.lanes + lane
 
@@ -327,7 +329,7 @@ class MapPrograms:
 
     @staticmethod
     def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return symbols for base and beam of a column, then of a row."""
+        """Return four symbols: base and beam of a column, base and beam of a row."""
         names = (("column", BASE), ("column_beam", BEAM), ("row", BASE), ("row_beam", BEAM))
         column, across, row, down = (ca.SX.sym(name, size) for name, size in names)
         return column, across, row, down

@@ -1,7 +1,8 @@
-"""Operations with one notation for CasADi symbols and NumPy arrays, so that a rule is written only once.
+"""Operations with one notation for CasADi symbols and NumPy arrays, so that the rules of the tracker are written once.
 
 Arithmetic and comparisons use the operators of the operands. This module contains the operations that Python cannot
-overload for both. Truth values come from comparisons; only `where`, `both`, `either` and `no` take them as arguments.
+overload for both CasADi symbols and NumPy arrays. Truth values come from comparisons; only `where`, `both`, `either`
+and `no` take truth values as arguments.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ class Elementwise(Protocol):
     """Operations on values, element by element."""
 
     def where(self, condition: Value, yes: Value, other: Value) -> Value:
-        """Return `yes` where the condition holds, else `other`; both must be finite."""
+        """Return `yes` where the condition holds, otherwise `other`; `yes` and `other` must be finite."""
 
     def both(self, *conditions: Value) -> Value:
-        """Return where all conditions hold."""
+        """Return a truth value: whether all conditions hold."""
 
     def either(self, *conditions: Value) -> Value:
-        """Return where at least one condition holds."""
+        """Return a truth value: whether at least one condition holds."""
 
     def no(self, condition: Value) -> Value:
-        """Return where the condition does not hold."""
+        """Return a truth value: whether the condition does not hold."""
 
     def least(self, *values: Value) -> Value:
         """Return the smallest of the values."""

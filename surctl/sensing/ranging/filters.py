@@ -1,8 +1,8 @@
 """The filters of the paper for raw sonar samples: weighted average, gate (4)–(5), adaptive LMS (6)–(7), Algorithm 1.
 
-The filters are CasADi expressions with explicit state for the exported law. They use only + − × ÷ sqrt fabs fmin fmax,
-comparisons, logic and if_else. Every branch of an if_else is finite for finite inputs, because denominators have lower
-limits. Windows and histories hold the newest value first. Ranges are in metres.
+The filters are CasADi expressions with explicit state for the exported law. The expressions use only + − × ÷ sqrt fabs
+fmin fmax, comparisons, logic and if_else. Every branch of an if_else is finite for finite inputs, because denominators
+have lower limits. In windows and histories, the newest value is first. Ranges are in metres.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ FILTER_GAINS = ("lambda1", "relaxation", "beta_max")
 def weighted_average(samples: ca.SX) -> ca.SX:
     """Return the weighted mean of one firing's `samples` (k,) [m], oldest first.
 
-    The paper says "weighted average" but does not give the weights. The weights 1, 2, …, k are *chosen*; they rise
-    linearly to the newest sample.
+    The paper says "weighted average" but does not give the weights. The weights 1, 2, …, k are a design choice; they
+    rise linearly to the newest sample.
 
     Example:
         >>> import casadi as ca
@@ -47,19 +47,19 @@ def weighted_average(samples: ca.SX) -> ca.SX:
 def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Apply the gate (4)–(5): return `value` if it lies within λ1·S of the previous raw value, else the running mean.
 
-    S² = mean(d²) − mean(d)² over the window. S is at least one conversion step, because with a constant signal S = 0
-    the gate would refuse every value. With λ1 = 0 the gate accepts no value and always returns the running mean. The
-    window also stores refused raw values. So after a genuine jump the next reading lies near the previous raw value
-    and is accepted: the gate lags by one firing and cannot lock.
+    S² = mean(d²) − mean(d)² over the window. S is limited to at least one conversion step: a constant signal has S = 0,
+    and the gate would refuse every value. With λ1 = 0 the gate accepts no value and always returns the running mean.
+    The window also stores refused raw values. After a true jump of the range, the next reading lies near the previous
+    raw value, so the gate accepts the next reading. The gate is late by one firing and cannot refuse for ever.
 
     Args:
-        window: (n,) the last n averaged raw values [m], newest first.
-        value: the new averaged raw value [m].
+        window: (n,) the last n values of the weighted mean, before the gate [m], newest first.
+        value: the new weighted mean [m].
         lambda1: λ1 ≥ 0.
         resolution: one conversion step [m].
 
     Returns:
-        gated value [m], accepted (0 or 1), next window (n,).
+        three results: gated value [m]; 1 if `value` was accepted, else 0; next window (n,) [m].
 
     Example:
         >>> import casadi as ca
@@ -105,19 +105,19 @@ def lms_step(
     beta_max: ca.SX,
     step: StepRule = "corrected",
 ) -> LmsStep:
-    """Return the result of one step of Algorithm 1 with momentum (6), corrected error (7) and errata E5, E6, E19.
+    """Return the result of a step of Algorithm 1: momentum (6), corrected error (7), with errata E5, E6, E19 corrected.
 
-    The weights change to θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}) if e_n ≥ ē; otherwise they stay ("smaller … does not
-    need to be corrected"). Here ℜ = x_n − θᵀX, and X holds the m values *before* x_n (E19). The corrected error is
-    e_n = (1/N) Σ w_i |e_i| with w falling linearly from 1 (newest) to 1/N (E6). Its exponential mean is ē, with a time
-    constant of N firings (*chosen*), and β = β_max·min(1, e_n/ē). No formula uses the variance in (7).
-    `corrected`: 2μ = ρ/XᵀX with the relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum with residual 0.
-    `printed`: 2μ = 2/XᵀX for every ρ; the residual after the step is −ℜ, so it never decreases (E5).
+    If e_n ≥ ē, the weights change to θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}); otherwise they do not change ("smaller …
+    does not need to be corrected"). Here ℜ = x_n − θᵀX, and X holds the m values *before* x_n (E19). The corrected
+    error is e_n = (1/N) Σ w_i |e_i| with w falling linearly from 1 (newest) to 1/N (E6). ē is the exponential mean of
+    e_n, with a time constant of N firings (*chosen*), and β = β_max·min(1, e_n/ē). The variance that (7) also defines
+    is not used in any formula. `corrected`: 2μ = ρ/XᵀX with the relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum
+    with residual 0. `printed`: 2μ = 2/XᵀX for every ρ; the residual after the step is −ℜ, so it never decreases (E5).
 
     Args:
         theta: θ_n (m,).
         theta_prev: θ_{n−1} (m,).
-        X: (m,) the values before x_n [m], newest first.
+        X: (m,) the m values before x_n [m], newest first.
         x_n: the value to be predicted [m].
         errors: (N,) last values of |ℜ| before this step [m], newest first.
         mean_error: ē before this step [m].
@@ -170,17 +170,17 @@ class FilterUpdate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFilter:
-    """Average, gate and LMS filter for every sensor of an array, in one step with explicit state.
+    """The filter of the paper for every sensor of an array: weighted average, gate and LMS filter, with explicit state.
 
     Attributes:
         array: the sonar array.
-        window: n of (4), number of values in the gate's window, at least 2.
-        taps: m of Algorithm 1, number of values used for a prediction.
-        memory: N of (7), number of stored errors.
+        window: number n of values in the window of the gate (4), at least 2.
+        taps: number m of values that Algorithm 1 uses for a prediction.
+        memory: number N of errors that (7) averages.
         refusals: number of consecutive refused values after which a sensor counts as unhealthy.
-        jump: accepted change [m] between two firings that indicates another object (*chosen*; a closing speed of
+        jump: accepted change [m] between two firings that indicates another object (design choice; a closing speed of
             0.5 m/s gives 0.05 m). The LMS filter then restarts, so that it predicts no ranges between the two objects.
-        step: rule for μ, see `lms_step`.
+        step: rule for the step size μ, `corrected` or `printed`, see `lms_step`.
     """
 
     array: SonarArray = field(default_factory=SonarArray)
@@ -204,7 +204,7 @@ class SensorFilter:
             raise InputError("unknown LMS step", key="filter.step", value=self.step, remedy=remedy)
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state, one row per sensor; initially no echo is stored and no sensor is healthy."""
+        """Return the state's ports, with one row per sensor; initially no echo is stored and no sensor is healthy."""
         n, far = self.array.size, self.array.maximum
         return (
             Port(f"{prefix}window", (n, self.window), "m", "averaged raw ranges, newest first", far),
@@ -235,13 +235,14 @@ class SensorFilter:
     ) -> FilterUpdate:
         """Return the ranges after one control step, in which sensors that fired process their samples.
 
-        The range is the smaller of the newest gated value and the prediction of the next value, because it must be
-        valid until the sensor fires again; it is limited to [lowest, maximum]. A sensor is healthy while fewer than
-        `refusals` consecutive values are refused; before its first accepted value it is unhealthy. With λ1 = 0 no
+        The range must be valid until the sensor fires again. So the range is the smaller of two values, the newest
+        gated value and the prediction of the next value, limited to [lowest, maximum]. A sensor is healthy while fewer
+        than `refusals` consecutive values are refused; before its first accepted value it is unhealthy. With λ1 = 0 no
         value counts as refused.
 
         Args:
-            state: state by port name, with the shapes of `ports(prefix)`; it changes only for sensors that fired.
+            state: state by port name, with the shapes of `ports(prefix)`; the state changes only for sensors that
+                fired.
             samples: (n, samples) raw samples [m], oldest first; rows of sensors that did not fire are ignored
                 (but must be finite).
             fresh: (n,) 1 for a sensor that fired since the last step, else 0.
@@ -262,7 +263,7 @@ class SensorFilter:
         return FilterUpdate({prefix + name: after[name] for name in names}, range_hat, healthy)
 
     def _fired(self, old: Mapping[str, ca.SX], samples: ca.SX, *, gains: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-        """Return the next state of one sensor that fired, as columns by name without prefix."""
+        """Return the next state of one sensor that fired, as columns by port name without prefix."""
         value = weighted_average(samples)
         lambda1 = gains["lambda1"]
         gated, accepted, window = gate(old["window"], value, lambda1=lambda1, resolution=self.array.resolution)

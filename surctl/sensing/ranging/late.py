@@ -1,4 +1,4 @@
-"""Test whether a sensor's readings are late after a gap, based on known walls or on the robot's own motion."""
+"""A test whether the readings of a sensor after a gap are late, based on known walls or on the robot's own motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FORGET = 0.95  # factor on the old evidence at each new reading
 
 
 class Late(NamedTuple):
-    """Result of the test for late readings at this step."""
+    """The result of the test for late readings at one step."""
 
     late_by: Value
     late: Value
@@ -27,11 +27,12 @@ class Late(NamedTuple):
 
 
 def lateness(step: Step, sound: Value, reading: Value) -> Late:
-    """Test whether readings after a gap are late by the gap: compare them with the known walls or the old track.
+    """Test whether readings after a gap are late by the gap, by comparison with the known walls or the old track.
 
-    A late reading is the range of `late_by` ago. It differs from the present range by a shift, which is computed from
-    the known walls or from own motion. The regression coefficient of the residuals on the shift is 0 for readings
-    without delay and 1 for late readings.
+    A late reading is the range at the time `late_by` before. A late reading differs from the present range by a shift,
+    which is computed from the known walls or from the robot's own motion. The residual of a reading is its difference
+    from the expected range or from the track. The regression coefficient of the residuals on the shift is 0 for
+    readings without delay and 1 for late readings.
     """
     op, rules, old, state, _, scene = step
     missing = op.floor(state["since"] / rules.due + 0.5) - 1.0

@@ -1,7 +1,7 @@
-"""The filters of the paper on NumPy arrays, equal to those in `filters`, for recorded readings and many runs at once.
+"""The filters of the paper on NumPy arrays, for recorded readings and many runs at once; results as in `filters`.
 
 Arrays may have any leading axes, for example runs and sensors. The functions return the next state and change no array
-in place. Windows and histories hold the newest value first. Ranges are in metres.
+in place. In windows and histories, the newest value is first. Ranges are in metres.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def plain_average(samples: Array) -> Array:
-    """Return the `weighted_average` (...) of samples (..., k) [m], oldest first.
+    """Return the weighted mean (...) of samples (..., k) [m], oldest first, with the weights of `weighted_average`.
 
     Example:
         >>> import numpy as np
@@ -35,16 +35,16 @@ def plain_average(samples: Array) -> Array:
 
 
 def plain_gate(window: Array, value: Array, *, lambda1: ArrayLike, resolution: float) -> tuple[Array, Array, Array]:
-    """Apply the gate (4)–(5) as `gate` does.
+    """Apply the gate (4)–(5) to NumPy arrays, as `gate` does to CasADi symbols.
 
     Args:
-        window: (..., n) the last averaged raw values [m].
-        value: (...) the new averaged raw value [m].
+        window: (..., n) the last n values of the weighted mean, before the gate [m], newest first.
+        value: (...) the new weighted mean [m].
         lambda1: λ1 ≥ 0.
         resolution: one conversion step [m].
 
     Returns:
-        gated value (...) [m], accepted (...) as 0 or 1, next window (..., n).
+        three results: gated value (...) [m]; 1 if `value` was accepted, else 0 (...); next window (..., n) [m].
 
     Example:
         >>> import numpy as np
@@ -63,7 +63,7 @@ def plain_gate(window: Array, value: Array, *, lambda1: ArrayLike, resolution: f
 
 
 class PlainLmsStep(NamedTuple):
-    """Result of one step of Algorithm 1 as arrays, see `LmsStep`."""
+    """The result of one step of Algorithm 1 as arrays, see `LmsStep`."""
 
     theta: Array
     """(..., m) θ_{n+1}."""
@@ -134,7 +134,7 @@ def plain_lms_step(
 
 
 class PlainUpdate(NamedTuple):
-    """Result of `plain_filter` as arrays, see `FilterUpdate`."""
+    """The result of `plain_filter` as arrays, see `FilterUpdate`."""
 
     state: dict[str, Array]
     """Next state, by port name."""
@@ -157,9 +157,9 @@ def plain_filter(
 
     Args:
         filter_: the filter.
-        state: state by port name, each (..., *port.shape).
+        state: state by port name, each array (..., *port.shape).
         samples: (..., n, k) raw samples [m].
-        fresh: (..., n) 1 for a sensor that fired, else 0.
+        fresh: (..., n) 1 for a sensor that fired since the last step, else 0.
         gains: scalar gains by port name.
         prefix: prefix of the port names of state and gains.
 
@@ -195,7 +195,7 @@ def plain_filter(
 def _fired(
     filter_: SensorFilter, old: Mapping[str, Array], samples: Array, gains: Mapping[str, float]
 ) -> dict[str, Array]:
-    """Return the next state of sensors that fired, by name without prefix."""
+    """Return the next state of the sensors that fired, by port name without prefix."""
     lambda1 = gains["lambda1"]
     gated, accepted, window = plain_gate(
         old["window"], plain_average(samples), lambda1=lambda1, resolution=filter_.array.resolution

@@ -1,8 +1,9 @@
 """The rules of `RangeTracker`, written once for CasADi symbols and NumPy numbers (`Elementwise`).
 
-A step moves the track by the robot's own motion. If the new reading is plausible and agrees with the track, it updates
-the track. Otherwise it is stored as a candidate for another track until there is enough evidence for it. An unresolved
-conflict widens the interval that shall contain the true range.
+A track is the estimated range and rate of the nearest object of a sensor. A step moves the track by the robot's own
+motion. If the new reading is plausible and agrees with the track, the reading updates the track. Otherwise the reading
+is stored as a candidate; with enough evidence, the candidate becomes the track. While readings and track disagree, the
+interval that shall contain the true range is wider.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _SURPRISING, _SURPRISING_TURNING = 2.5, 0.5  # standard deviations; a larger inn
 
 
 class _Compared(NamedTuple):
-    """A reading compared with the track, the known walls and the other sensors."""
+    """The comparison of a reading with the track, the known walls and the other sensors."""
 
     corrected: Value  # [m], the reading; if it is late, minus its shift
     innovation: Value  # [m], difference from the track
@@ -46,12 +47,12 @@ class _Compared(NamedTuple):
 def range_step(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs
 ) -> tuple[dict[str, Value], tuple[Value, ...]]:
-    """Return the next state, and the outputs range, bound, rate, healthy, age, reading, accepted, carve.
+    """Return the next state, and a tuple of outputs: range, bound, rate, healthy, age, reading, accepted, carve.
 
     Args:
         op: operations on symbols or on numbers.
         rules: parameters of the rules.
-        old: state by port name without prefix; a port with several columns is a list of columns.
+        old: previous state by port name without prefix; a port with several columns is given as a list of columns.
         inputs: inputs of the step.
     """
     step = opened(op, rules, old, inputs)
@@ -88,7 +89,7 @@ def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
 
 
 def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
-    """Update the track or the candidate with the reading; return whether the reading updated the track."""
+    """Update the track or the candidate with the reading, and return whether the reading updated the track."""
     op, rules, _, state, _, scene = step
     new = _compared(step, late, fine, reading)
     # a known wall enters the beam
@@ -115,7 +116,7 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
 
 
 def _candidate(step: Step, new: _Compared, other: Value) -> Value:
-    """Store a reading that is not near the track as a candidate; return whether the candidate becomes the track."""
+    """Store a reading that is not near the track as a candidate, and return whether the candidate becomes the track."""
     op, rules, _, state, _, scene = step
     corrected, outward = new.corrected, new.innovation > 0.0
     x, top = state["range"], rules.maximum - 2.0 * rules.resolution
@@ -143,7 +144,7 @@ def _candidate(step: Step, new: _Compared, other: Value) -> Value:
 
 
 def _crosstalk(step: Step, corrected: Value) -> Value:
-    """Return whether the value equals another sensor's echo; readings without an echo do not count."""
+    """Return whether the reading equals another sensor's reading; readings without an echo are not compared."""
     op, rules = step.op, step.rules
     match = op.size(corrected) < 0.0  # false everywhere
     for rate, newest, before in step.inputs.others:
@@ -155,14 +156,14 @@ def _crosstalk(step: Step, corrected: Value) -> Value:
 
 
 def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
-    """Update the track by the Kalman filter if the reading is near it, or start a new track."""
+    """Update the track by the Kalman filter if the reading is near the track; otherwise a new track may start."""
     op, rules, _, state, _, scene = step
     corrected, crosstalk = new.corrected, new.crosstalk
     x, u = state["range"], state["rate"]
     p11, p12, p22 = state["var_range"], state["covariance"], state["var_rate"]
     r = rules.sigma * rules.sigma
     total = p11 + r
-    # a reading that may be late moves the track little, and one that equals another sensor's does not move it
+    # a reading that may be late moves the track little, and one that equals another sensor's does not move the track
     part = op.where(crosstalk, 0.0, op.where(late.undecided, _CAUTIOUS, 1.0))
     steady = op.either(crosstalk, late.undecided, scene.follow)
     k1, k2 = p11 / total, op.where(steady, 0.0, p12 / total)
@@ -191,7 +192,7 @@ def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
 
 
 def _record(step: Step, reading: Value) -> None:
-    """Store the reading and samples with which later steps compare."""
+    """Store the reading and the samples, with which later steps compare their readings."""
     op, _, old, state, inputs, scene = step
     state["reading"] = op.where(scene.fired, reading, old["reading"])
     state["since"] = op.where(scene.fired, 0.0, state["since"])
@@ -204,7 +205,7 @@ def _record(step: Step, reading: Value) -> None:
 
 
 def _outputs(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
-    """Return range, bound, rate, healthy, age, reading, accepted and carve."""
+    """Return the outputs of the step: range, bound, rate, healthy, age, reading, accepted, carve."""
     op, rules, _, state, _, scene = step
     x, far = state["range"], rules.maximum
     overdue = state["since"] > rules.due + 0.5 * rules.dt

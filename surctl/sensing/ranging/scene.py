@@ -1,4 +1,4 @@
-"""The first part of a `RangeTracker` step: expected ranges, motion of the track, and the new reading."""
+"""The first part of a `RangeTracker` step: it computes expected ranges, moves the track, and checks the new reading."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Rules:
 
     @property
     def stuck(self) -> float:
-        """Number of repetitions above which a sensor is stuck; with too little noise, repetitions are not counted."""
+        """Number of repetitions above which a sensor counts as stuck; with too little noise, they are not counted."""
         return max(self.repeats, 1) - 0.5
 
     @property
@@ -66,7 +66,7 @@ class StepInputs(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Values that the rules share within a step: the motion of the beam, and the expected range with its tolerances."""
+    """Values that all rules use in a step: the motion of the beam, and the expected range with its tolerances."""
 
     fired: Value
     turning: Value
@@ -80,7 +80,7 @@ class Scene(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A tracker step in progress: the rules fill `state`, a copy of the old state, one after another."""
+    """A tracker step in progress; the rules change `state`, initially a copy of the old state, one after another."""
 
     op: Elementwise
     rules: Rules
@@ -91,12 +91,12 @@ class Step(NamedTuple):
 
 
 def opened(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Step:
-    """Return the step with the state predicted to the present, before the reading is used.
+    """Return the tracker step with the state predicted to the present, before the new reading is used.
 
     Args:
         op: operations on symbols or on numbers.
         rules: parameters of the rules.
-        old: state by port name without prefix; a port with several columns is a list of columns.
+        old: previous state by port name without prefix; a port with several columns is given as a list of columns.
         inputs: inputs of the step.
     """
     scene = _scene(op, rules, old, inputs)
@@ -168,7 +168,7 @@ def _moved(
 def others(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], samples: list[Value], fresh: Value
 ) -> list[tuple[Value, Value, Value]]:
-    """Return the values of `StepInputs.others` for all sensors: of the next sensor, of the one after it, and so on."""
+    """Return `StepInputs.others` for all sensors; for sensor i, the entries belong to sensors i + 1, i + 2, …"""
     rate, newest, before = (
         old["rate"],
         op.where(fresh > 0.5, robust(op, rules, samples), old["reading"]),
@@ -179,7 +179,7 @@ def others(
 
 
 def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:
-    """Return the mean of a firing without its smallest and largest sample [m]; the maximum if all samples read it."""
+    """Return the mean of a firing's samples without the smallest and largest [m]; the maximum if all equal it."""
     total = samples[0]
     for value in samples[1:]:
         total = total + value
@@ -191,7 +191,7 @@ def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:
 
 
 def sound(step: Step, reading: Value) -> Value:
-    """Return whether this firing's reading is plausible by itself, and count repetitions of its sample set."""
+    """Return whether the reading of this firing is plausible by itself, and count repetitions of its set of samples."""
     op, rules, old, state, inputs, scene = step
     code = rules.resolution
     differs = 0.0

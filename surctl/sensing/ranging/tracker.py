@@ -1,9 +1,9 @@
-"""The robust range tracker: the distance of the nearest object for each sensor, with a bound despite sensor faults.
+"""The robust range tracker: it estimates the nearest object's range for each sensor, with a bound despite faults.
 
 The tracker takes a trimmed mean of the samples of each firing. For each sensor, a Kalman filter estimates range and
 rate (constant velocity; Bar-Shalom, Li and Kirubarajan 2001, 6.2), with the robot's own motion as a known input.
-Additional rules distinguish faulty readings from true ones. The rules (`rules`) are written once and run on CasADi
-symbols, for the exported law, and on NumPy arrays, for recorded readings and many runs at once.
+Additional rules distinguish faulty readings from true ones. The rules (module `rules`) are written once. They run on
+CasADi symbols for the exported law, and on NumPy arrays for recorded readings and many runs at once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _REPEAT = 0.01  # if a working sensor repeats a sample set more rarely than this
 
 
 class Ranging(NamedTuple):
-    """Result of a step, (n,) each: SX expressions from `RangeTracker.update`, arrays from `RangeTracker.step`."""
+    """The result of a step, (n,) each: SX expressions from `RangeTracker.update`, arrays from `RangeTracker.step`."""
 
     state: dict[str, Any]
     """Next state, by port name."""
@@ -57,22 +57,22 @@ class Ranging(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RangeTracker:
-    """Filter, bound and health of every sensor of an array, in one step with explicit state.
+    """The tracker of an array: a step with explicit state returns range, bound and health of every sensor.
 
-    The bound covers objects that the last firing could detect. It covers an object that enters or leaves a turning beam
-    between two firings only if that object is a known wall. A sensor that reads its maximum in open water cannot be
-    distinguished from a sensor that receives no echoes (study 10).
+    The bound on the range covers objects that the last firing could detect. If an object enters or leaves a turning
+    beam between two firings, the bound covers this object only if it is a known wall. A sensor that reads its maximum
+    in open water cannot be distinguished from a sensor that receives no echoes (study 10).
 
     Attributes:
         array: the sonar array.
         dt: period of the steps [s].
         obstacle_speed: largest speed of an obstacle [m/s]; the bound grows at this speed while readings are overdue.
-        tolerance: difference from the expected range at which a reading still agrees with it, or exceeds it without
-            being a fault [m]; it covers noise and the error of the own position.
-        yaw_tolerance: error of the own heading that the bound covers while the beam turns [rad].
+        tolerance: largest difference from the expected range [m] at which a reading agrees with the expected range, or
+            exceeds it without being a fault; `tolerance` covers noise and the error of the robot's own position.
+        yaw_tolerance: error of the robot's own heading that the bound covers while the beam turns [rad].
         longest_delay: longest delay of readings after a gap that the tracker considers [s].
-        hold: time for which the tracker keeps an echo that vanished without explanation while the beam does not turn
-            [s] (default: for ever, because a fault may last as long).
+        hold: time [s] for which the tracker keeps an echo that vanished without explanation while the beam does not
+            turn (default: for ever, because a fault may never end).
     """
 
     array: SonarArray = field(default_factory=SonarArray)
@@ -102,15 +102,16 @@ class RangeTracker:
 
     @property
     def due(self) -> float:
-        """Time from one arrival of a sensor's samples to the next [s]: the array's cycle, rounded up to whole steps."""
+        """Time between two arrivals of a sensor's samples [s]: the array's cycle time, rounded up to whole steps."""
         return self.dt * ceil(self.array.cycle / self.dt - 1e-9)
 
     @property
     def repeats(self) -> int:
         """Number of repetitions of a sample set after which a sensor counts as stuck; 0 if the noise is too small.
 
-        A working sensor gives the same set of codes twice with probability p at most, which it reaches at the worst
-        position of the range between two conversion steps. The number r of repetitions is such that p^r < 1e-4.
+        Two successive firings of a working sensor give equal sets of codes with a probability of at most p; the
+        probability is p at the worst position of the range between two conversion steps. The number r of repetitions
+        satisfies p^r < 1e-4.
         """
         chance = _chance_of_equal_sets(self.array)
         needed = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))
@@ -173,10 +174,10 @@ class RangeTracker:
             state: state by port name, with the shapes of `ports(prefix)`.
             samples: (n, k) raw samples [m]; rows of sensors that did not fire are ignored (but must be finite).
             fresh: (n,) 1 for a sensor whose samples arrived since the last step, else 0.
-            closing: (n,) own velocity along each beam's axis [m/s]; a positive value shortens the range to an object
-                at rest.
+            closing: (n,) the robot's velocity along each beam's axis [m/s]; a positive value shortens the range to an
+                object at rest.
             expected: (n,) range [m] at which the known walls give an echo; 2·maximum without a known wall.
-            turn: yaw rate [rad/s].
+            turn: yaw rate of the robot [rad/s].
             prefix: prefix of the port names of the state.
         """
         ports, count = self.ports(), self.array.samples
@@ -223,12 +224,12 @@ class RangeTracker:
         """Return the ranges after one step, as arrays with any leading axes (runs).
 
         Args:
-            state: state by port name, each (..., *port.shape); `start` returns the initial state.
+            state: state by port name, each array (..., *port.shape); `start` returns the initial state.
             samples: (..., n, k) raw samples [m].
             fresh: (..., n) 1 for a sensor whose samples arrived since the last step, else 0.
-            closing: (..., n) own velocity along each beam's axis [m/s]; 0 if the own motion is unknown.
+            closing: (..., n) the robot's velocity along each beam's axis [m/s]; 0 if this velocity is unknown.
             expected: (..., n) range [m] at which the known walls give an echo; 2·maximum without a known wall.
-            turn: (...) yaw rate [rad/s].
+            turn: (...) yaw rate of the robot [rad/s].
             prefix: prefix of the port names of the state.
         """
         old = {
@@ -253,7 +254,7 @@ class RangeTracker:
         return Ranging(new, *(np.broadcast_to(v, lead).astype(float) for v in outputs))
 
     def start(self, runs: tuple[int, ...] = (), *, prefix: str = "") -> dict[str, NDArray[np.float64]]:
-        """Return the state before the first step, for `step`; each array is (*runs, *port.shape)."""
+        """Return the initial state for `step`, by port name; each array is (*runs, *port.shape)."""
         return {port.name: np.full((*runs, *port.shape), port.default) for port in self.ports(prefix)}
 
     def rules(self) -> Rules:

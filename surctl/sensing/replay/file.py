@@ -28,19 +28,19 @@ _MOTION = ("closing_m_per_s", "turn_rad_per_s")
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """The readings of a file, and the numbers of skipped and changed rows.
+    """The readings of a recording, and how many lines of its file were skipped or changed.
 
     Attributes:
-        readings: readings on the tracker's steps.
+        readings: the readings, each assigned to a step of the tracker.
         name: printable name of the file.
-        rows: number of rows in the file.
-        incomplete: number of rows skipped because a number is missing, NaN or infinite.
-        back: number of rows skipped because their time is before that of an earlier row.
-        crowded: number of rows skipped because a later reading of the same sensor is in the same step.
-        beyond: number of rows with a sample beyond the sensor's maximum, which replaces the sample.
+        rows: number of data lines in the file.
+        incomplete: number of lines skipped because a number is missing, NaN or infinite.
+        back: number of lines skipped because their time is before the time of an earlier line.
+        crowded: number of lines skipped because a later reading of the same sensor is assigned to the same step.
+        beyond: number of lines with a sample above the sensor's maximum; the maximum replaces this sample.
         cycle: usual time from one reading of a sensor to its next reading [s].
         still: names of the motion columns that the file does not contain; their values are taken as 0.
-        single: whether all samples of each reading are equal; then only one sample is used.
+        single: whether the samples of every reading are equal to each other; then only one sample per reading is used.
     """
 
     readings: Readings
@@ -56,7 +56,7 @@ class Recording:
 
     @property
     def notes(self) -> list[str]:
-        """Notes on the rows for the user, one sentence each."""
+        """Notes for the user on skipped and changed lines of the file, one sentence per note."""
         counts = (
             (self.incomplete, "rows skipped because a number is missing, NaN or infinite"),
             (self.back, "rows skipped because time goes back"),
@@ -96,18 +96,19 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
     """Read a recording of sonar readings from a CSV file.
 
     The file has the columns `time_s`, `sensor` (0-based), and `sample_1_m`, `sample_2_m`, … or one `range_m`. Optional
-    columns are `closing_m_per_s` (own velocity along that beam) and `turn_rad_per_s` (yaw rate). A step is half the
-    usual time from one reading of a sensor to its next; each reading is assigned to the nearest step. Rows with a
-    missing, NaN or infinite number, and rows whose time goes back, are skipped and counted.
+    columns are `closing_m_per_s` (velocity of the robot along the sensor's beam) and `turn_rad_per_s` (yaw rate). The
+    step is half the usual time between two readings of a sensor; each reading is assigned to the nearest step. Lines
+    with a missing, NaN or infinite number, and lines whose time goes back, are skipped and counted.
 
     Args:
         path: the file.
         array: the sonar array; the file replaces its `samples` and `firing_period`.
-        scale: scale of the sensor; the readings are divided by it.
+        scale: scale factor of the sensor; the readings are divided by this factor.
 
     Raises:
-        InputError: if `read_recorded` raises it, a column is missing, a sensor does not exist, a sample is below 0,
-            time goes back in more than 5 % of the rows, there are too few rows, or the cycle time is impossible.
+        InputError: if `read_recorded` raises InputError, a column is missing, a sensor does not exist, a sample is
+            below 0, time goes back in more than 5 % of the lines, there are too few lines, or the cycle time is
+            impossible.
 
     Example:
         >>> from pathlib import Path
@@ -174,7 +175,7 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
 
 
 def filtered_rows(replayed: Replay) -> str:
-    """Return every step of every sensor with readings as CSV text; `reading_m` is empty if no reading arrived.
+    """Return CSV text with every step of every sensor that has readings; `reading_m` is empty if no reading arrived.
 
     Example:
         >>> from pathlib import Path
@@ -217,7 +218,7 @@ def _text_rows(replayed: Replay, part: slice, sensor: int) -> list[tuple[str, ..
 
 
 def _sample_columns(table: Recorded) -> list[str]:
-    """Return the column `range_m`, or the columns `sample_1_m`, `sample_2_m`, … without gaps in their numbers."""
+    """Return the names of the sample columns: `range_m`, or `sample_1_m`, `sample_2_m`, … numbered without gaps."""
     samples = [name for name in table.columns if name.startswith("sample_") and name.endswith("_m")]
     if "range_m" in table.columns:
         if samples:
@@ -229,7 +230,7 @@ def _sample_columns(table: Recorded) -> list[str]:
 
 
 def _forward(table: Recorded, time: Array, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
-    """Return the rows whose time is not before that of an earlier row, and the number of the other rows."""
+    """Return the lines whose time is not before that of an earlier line, and the number of the other lines."""
     if not len(rows):
         raise InputError("has no complete row", file=table.name, remedy="give a number in every cell of a row")
     before = np.maximum.accumulate(time[rows])
@@ -256,7 +257,7 @@ def _sensors(table: Recorded, values: Array, rows: NDArray[np.intp], array: Sona
 
 
 def _held(values: Array, row: NDArray[np.int64]) -> Array:
-    """Return values (rows,) at `row` (steps, n); for −1, the last value is held, or 0 before the first value."""
+    """Return values (rows,) at indices `row` (steps, n); index −1 repeats the last value, 0 before the first value."""
     newest = np.maximum.accumulate(row, axis=0)
     held: Array = np.where(newest >= 0, values[np.maximum(newest, 0)], 0.0)
     return held

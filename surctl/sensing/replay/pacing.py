@@ -17,12 +17,12 @@ _MOST_STEPS = 5_000_000
 
 
 def usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
-    """Return the usual time from one reading of a sensor to its next [s].
+    """Return the usual time between two successive readings of a sensor [s].
 
     Args:
         time: (rows,) times [s], ascending.
-        sensor: (rows,) index of the sensor.
-        file: name of the file for errors.
+        sensor: (rows,) index of the sensor of each reading.
+        file: name of the file, for error messages.
 
     Raises:
         InputError: if no sensor has readings at two times, or the cycle time is outside the limits of the filter.
@@ -41,9 +41,10 @@ def usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
 
 
 def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
-    """Return the time between readings [s], as the slope of time over the number of readings, to average out jitter.
+    """Return the time between readings [s]; the slope of time over the reading count averages out the jitter.
 
-    A gap with an uncertain number of missing readings ends a series; each series has its own start.
+    A gap with an unknown number of missing readings ends a series of readings; the fit gives each series its own start
+    time.
     """
     over, under = 0.0, 0.0
     for i in np.unique(sensor):
@@ -59,15 +60,15 @@ def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
 
 
 def on_steps(time: Array, dt: float, *, file: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return the step of each row, and the first step and start time [s] of each segment between long gaps.
+    """Return the step of each reading; for each segment between long gaps, its first step and its start time [s].
 
-    The steps are placed so that jitter rarely moves a reading into a neighbouring step. The first row of a segment lies
-    in the segment's first step. The function raises InputError if there are too many steps.
+    The steps are placed so that jitter rarely moves a reading into a neighbouring step. The first reading of a segment
+    lies in the segment's first step. The function raises InputError if there are too many steps.
 
     Args:
         time: (rows,) times [s], ascending.
         dt: duration of a step [s].
-        file: name of the file for errors.
+        file: name of the file, for error messages.
     """
     silence = max(_SILENCE, 20.0 * dt)
     breaks = np.flatnonzero(np.diff(time) > silence) + 1

@@ -1,7 +1,7 @@
 """Replay of recorded readings through the range tracker: the ranges that the controller would have received.
 
-`track` evaluates the tracker's CasADi expressions on arrays and returns `Tracked`. The results are therefore the
-numbers that the exported law computes.
+`track` evaluates the tracker's CasADi expressions on arrays and returns `Tracked`. So the results are the numbers that
+the exported law computes.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _GAP = 1.5  # factor on the due time from one reading to the next; a longer time
 
 @dataclass(frozen=True, kw_only=True)
 class Readings:
-    """Raw readings on the tracker's steps, from n sensors with k samples per firing.
+    """Raw readings from n sensors with k samples per firing, each assigned to a step of the tracker.
 
     Attributes:
         time: (steps,) times of the steps [s], ascending.
         samples: (steps, n, k) samples [m]; 0 if no reading arrived.
         fresh: (steps, n) whether a reading arrived since the previous step.
-        row: (steps, n) index of the reading's row in the file; -1 if no reading arrived.
-        closing: (steps, n) own velocity along each beam [m/s].
+        row: (steps, n) index of the reading's data line in the file; -1 if no reading arrived.
+        closing: (steps, n) velocity of the robot along each beam's axis [m/s].
         turn: (steps,) yaw rate [rad/s].
         first: (segments,) steps at which the tracker restarts: step 0, and the first step after each long gap.
         array: the sonar array.
@@ -53,7 +53,7 @@ class Readings:
 
 @dataclass(frozen=True, kw_only=True)
 class Tracked:
-    """Outputs of the tracker after each step; (steps, n) each.
+    """The outputs of the tracker after each step, (steps, n) each.
 
     Attributes:
         reading: trimmed mean of the newest firing, even if it did not update the track [m].
@@ -80,8 +80,9 @@ class SensorSummary:
         sensor: index of the sensor.
         readings: number of readings that arrived.
         refused: number of readings that the tracker did not accept.
-        healthy: share of the steps with a reliable range, from the first to the last reading of the sensor.
-        gaps: number of gaps, in which no reading arrives for more than 1.5 times the due time.
+        healthy: share of steps with a reliable range among the steps from the first to the last reading of the sensor.
+        gaps: number of gaps; in a gap, no reading arrives for more than 1.5 times the time after which a reading is
+            due.
         longest_gap: duration of the longest gap [s]; 0 without a gap.
         median_bound: median of the bound over healthy steps [m]; NaN without a healthy step.
     """
@@ -109,7 +110,7 @@ class SensorSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Readings, and the outputs of the tracker for them."""
+    """The readings of a replay, and the outputs of the tracker for these readings."""
 
     readings: Readings
     tracked: Tracked
@@ -120,7 +121,7 @@ class Replay:
         return [int(i) for i in np.flatnonzero(self.readings.fresh.any(axis=0))]
 
     def summary(self, sensor: int) -> SensorSummary:
-        """Return the summary of one sensor, which must be one of `sensors`."""
+        """Return the summary of one sensor, whose index must be in `sensors`."""
         r, t = self.readings, self.tracked
         at = np.flatnonzero(r.fresh[:, sensor])
         alive = slice(int(at[0]), int(at[-1]) + 1)
@@ -176,12 +177,12 @@ def replay_readings(readings: Readings) -> Replay:
 
 
 def tracker_of(readings: Readings) -> RangeTracker:
-    """Return a tracker with the array and step of the readings."""
+    """Return a tracker for the sonar array and the step of the readings."""
     return RangeTracker(array=readings.array, dt=readings.dt)
 
 
 def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], closing: Array, turn: Array) -> Tracked:
-    """Run the tracker from its initial state over samples (steps, n, k), fresh, closing (steps, n) and turn (steps,).
+    """Run the tracker from its initial state over samples (steps, n, k); fresh, closing (steps, n); turn (steps,).
 
     Example:
         >>> import numpy as np
@@ -222,7 +223,7 @@ def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], cl
 
 
 def _function(tracker: RangeTracker) -> tuple[Layout, ca.Function]:
-    """Return the layout of the state and the function (state, samples, fresh, closing, turn) -> (state, (n, 6))."""
+    """Return the state's layout, and the function (state, samples, fresh, closing, turn) -> (state, outputs (n, 6))."""
     n, k = tracker.array.size, tracker.array.samples
     layout = Layout(tracker.ports())
     state, parts = layout.symbols("state")

@@ -1,1 +1,1 @@
-"""The sonar array: its geometry, echo model and faults, each for NumPy numbers and for CasADi symbols."""
+"""The sonar array: its geometry, its echo model, and its faults, computed with NumPy and in CasADi symbols."""

@@ -1,7 +1,7 @@
-"""The ultrasonic array (II-B, Table I): its geometry, conversion and firing order, and the checks of its values.
+"""The ultrasonic array (II-B, Table I): geometry, conversion to codes, firing order, and checks of the values.
 
-A firing is one ping, and all samples of a firing are conversions of the same echo (*chosen*: five pings over 4.5 m,
-one after another, would take 30 ms in water, longer than ΔT).
+A firing is one ping, and all samples of a firing are conversions of the same echo. This is a design choice: five pings
+over 4.5 m, one after another, would take 30 ms in water, longer than ΔT.
 """
 
 from __future__ import annotations
@@ -21,33 +21,34 @@ _SLACK = 1e-9  # s
 
 @dataclass(frozen=True, kw_only=True)
 class SonarArray:
-    """Sensors on the hull that fire one after another; defaults are from the paper, or *chosen* if it gives none.
+    """Sensors on the hull that fire one after another; a default that the paper does not give is a design choice.
 
     Attributes:
         azimuths: (n,) directions of the beams' axes in {B} [rad], counter-clockwise from forward (*chosen*).
-        mounts: (n, 2) apexes of the beams in {B} [m], not inside the hull; None: each apex lies on the hull at its
-            azimuth. A beam does not include directions that the hull blocks, see `cones`.
-        hull_radius: radius [m] of the hull, a disc about the robot's centre.
-        beam_angle: full opening angle [rad], below π (*chosen* 75°).
-        incidence_limit: largest angle [rad] between the outward normal of a surface and the direction to the sensor
+        mounts: (n, 2) apexes of the beams in {B} [m], not inside the hull; None: each apex lies on the hull at the
+            azimuth of its sensor. The directions that the hull blocks are not part of a beam, see `cones`. hull_radius:
+        radius [m] of the hull, a disc about the robot's centre. beam_angle: full opening angle [rad], below π (75°, a
+        design choice). incidence_limit: largest angle [rad] between the outward normal of a surface and the direction
+        to the sensor
             at which the surface reflects, in (0, π/2) (Webots' default for its sonars is 22.5°); None: every surface
             reflects.
-        minimum: blind range [m]; for any closer object the sensor reads this value (*chosen*).
-        blind_time: time after a ping in which the sensor receives no echo [s]; it replaces `minimum`. The blind range
-            is then half the blind time, multiplied by the speed of sound.
-        maximum: longest range [m] that the sensor measures; a sensor without an echo also reads this value.
-        medium, temperature: medium in which the sound travels, and its temperature [°C]; they give the speed of sound.
+        minimum: blind range [m]; the sensor reads `minimum` for every object at a shorter distance (*chosen*).
+        blind_time: time after a ping in which the sensor receives no echo [s]; it replaces `minimum`. With
+            `blind_time`, the blind range is half the blind time, multiplied by the speed of sound.
+        maximum: longest range [m] that the sensor measures; a sensor without an echo also reads `maximum`.
+        medium, temperature: medium in which the sound travels, and temperature of the medium [°C]; medium and
+            temperature determine the speed of sound.
         calibrated_for: speed of sound [m/s] that the converter assumes; None: the true speed. A reading is the true
             range times `scale`, which is the assumed speed divided by the true speed.
-        firing_period: ΔT between two firings [s]; the echo from the maximum must arrive within ΔT.
+        firing_period: ΔT between two firings [s]; the echo from an object at `maximum` must arrive within ΔT.
         cycle_limit: longest cycle [s]; II-B: "the cycle time is set to be less than 0.1 s".
         order: the sensors in firing order, each exactly once.
-        bits: number of bits of the conversion; one conversion step is `resolution` (E4).
+        bits: number of bits of the conversion; one conversion step is `resolution` (erratum E4).
         noise_sd: standard deviation of the noise of one sample [m].
         bias: constant error of every sample [m] (Table II, water).
         samples: number of samples in a firing; all are conversions of one echo.
-        cones: for each sensor, the one or two parts of its beam that the hull leaves open, each as (offset from the
-            axis, half angle) [rad]; computed from the other attributes.
+        cones: for each sensor, the one or two parts of its beam that the hull does not block; each part is given as
+            (offset from the axis, half angle) [rad] and computed from the other attributes.
     """
 
     azimuths: tuple[float, ...] = (0.0, pi / 2, pi, -pi / 2)
@@ -91,7 +92,7 @@ class SonarArray:
 
     @property
     def cycle(self) -> float:
-        """Cycle time T = n·ΔT [s], after which a sensor fires again."""
+        """Cycle time T = n·ΔT [s]: the time between two firings of a sensor."""
         return self.size * self.firing_period
 
     @property
@@ -101,22 +102,22 @@ class SonarArray:
 
     @property
     def scale(self) -> float:
-        """Reading divided by true range: the assumed speed of sound divided by the true speed."""
+        """Reading divided by true range, equal to the assumed speed of sound divided by the true speed of sound."""
         return 1.0 if self.calibrated_for is None else self.calibrated_for / self.speed
 
     @property
     def blind(self) -> float:
-        """Blind range [m], as a true distance."""
+        """Blind range as a true distance [m]."""
         return self.minimum if self.blind_time is None else 0.5 * self.speed * self.blind_time
 
     @property
     def lowest(self) -> float:
-        """Lowest reading [m] before the conversion to codes: the reading for an echo from the blind range or closer."""
+        """Lowest reading [m] before the conversion to codes: the reading of an object at the blind range or nearer."""
         return self.blind * self.scale
 
     @property
     def echo_time(self) -> float:
-        """Time [s] until the echo from the maximum range arrives."""
+        """Time [s] from a ping until the echo from the maximum range arrives."""
         return 2.0 * self.maximum / self.speed
 
     @property
@@ -126,7 +127,7 @@ class SonarArray:
 
     @property
     def resolution(self) -> float:
-        """One conversion step [m]: maximum / (2^bits − 1), 17.65 mm (E4); the largest code stands for the maximum."""
+        """One conversion step [m]: maximum / (2^bits − 1), 17.65 mm (erratum E4); the largest code is the maximum."""
         return self.maximum / self.top_code
 
     def sensor_at(self, firing: int) -> int:
@@ -164,7 +165,7 @@ class SonarArray:
 
 
 def _check(array: SonarArray) -> None:
-    """Raise InputError, keyed `array.<field>`, for the first invalid value."""
+    """Raise InputError for the first invalid value; the key of the error is `array.<field>`."""
     _check_geometry(array)
     _check_mounts(array)
     _check_conversion(array)

@@ -1,4 +1,4 @@
-"""Range to the nearest point of a wall or of a disc within a cone, in CasADi symbols."""
+"""Functions for the range to the nearest point of a wall or disc within a cone, in CasADi symbols."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def turned(heading: ca.SX, angle: float | ca.SX) -> ca.SX:
 def wall_range(
     axis: ca.SX, normal: tuple[float, float], *, distance: ca.SX, half_angle: float | ca.SX, nothing: float
 ) -> ca.SX:
-    """Return the range [m] to a wall at perpendicular `distance` [m] in the direction `normal` (out of the water)."""
+    """Return the range [m] to a wall at the perpendicular `distance` [m]; its `normal` points out of the water."""
     along = axis[0] * normal[0] + axis[1] * normal[1]
     across = ca.fabs(axis[0] * normal[1] - axis[1] * normal[0])
     # cosine of the angle between the wall's perpendicular and the nearer edge ray

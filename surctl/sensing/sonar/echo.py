@@ -18,7 +18,7 @@ __all__ = ["Beam", "beam_of", "echo_range", "echo_samples"]
 
 @dataclass(frozen=True, eq=False)
 class Beam:
-    """The beam of a sensor: its apex (2, 1) in {E} [m], and the cones that the hull leaves open."""
+    """The beam of a sensor: its apex (2, 1) in {E} [m], and the cones that the hull does not block."""
 
     apex: ca.SX
     cones: tuple[Cone, ...]
@@ -33,16 +33,17 @@ def beam_of(
     heading: ca.SX,
     hull_radius: ca.SX | float | None = None,
 ) -> Beam:
-    """Return the beam of the sensor that fires, which `turn` selects from `sensors`.
+    """Return the beam of the firing sensor; `turn` selects this sensor from `sensors`.
 
     Args:
         array: the sonar array.
-        sensors: indices of the sensors of which one fires.
+        sensors: indices of the sensors that may fire; exactly one of them fires.
         turn: position of the firing sensor in `sensors`, 0, 1, …
         position: (2, 1) centre of the robot in {E} [m].
         heading: ψ [rad].
-        hull_radius: hull radius [m] of an array without `mounts`, as a symbol if the loop is compiled for any vehicle;
-            None: the radius of the array. If the array has `mounts`, their positions and cones are used unchanged.
+        hull_radius: hull radius [m], used for an array without `mounts`; a symbol if the loop is compiled for any
+            vehicle; None: the radius of the array. If the array has `mounts`, their positions and cones are used
+            unchanged.
 
     Raises:
         InputError: if `sensors` is empty or contains an index that the array does not have.
@@ -75,7 +76,7 @@ def beam_of(
 
 
 def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
-    """Return the distance [m] from the apex to the nearest reflecting point, as `true_range`, but at most 2·maximum.
+    """Return the distance [m] from apex to nearest reflecting point, as `true_range` does, but at most 2·maximum.
 
     Example:
         >>> import casadi as ca
@@ -134,7 +135,7 @@ def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
 
 
 def _picked(turn: ca.SX | int, values: Sequence[float]) -> ca.SX | float:
-    """Return values[turn]; a plain number if all values are equal."""
+    """Return values[turn]; the result is a plain number if all values are equal."""
     if all(value == values[0] for value in values):
         return values[0]
     chosen = ca.SX(0)

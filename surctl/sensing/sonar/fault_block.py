@@ -1,4 +1,4 @@
-"""Faults of sonars in CasADi symbols for the compiled closed loop, equal to `faulty`."""
+"""Sonar faults in CasADi symbols for the compiled closed loop, with the results of `faulty`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NEVER = 1e30  # s
 
 
 class Arrival(NamedTuple):
-    """Result of `faulty_samples`, as CasADi SX expressions."""
+    """The result of `faulty_samples`, as CasADi SX expressions."""
 
     samples: ca.SX
     """(samples, 1) samples of the firing [m]; if none arrive, those that arrived last from the sensor."""
@@ -45,7 +45,7 @@ class Arrival(NamedTuple):
 
 
 def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArray[np.float64]:
-    """Return the numbers of up to `count` faults in the given order, (count, SLOT); unused rows are 0.
+    """Return an array (count, SLOT) with one fault per row, in the given order; rows without a fault are 0.
 
     Raises:
         InputError: if there are more than `count` faults, or a fault is impossible for the array.
@@ -67,10 +67,10 @@ def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArr
 
 
 def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[Port, ...]:
-    """Return the ports of the fault state: the samples that arrived last and, with `delays`, the earlier samples.
+    """Return the ports of the fault state: the samples that arrived last; with `delays`, also the earlier samples.
 
-    The samples that arrived last equal the newest samples of a loop. Each row of the earlier samples holds
-    `LONGEST_DELAY` firings of one sensor one after another, newest first.
+    The samples that arrived last are the newest samples of the control loop. In the earlier samples, each row holds the
+    last `LONGEST_DELAY` firings of one sensor one after another, newest first.
 
     Example:
         >>> from surctl.sensing import SonarArray, fault_ports
@@ -99,18 +99,19 @@ def faulty_samples(
     delays: bool,
     prefix: str = "",
 ) -> Arrival:
-    """Return the samples that arrive from one firing, and the next state, as `faulty` does.
+    """Return the samples that arrive from one firing, and the next fault state, as `faulty` does.
 
     Args:
         array: the sonar array.
         state: state by port name, with the shapes of `fault_ports`.
         sensor: index of the sensor that fires.
         time: time of the firing [s].
-        distance: `echo_range` of the sensor [m].
+        distance: range to the nearest reflecting point [m], from `echo_range`.
         noise: (samples, 1) standard normal numbers.
-        slots: (k, SLOT) faults from `fault_slots`; k may be 0.
-        chances: (6, 1) probabilities of random faults, `FaultChances.numbers`.
-        uniforms: (2, 1) uniform numbers in (0, 1), as for `faulty`.
+        slots: (k, SLOT) scheduled faults from `fault_slots`; k may be 0.
+        chances: (6, 1) probabilities of random faults, from `FaultChances.numbers`.
+        uniforms: (2, 1) uniform numbers in (0, 1): the first selects the random fault, the second gives the value of a
+            spike.
         delays: whether the state holds the samples of earlier firings; if not, no slot may be a delay.
         prefix: prefix of the port names of the state.
 
@@ -164,7 +165,7 @@ def faulty_samples(
 
 
 def _active_fault(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return code, delay and start of the first active slot; code 0 if none is (an empty slot is never active)."""
+    """Return code, delay and start of the first active fault in `slots`; code 0 if no fault is active."""
     kind, late, start = ca.SX(0), ca.SX(0), ca.SX(0)
     for k in reversed(range(slots.shape[0])):
         code, whose, begin, end, firings = (slots[k, j] for j in range(SLOT))

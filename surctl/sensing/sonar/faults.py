@@ -1,7 +1,8 @@
-"""Faults of a sonar, and the samples that arrive from a firing under a fault.
+"""Faults of a sonar, and the samples that arrive from a firing when a fault acts on it.
 
-A fault is scheduled (`Fault`: which sensor, from when, how long) or random (`FaultChances`: a probability per firing).
-At most one fault acts on a firing: the first scheduled fault that is active, otherwise the random fault.
+A fault is scheduled for a sensor, a start time and a duration (`Fault`), or it is random with a probability per firing
+(`FaultChances`). At most one fault acts on a firing: the first scheduled fault that is active, otherwise the random
+fault.
 """
 
 from __future__ import annotations
@@ -51,15 +52,15 @@ Chance = Annotated[float, Field(ge=0, le=1)]
 
 
 class Fault(Strict):
-    """One fault of one sensor, from `start_s` on for `duration_s` (default: for ever; a spike: one firing).
+    """One fault of one sensor, from `start_s` on for `duration_s` (default: for ever, but one firing for a spike).
 
-    The kind of the fault decides which samples arrive from a firing. `dropout`: none. `dead`: none, for ever. `stuck`:
-    the samples that arrived last from this sensor, repeated (the maximum, if none ever arrived). `zero`: 0.0.
-    `maximum`: the maximum. `spike`: one wrong value, drawn uniformly over the range. `second_echo`: twice the true
-    range (the maximum, if that lies beyond it). `crosstalk`: the samples that arrived last from the sensor that fires
-    just before. `delay`: the samples of m firings ago, where m is `delay_s` in whole cycles of the sensor (rounded,
-    halves up, at least 1). In the first m firings of a delay no samples arrive, and when it ends, the delayed samples
-    are lost.
+    The kind of the fault decides which samples arrive from a firing. `dropout`: no samples. `dead`: no samples, for
+    ever. `stuck`: the samples that arrived last from this sensor, repeated (the maximum, if none ever arrived). `zero`:
+    0.0. `maximum`: the maximum. `spike`: one wrong value, drawn uniformly over the range. `second_echo`: twice the true
+    range, limited to the maximum. `crosstalk`: the samples that arrived last from the sensor that fires just before.
+    `delay`: the samples of m firings ago, where m is `delay_s` in whole cycles of the sensor (rounded, halves up, at
+    least 1). In the first m firings of a delay, no samples arrive. When the delay ends, the samples that have not yet
+    arrived are lost.
     """
 
     sensor: Annotated[int, Field(ge=0)]
@@ -80,7 +81,7 @@ class Fault(Strict):
 
 
 class FaultChances(Strict):
-    """Probabilities per firing of momentary random faults, the same for every sensor; at most one acts on a firing."""
+    """Probabilities per firing of momentary random faults, equal for all sensors; at most one acts on a firing."""
 
     dropout: Chance = 0.0
     zero: Chance = 0.0
@@ -98,7 +99,7 @@ class FaultChances(Strict):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """The probabilities in the order of `kinds`."""
+        """The probabilities of the random faults, in the order of `kinds`."""
         return tuple(getattr(self, kind) for kind in self.kinds())
 
     @classmethod
@@ -119,7 +120,7 @@ class FaultChances(Strict):
 
 @dataclass(frozen=True, eq=False)
 class FaultState:
-    """Samples of earlier firings, from which some faults take the samples that arrive.
+    """The samples of earlier firings; under some faults, these samples arrive again.
 
     Attributes:
         last: (n, samples) samples that arrived last from each sensor [m]; the maximum until samples arrive.
@@ -171,12 +172,12 @@ def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChanc
 
 
 def delay_firings(array: SonarArray, fault: Fault) -> int:
-    """Return the delay m of a fault in firings of its sensor; 0 for the other kinds of fault."""
+    """Return the delay of a fault as a number m of firings of its sensor; 0 if the fault is not a delay."""
     return 0 if fault.delay_s is None else max(1, floor(fault.delay_s / array.cycle + 0.5 + 1e-9))
 
 
 def fault_end(array: SonarArray, fault: Fault) -> float:
-    """Return the time at which a fault ends [s]; inf if it never ends."""
+    """Return the time at which a fault ends [s]; inf if the fault never ends."""
     if fault.duration_s is None:
         return fault.start_s + array.cycle if fault.kind == "spike" else inf
     return fault.start_s + fault.duration_s
@@ -196,22 +197,22 @@ def faulty(
 ) -> tuple[NDArray[np.float64] | None, FaultState]:
     """Return the samples that arrive from a firing, (samples,) [m], or None if none arrive, and the next state.
 
-    Without a fault, the samples are `firing_samples` of the distance. The function assumes that every sensor fires
-    once per cycle.
+    If no fault acts on the firing, the samples are those of `firing_samples` for `distance`. The function assumes that
+    every sensor fires once per cycle.
 
     Args:
         array: the sonar array.
-        state: state from `fault_state`, or after the previous firing.
+        state: fault state, from `fault_state` or from the result for the previous firing.
         sensor: index of the sensor that fires.
         time: time of the firing [s].
-        distance: `true_range` of the sensor [m].
+        distance: range to the nearest reflecting point [m], from `true_range`.
         noise: (samples,) standard normal numbers.
         faults: scheduled faults, checked by `check_faults`; if several are active at a firing, the first one acts.
         chances: probabilities of random faults, which may occur if no scheduled fault is active.
-        uniforms: two numbers in (0, 1): one selects the random fault, the other gives the value of any spike.
+        uniforms: two numbers in (0, 1); the first selects the random fault, the second gives the value of a spike.
 
     Raises:
-        InputError: if `noise` has another shape.
+        InputError: if `noise` does not have the shape (samples,).
 
     Example:
         >>> import numpy as np
@@ -258,6 +259,6 @@ def _acts(array: SonarArray, fault: Fault, time: float) -> bool:
 
 
 def _spike(array: SonarArray, uniform: float) -> float:
-    """Return a value between the lowest reading and the maximum, rounded to a conversion step."""
+    """Return the reading of a spike, from the lowest reading to the maximum, rounded to a conversion step."""
     value, top = array.lowest + uniform * (array.maximum - array.lowest), array.top_code
     return floor(value * top / array.maximum + 0.5) * array.maximum / top

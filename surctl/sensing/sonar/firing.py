@@ -1,7 +1,8 @@
 """A sonar firing in the simulated world: the echo model in NumPy.
 
 The model omits the water surface and the vertical opening of a beam: cones are planar at the robot's depth. The caller
-selects the obstacles that a beam meets at this depth; in the closed loop, `simulation.column` selects them.
+selects the obstacles that a beam meets at the robot's depth; in the closed loop, `simulation.column` selects these
+obstacles.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ __all__ = ["fire", "firing_samples", "true_range"]
 
 
 def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
-    """Return the distance from a sensor's apex to the nearest reflecting point within its cones [m]; inf if none.
+    """Return the distance [m] from a sensor's apex to the nearest reflecting point in its cones; inf without one.
 
     Args:
         array: the sonar array.
@@ -59,7 +60,7 @@ def fire(
     shapes: Iterable[Shape],
     noise: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the raw samples of one firing, (samples,) [m]: `firing_samples` of the `true_range`.
+    """Return the raw samples of one firing, (samples,) [m], computed by `firing_samples` from `true_range`.
 
     Args:
         array: the sonar array.
@@ -70,7 +71,7 @@ def fire(
         noise: (samples,) standard normal numbers.
 
     Raises:
-        InputError: if `true_range` raises it, or `noise` has another shape.
+        InputError: if `true_range` raises InputError, or `noise` does not have the shape (samples,).
 
     Example:
         >>> import numpy as np
@@ -86,7 +87,7 @@ def fire(
 
 
 def firing_samples(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the raw samples of a firing whose echo comes from `distance`, (samples,) [m], in their order in time.
+    """Return the raw samples of a firing whose echo comes from `distance`, (samples,) [m], in order of time.
 
     Each sample is scale · distance + bias + noise, limited to [lowest, maximum] and rounded to the nearest conversion
     step (for example, the minimum of 0.2 m gives the nearest code, 0.194 m). Without an echo within the maximum, every
@@ -98,7 +99,7 @@ def firing_samples(array: SonarArray, distance: float, *, noise: NDArray[np.floa
         noise: (samples,) standard normal numbers.
 
     Raises:
-        InputError: if `noise` has another shape.
+        InputError: if `noise` does not have the shape (samples,).
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""The open cones of a sensor on or outside the hull: the parts of its beam that the robot's own hull does not hide."""
+"""The open cones of a sensor on or outside the hull: the parts of its beam that the robot's hull does not hide."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ def open_cones(
     """Return the parts of a beam that the hull does not hide: (offset from axis, half angle) [rad], right to left.
 
     Seen from an apex at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within asin(R/ρ)
-    of the centre's bearing. Seen from an apex on the hull, it hides the half-plane behind the apex. No object can lie
-    between apex and hull. The result is the whole beam, one part of it, two parts on either side of the hull, or empty.
+    of the centre's bearing. Seen from an apex on the hull, the hull hides the half-plane behind the apex. No object can
+    lie between apex and hull. The result is the whole beam, one part of the beam, two parts (one on each side of the
+    hull), or empty.
 
     Args:
         mount: (2,) apex in {B} [m], not inside the hull.
         azimuth: direction of the beam's axis in {B} [rad].
         half_angle: half the opening angle of the beam [rad], below π/2.
-        hull_radius: R [m]; a radius of 0 hides nothing.
+        hull_radius: radius R of the hull [m]; a hull of radius 0 hides nothing.
     """
     distance = hypot(*mount)
     if hull_radius <= 0.0:

@@ -1,7 +1,7 @@
-"""Reflecting shapes in CasADi symbols for the compiled closed loop, equal to the shapes of `surctl.world`.
+"""Reflecting shapes in CasADi symbols for the compiled closed loop, with the results of the shapes of `surctl.world`.
 
-If a ray or cone does not meet a shape, the range is `nothing`, a value beyond the sensor's maximum. Every branch is
-finite for finite inputs.
+If a ray or cone does not meet a shape, the range is `nothing`, a value beyond the sensor's maximum. Every branch of an
+if_else is finite for finite inputs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _LEAST = 1e-30  # m, lower limit of a length used as divisor
 
 @dataclass(frozen=True, eq=False)
 class Cone:
-    """A part of a beam: its axis, a unit vector (2, 1) in {E}, and half its opening [rad], below π/2."""
+    """A part of a beam: its axis as a unit vector (2, 1) in {E}, and half its opening angle [rad], below π/2."""
 
     axis: ca.SX
     half_angle: float | ca.SX
@@ -46,7 +46,7 @@ class Solid(ABC):
 
     @abstractmethod
     def nearest_in_cone(self, apex: ca.SX, cone: Cone, *, nothing: float) -> ca.SX:
-        """Return the distance [m] from the apex (2, 1) to the shape's nearest point in the cone; 0 from inside."""
+        """Return the distance [m] from the apex (2, 1) to the shape's nearest point in the cone; 0 inside the shape."""
 
     @abstractmethod
     def holds(self, apex: ca.SX) -> ca.SX:
@@ -54,7 +54,7 @@ class Solid(ABC):
 
     @abstractmethod
     def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
-        """Return the distance [m] along a unit vector (2, 1) to the first hit, and the cosine of incidence there."""
+        """Return the distance [m] along a unit vector (2, 1) to the first hit, and the cosine of its incidence."""
 
     @abstractmethod
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
@@ -99,7 +99,7 @@ class SolidDisc(Solid):
 
 @dataclass(frozen=True, eq=False)
 class SolidBox(Solid):
-    """A `Box` in CasADi symbols: centre (2, 1), edges `size` (2, 1) [m] along its axes, its angle [rad] in {E}."""
+    """A `Box` in CasADi symbols: centre (2, 1) [m]; edge lengths `size` (2, 1) [m]; angle of the box in {E} [rad]."""
 
     centre: ca.SX
     size: ca.SX
@@ -161,7 +161,7 @@ class SolidBox(Solid):
 
 @dataclass(frozen=True, eq=False)
 class SolidWalls(Solid):
-    """The `site_walls` in CasADi symbols: (4,) x_min, x_max, y_min, y_max [m]; from behind a wall the range is 0."""
+    """The `site_walls` in CasADi symbols: (4,) x_min, x_max, y_min, y_max [m]; behind a wall the range is 0."""
 
     walls: ca.SX
     present: ca.SX = field(default_factory=lambda: ca.SX(1))
@@ -193,7 +193,7 @@ class SolidWalls(Solid):
         return [ca.SX(normal) for normal, _ in self._faces(apex)]
 
     def _faces(self, apex: ca.SX) -> tuple[tuple[tuple[float, float], ca.SX], ...]:
-        """Return the direction out of the water at each wall, and the distance to the wall in it [m]."""
+        """Return for each wall the unit vector out of the water, and the distance to the wall along this vector [m]."""
         return (
             ((-1.0, 0.0), apex[0] - self.walls[0]),
             ((1.0, 0.0), self.walls[1] - apex[0]),
@@ -211,7 +211,7 @@ def _left(ray: ca.SX) -> ca.SX:
 
 
 def _beside(ray: ca.SX, side: ca.SX | float) -> ca.SX:
-    """Return the unit vector turned by 1e-9 rad, to the left for side 1 and to the right for side −1."""
+    """Return the unit vector turned by 1e-9 rad, to the left if `side` is 1 and to the right if `side` is −1."""
     return ray + side * _BESIDE * _left(ray)
 
 

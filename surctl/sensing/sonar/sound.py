@@ -1,4 +1,4 @@
-"""Speed of sound in water, and in air for converters that use the constant of air."""
+"""The speed of sound in water, and in air for converters that assume the speed of sound in air."""
 
 from __future__ import annotations
 
