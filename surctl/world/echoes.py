@@ -1,14 +1,16 @@
-"""The nearest echo of a whole scene, where either every surface reflects or only a surface that faces the sonar.
+"""The nearest echo of a whole scene, in which every surface reflects, or only surfaces that face the sonar.
 
-With an incidence limit, an oblique surface reflects its echo away from the sonar, but it still hides the shapes behind
-it. So the function cannot treat the shapes one by one. The nearest echo lies in one of a few directions. On each face,
-range and incidence both increase with the distance from its foot point. So the best visible point is the foot point, or
-the end of the face, of the cone, or of another shape's shadow: a corner, an edge ray, or a rim. `Shape.outlook` lists
-these directions, and the first hit in each direction counts.
+With an incidence limit, an oblique surface reflects the sound away from the sonar, but still hides the shapes behind
+the surface. So the function cannot treat the shapes one by one. The nearest echo lies in one of a few directions. On
+each face, range and incidence both increase with the distance from the foot point, the point of the face nearest to the
+apex. So the nearest reflecting point of a face is its foot point if the foot point is visible; otherwise it lies where
+the visible part of the face ends: at a corner of the face, on an edge ray of the cone, or at the shadow of another
+shape's rim. `Shape.outlook` lists the directions to these points, and the function evaluates the first hit in each
+direction.
 
 The rays pass corners and rims at an angle of 1e-9 rad, which changes a range r by less than 1e-9·r·tan(limit). Shapes
 may touch. If two shapes overlap, the directions do not include the intersection of their surfaces; if the smallest
-range is exactly there, the result is the next larger one.
+range is exactly at this intersection, the result is the next larger range.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ def nearest_echo(
             apex at which the surface reflects; None: every surface reflects.
 
     Returns:
-        Distance [m]; inf if there is no echo, 0 if the apex lies inside a shape.
+        The distance [m]; inf if there is no echo, 0 if the apex lies inside a shape.
 
     Raises:
         InputError: an angle is out of range, or apex or axis is not finite.

@@ -1,7 +1,8 @@
-"""Upright solids: a planar shape between two depths, and its exact distance to a point in space.
+"""Upright solids, each a planar shape between two depths, and their exact distances to a point in space.
 
-z points up, so z is negative below the surface. A prism is the product of a planar set and an interval, so the square
-of its distance is the sum of their squared distances. The clearance of a sphere is this distance minus its radius.
+z points up, so z is negative below the surface. A prism is the product of a planar set and an interval of z. So the
+squared distance of a point to a prism is the sum of the squared distances to the planar set and to the interval. The
+clearance of a sphere is the distance of its centre minus its radius.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Heights:
     top: float = inf
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         if isnan(self.bottom) or isnan(self.top) or self.bottom >= self.top:
             raise InputError(
                 f"is not below the top, {self.top:g}",

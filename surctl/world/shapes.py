@@ -3,10 +3,10 @@
 All geometry here is planar: a shape is the section of a body at the robot's depth, and `prism.Heights` defines the
 depths that the body occupies. Coordinates are in {E}, with x along the tank and y to the left, in metres and radians.
 
-Every cone query uses one fact. Let K be convex and p the point of K nearest to the apex. If p lies in the cone, p is
-the echo. Otherwise, the nearest point of K in the cone lies on one of the cone's two edge rays: from any point q of K
-strictly inside the cone one could move towards p, stay in K and in the cone, and come closer. So a foot point and two
-ray hits give the echo in closed form, and this echo is always visible.
+Every cone query uses one property of a convex set K. Let p be the point of K nearest to the apex. If p lies in the
+cone, the echo comes from p. Otherwise, the nearest point of K in the cone lies on one of the cone's two edge rays: from
+any point of K strictly inside the cone, a small move towards p stays in K and in the cone, and reduces the distance. So
+the foot point p and the hits of the two edge rays give the echo in closed form, and K does not hide it.
 
 If only surfaces that face the apex reflect, `echoes.nearest_echo` casts rays along the `outlook` of every shape.
 """
@@ -42,26 +42,26 @@ class Shape(ABC):
 
     @abstractmethod
     def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """Return the distance [m] from (x, y) to the first hit along the unit vector (ex, ey), and an incidence cosine.
+        """Return the distance [m] from (x, y) along the unit vector (ex, ey) to the first hit; cosine of the incidence.
 
-        The distance is inf if there is no hit. The cosine is that of the angle between the outward normal at the hit
-        and the direction back to (x, y). The point (x, y) lies outside.
+        The distance is inf if there is no hit. The incidence angle is the angle between the outward normal at the hit
+        and the direction back to (x, y). The point (x, y) must lie outside the shape.
         """
 
     @abstractmethod
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """Return the unit vectors from (x, y), outside, along which the nearest echo of a scene may lie.
+        """Return the unit vectors from a point (x, y) outside the shape along which a scene's nearest echo may lie.
 
-        They include the best direction to each face of the shape, and directions 1e-9 rad past its rims, where shapes
-        behind it become visible.
+        The vectors include, for each face, the direction of its nearest reflecting point, and directions 1e-9 rad past
+        the rims of the shape, where other shapes behind it become visible.
         """
 
     @abstractmethod
     def moved(self, offset: Vector2) -> Shape:
-        """Return the same shape displaced by `offset` (2,) [m] in {E}."""
+        """Return a copy of the shape, displaced by `offset` (2,) [m] in {E}."""
 
     def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
-        """Return the distance [m] of `hit`."""
+        """Return only the distance [m] of `hit`, without the incidence."""
         return self.hit(x, y, ex=ex, ey=ey)[0]
 
     def nearest(self, point: Vector2) -> tuple[float, NDArray[np.float64]]:
@@ -78,7 +78,7 @@ class Shape(ABC):
             half_angle: half the opening angle [rad], 0 ≤ half_angle < π/2.
 
         Returns:
-            Distance [m]; inf if no part of the shape lies in the cone, 0 if the apex lies inside the shape.
+            The distance [m]; inf if no part of the shape lies in the cone, 0 if the apex lies inside the shape.
 
         Raises:
             InputError: the half angle is out of range, or apex or axis is not finite.
@@ -105,19 +105,19 @@ class Disc(Shape):
 
     Attributes:
         center: centre (2,) [m] in {E}.
-        radius: radius [m], greater than 0.
+        radius: radius of the section [m], greater than 0.
     """
 
     center: Vector2
     radius: float
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         object.__setattr__(self, "center", _pair("disc.center", self.center))
         object.__setattr__(self, "radius", _positive("disc.radius", self.radius))
 
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
-        """See `Shape.foot`; for the exact centre, the surface point in direction +x is returned."""
+        """See `Shape.foot`; for a point at the exact centre, the result is the surface point in direction +x."""
         cx, cy = self.center
         dx, dy = x - cx, y - cy
         length = hypot(dx, dy)
@@ -166,7 +166,7 @@ class Box(Shape):
     _half: tuple[float, float] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         object.__setattr__(self, "center", _pair("box.center", self.center))
         size = _pair("box.size", self.size)
         angle = float(self.angle)
@@ -183,7 +183,7 @@ class Box(Shape):
         return c * dx + s * dy, c * dy - s * dx
 
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
-        """See `Shape.foot`; from inside, the point lies on the nearest face (on an x face if two are equally near)."""
+        """See `Shape.foot`; for a point inside, the result is on the nearest face (an x face if equally near)."""
         px, py = self._local(x, y)
         hx, hy = self._half
         qx, qy = max(-hx, min(hx, px)), max(-hy, min(hy, py))
@@ -199,7 +199,7 @@ class Box(Shape):
         return distance, cx + c * qx - s * qy, cy + s * qx + c * qy
 
     def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """See `Shape.hit`; the slab method in the box's own frame, where the ray hits the slab that it enters last."""
+        """See `Shape.hit`; by the slab method in the box's frame, the ray hits the slab that it enters last."""
         px, py = self._local(x, y)
         c, s = self._axis
         hx, hy = self._half
@@ -212,11 +212,12 @@ class Box(Shape):
         return near, abs(lx) if near_x >= near_y else abs(ly)
 
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: the foot on a face, both sides of the nearest corner, and past its two neighbours.
+        """See `Shape.outlook`: the foot point, both sides of the nearest corner, and past the two adjacent corners.
 
         Range and incidence of a face increase with the distance from its foot point, so the best point is the foot
-        point; if the apex is not in front of a face, it is the face's end at the nearest corner. A corner has no
-        normal: it reflects as the end of a face that faces the apex, and not by itself (an edge only scatters sound).
+        point; if the apex is not in front of the face, the best point is the end of the face at the nearest corner. A
+        corner has no normal. So a corner reflects only as the end of a face that faces the apex (an edge alone only
+        scatters sound).
         """
         px, py = self._local(x, y)
         hx, hy = self._half
@@ -255,7 +256,7 @@ class Wall(Shape):
     normal: Vector2
 
     def __post_init__(self) -> None:
-        """Check the values; InputError names the wrong one."""
+        """Check the values; raise an InputError that names an invalid value."""
         nx, ny = _pair("wall.normal", self.normal)
         length = hypot(nx, ny)
         if length == 0.0:
@@ -305,12 +306,12 @@ def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
 
 
 def _beside(ux: float, uy: float, side: float) -> tuple[float, float]:
-    """Return the unit vector turned by 1e-9 rad, to the left for side 1 and to the right for side −1."""
+    """Return the unit vector turned by 1e-9 rad, to the left if `side` is 1 and to the right if `side` is −1."""
     return ux - side * _BESIDE * uy, uy + side * _BESIDE * ux
 
 
 def _slab(position: float, direction: float, *, half: float) -> tuple[float, float]:
-    """Return the parameters at which a line enters and leaves |coordinate| ≤ half; (inf, −inf) if it never does."""
+    """Return the parameters at which a line enters and leaves the slab |coordinate| ≤ half; (inf, −inf) if never."""
     if direction == 0.0:
         return (-inf, inf) if abs(position) <= half else (inf, -inf)
     one, other = (-half - position) / direction, (half - position) / direction
