@@ -1,7 +1,7 @@
-"""Dynamics (3) with current, optional linear heave drag, thrust limits and first-order thrust lag.
+"""The dynamics (3) with current, optional linear heave drag, thrust limits and first-order thrust lag.
 
-Added mass is part of the inverted inertia matrix. A model that instead feeds back a delayed added-mass acceleration
-diverges if the added mass exceeds the dry mass, which is the case for this robot.
+Added mass is part of the inertia matrix that the model inverts. A model that instead feeds back the added-mass force
+from a delayed acceleration diverges if the added mass exceeds the dry mass, as it does for this robot.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
 
 
 def damping_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
-    """Return D(ν)ν of (3), (4,): linear and quadratic drag on each axis [N, N m]."""
+    """Return the drag D(ν)ν of (3), (4,): the sum of linear and quadratic drag on each axis [N, N m]."""
     return p["linear_drag"] * nu + p["quadratic_drag"] * nu * ca.fabs(nu)
 
 
@@ -88,9 +88,9 @@ class Plant:
     """The differential equation of the vehicle, with every parameter as an input.
 
     Attributes:
-        ode: (x (12,), tau_command (4,), d (7,), p (17,)) → ẋ (12,), with the layouts `PLANT_STATE`,
-            `PLANT_DISTURBANCE` and `PLANT_PARAMETERS`.
-        jacobians: the same arguments → exact ∂ẋ/∂x (12, 12) and ∂ẋ/∂tau_command (12, 4).
+        ode: function (x (12,), tau_command (4,), d (7,), p (17,)) → ẋ (12,), with the layouts `PLANT_STATE`,
+            `PLANT_DISTURBANCE`, `PLANT_PARAMETERS`.
+        jacobians: function with the arguments of `ode` → exact ∂ẋ/∂x (12, 12) and exact ∂ẋ/∂tau_command (12, 4).
     """
 
     ode: ca.Function
@@ -102,7 +102,7 @@ def build_plant() -> Plant:
     """Assemble the plant (1)–(3).
 
     A constant irrotational current enters as ν_r = ν − ν_c in every hydrodynamic and inertial term (Fossen 2021,
-    property 10.1). In {B}, the current rotates against the turn of the vehicle: ν̇_c = −r S ν_c.
+    property 10.1). In {B}, the current vector rotates against the turn of the vehicle, with ν̇_c = −r S ν_c.
     """
     x, state = PLANT_STATE.symbols("x")
     d, disturbance = PLANT_DISTURBANCE.symbols("d")
@@ -146,7 +146,7 @@ def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64
 
 @cache
 def trim_function() -> ca.Function:
-    """Return a function (ν, p) → `trim_thrust`; both arguments may have one column for each of many cases."""
+    """Return a CasADi function (ν, p) → `trim_thrust`; ν and p may have several columns, one for each plant."""
     flat, parameters = PLANT_PARAMETERS.symbols("p")
     velocity = ca.SX.sym("nu", 4)
     return ca.Function(

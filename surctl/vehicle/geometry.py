@@ -31,10 +31,11 @@ def sphere(
 ) -> Vehicle:
     """Return a spherical vehicle from its geometry; every derived parameter has a range and a provenance.
 
-    The mass with added mass is m + f (3/2 ρV − m). For the flooded fraction f = 1, all water inside the shell moves
-    with it, and the added mass is that of a sphere, ½ρV (Fossen 2021, ch. 8); for f = 0, water passes freely. The
-    moment of inertia is 2/5 (m + f (ρV − m)) R², that of a solid sphere without added mass. The quadratic drag is
-    ½ρ C_d πR², and 1.5 times that in heave. Linear drag and yaw drag are chosen, because no such formula exists.
+    The mass including added mass is m + f (3/2 ρV − m), where f is the flooded fraction. For f = 1, all water inside
+    the shell moves with the shell, and the added mass is that of a sphere, ½ρV (Fossen 2021, ch. 8). For f = 0, water
+    passes freely through the shell. The moment of inertia is 2/5 (m + f (ρV − m)) R², as for a solid sphere without
+    added mass. The quadratic drag is ½ρ C_d πR² in surge and sway, and 1.5 times this value in heave. Linear drag and
+    yaw drag are design choices, because no formula of this kind exists for them.
 
     Args:
         name: name of the vehicle.
@@ -42,8 +43,8 @@ def sphere(
         dry_mass: mass in air, without water inside [kg].
         thrust: largest force in surge, sway and heave [N].
         yaw_thrust: largest moment about z [N m].
-        flooded: flooded fraction f, 0 to 1; its range is from half this value to 1.
-        drag_coefficient: drag coefficient C_d for the frontal area.
+        flooded: flooded fraction f, 0 to 1; the derived ranges use fractions from half of `flooded` to 1.
+        drag_coefficient: drag coefficient C_d, which refers to the frontal area.
         thrust_lag: time constant of the first-order thrust lag [s].
         density: density of the water [kg/m³].
 

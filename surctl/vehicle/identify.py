@@ -1,8 +1,8 @@
-"""Identify a vehicle from a log by output-error least squares, with 95 % intervals and a test of identifiability.
+"""Identification of a vehicle from a log by output-error least squares, with 95 % intervals and identifiability test.
 
 The simulated motion is fitted to the measured motion (Ljung 1999, section 7.4; Tischler & Remple 2012). So measurement
-noise does not bias masses and drag, as it would if measured velocities were differentiated. With white noise in each
-column, the result is the maximum-likelihood estimate.
+noise does not bias masses and drag. If measured velocities were differentiated, noise would bias them. If the noise in
+each column of the log is white, the result is the maximum-likelihood estimate.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ class Identified:
     """The result of fitting a vehicle to a log.
 
     Attributes:
-        vehicle: the vehicle with fitted values and their intervals as ranges; parameters that are not identified have
-            the values of `start`.
-        start: the vehicle with which the fit started.
-        estimates: (estimate, half of its 95 % interval) of every fitted parameter by name.
+        vehicle: the vehicle with the fitted values, whose ranges are their 95 % intervals; parameters that are not
+            identified have the values of `start`.
+        start: the vehicle whose parameters are the initial values of the fit.
+        estimates: for every fitted parameter by name, the estimate and half the width of its 95 % interval.
         identified: names of the parameters with a sufficiently narrow interval.
-        noise: standard deviation of the residuals by column.
+        noise: standard deviation of the residuals, by column of the log.
         notes: reasons why the intervals may be wrong.
     """
 
@@ -67,11 +67,11 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     """Fit masses, drag and thrust lag of the vehicle `start` to a log, together with the unknown initial motion.
 
     The model assumes still water, and thrust that follows its command with a first-order lag. The thrust at the start
-    of the log is fitted too. If `start` has no thrust lag, the result has none. Thrust limits and radius are those of
-    `start`, because a log does not show them.
+    of the log is fitted too. If `start` has no thrust lag, the fitted vehicle has no thrust lag. Thrust limits and
+    radius are those of `start`, because they cannot be identified from a log.
 
     Raises:
-        InputError: no simulated motion is finite, so the columns of motion and thrust do not match.
+        InputError: no simulated motion is finite, which shows that the columns of motion and thrust do not match.
 
     Example:
         >>> import numpy as np
@@ -126,10 +126,10 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
 
 
 def _begun(log: MotionLog, start: Vehicle, noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an initial θ: fit the first rows of the log, then 1.5 times as many rows, and so on.
+    """Return an initial θ, fitted to the first lines of the log, then to 1.5 times as many lines, and so on.
 
     Over the whole log, a simulated heading may be wrong by more than half a turn; then the fit would end in a local
-    minimum. Over a short log the error is smaller.
+    minimum. Over a short part of the log, the error of the simulated heading is smaller.
     """
     from scipy.optimize import least_squares
 
@@ -146,12 +146,13 @@ def _begun(log: MotionLog, start: Vehicle, noise: NDArray[np.float64]) -> NDArra
 
 
 def _simulable(problem: _Problem, theta: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return θ, or a share of it for which the simulated motion is finite over the whole log.
+    """Return θ, if necessary with reduced parameter changes, such that the simulated motion over the log is finite.
 
-    A short log may give a negative drag, and with it the motion over a longer log can diverge.
+    A fit to a short part of the log may give a negative drag. With a negative drag, the simulated motion over the whole
+    log can diverge.
 
     Raises:
-        InputError: no motion is finite, not even that of the start vehicle, so motion and thrust do not match.
+        InputError: no simulated motion is finite, not even for the start vehicle, so motion and thrust do not match.
     """
     for share in (1.0, 0.5, 0.25, 0.0):
         tried = np.concatenate([share * theta[: len(problem.names)], theta[len(problem.names) :]])
@@ -170,7 +171,8 @@ def _simulable(problem: _Problem, theta: NDArray[np.float64], noise: NDArray[np.
 def _moved(velocities: NDArray[np.float64], noise: NDArray[np.float64], measured: NDArray[np.bool_]) -> frozenset[str]:
     """Return the names of the masses on axes that moved by more than the noise.
 
-    On an axis at rest, the fit would interpret the noise as motion, and its mass would seem to be identified.
+    On an axis at rest, the fit would interpret the noise as motion, and the mass of this axis would seem to be
+    identified.
     """
     x, y, z, psi, *rates = noise  # an axis without a measured velocity uses the position noise per second
     has_rate = measured[4:]
@@ -181,10 +183,11 @@ def _moved(velocities: NDArray[np.float64], noise: NDArray[np.float64], measured
 def _identified(
     estimates: Mapping[str, tuple[float, float]], scale: Mapping[str, float], moved: frozenset[str]
 ) -> tuple[str, ...]:
-    """Return the names of the parameters with a narrow interval, relative to the estimate.
+    """Return the names of the parameters whose 95 % interval is narrow relative to the estimate.
 
     The interval of a drag parameter, which may be 0, is relative to the larger of the estimate and the start value. A
-    motion only shows the ratio of drag to mass, so without an identified mass the drag of this axis is not identified.
+    motion shows only the ratio of drag to mass. So if the mass of an axis is not identified, its drag is not identified
+    either.
     """
     held = frozenset(FITTED[:4]) - moved
 
@@ -199,9 +202,9 @@ def _identified(
 
 
 def _spread(slope: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the standard deviation √diag (SᵀS)⁻¹ of each θ from the slopes S of the normalised residuals.
+    """Return the standard deviations √diag (SᵀS)⁻¹ of θ, where S is the Jacobian of the normalised residuals.
 
-    The result is also valid if SᵀS is nearly singular.
+    The computation is also valid if SᵀS is nearly singular.
     """
     size = np.linalg.norm(slope, axis=0)
     size[size == 0] = 1.0  # initial value of a quantity that is not measured and has no effect
@@ -230,14 +233,14 @@ def _vehicle(
 
 
 def _roughness(values: NDArray[np.float64]) -> float:
-    """Return a first estimate of white noise on a smooth signal: standard deviation of the second differences / √6."""
+    """Return a first estimate of white noise on a smooth signal: sd of the second differences, divided by √6."""
     return max(float(np.std(np.diff(values, 2))) / np.sqrt(6.0), 1e-4) if len(values) > 2 else 1.0
 
 
 def _notes(left: NDArray[np.float64], present: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return a note for each column whose residuals are not white noise: there the model or the data are not complete.
+    """Return a note for each column whose residuals are not white, because model or data are incomplete.
 
-    The intervals are then too short.
+    If the residuals are not white, the intervals are too short.
     """
     said = []
     for k, column in enumerate(LOG_MOTION):
@@ -254,9 +257,10 @@ def _notes(left: NDArray[np.float64], present: NDArray[np.bool_]) -> tuple[str, 
 
 
 class _Problem:
-    """The residuals of a log as a function of θ.
+    """The residuals of a log as a function of the vector θ of fitted quantities.
 
-    θ contains the relative changes of the parameters, then motion (8,) and thrust (4,) at the start of the log.
+    θ contains the relative changes of the parameters, the motion (8,) at the start of the log, and the thrust (4,) at
+    the start of the log.
     """
 
     def __init__(self, log: MotionLog, start: Vehicle) -> None:
@@ -284,7 +288,7 @@ class _Problem:
         self.bounds = (low, np.full(len(low), np.inf))
 
     def _run(self, theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the states (12, n) over the log and the parameters (13,)."""
+        """Return the simulated states (12, n) over the log, and the parameters (13,)."""
         n = len(self.names)
         p = np.zeros(13)
         p[:n] = self.start + self.scale * theta[:n]
@@ -297,7 +301,7 @@ class _Problem:
         return self._run(theta)[0][4:8]
 
     def misfit(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return simulated minus measured motion (n, 8); 0 where no measurement exists."""
+        """Return the simulated minus the measured motion (n, 8); 0 where no measurement exists."""
         x, _ = self._run(theta)
         return np.where(self.present, x[:8].T - np.where(self.present, self.log.motion, 0.0), 0.0)
 
@@ -305,7 +309,7 @@ class _Problem:
         return np.concatenate([(self.misfit(theta) / noise)[self.present], self._prior(theta)])
 
     def _prior(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return residuals that keep unobservable θ near their prior: no change, first thrust equal to its command."""
+        """Return residuals that hold unobservable θ near a prior: unchanged parameters, initial thrust as commanded."""
         return np.concatenate([theta[: len(self.names)] / _PRIOR, (theta[-4:] - self.log.thrust[0]) / self.thrust])
 
     def jacobian(self, theta: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -327,16 +331,16 @@ class _Problem:
 
 
 def _cut(blocks: ca.DM, width: int) -> NDArray[np.float64]:
-    """Split a matrix (rows, n * width) of n blocks side by side into an array (n, rows, width)."""
+    """Split a matrix (rows, n * width), which consists of n matrices side by side, into an array (n, rows, width)."""
     flat = np.asarray(blocks)
     return flat.reshape(flat.shape[0], -1, width).transpose(1, 0, 2)
 
 
 @cache
 def _stepper(parts: int, lagged: bool) -> tuple[ca.Function, ca.Function]:
-    """Return two functions of (x (12,), thrust (4,), p (13,), dt): the state after dt, and its Jacobians.
+    """Return two functions of (x (12,), thrust (4,), p (13,), dt): one for the state after dt, one for its Jacobians.
 
-    They integrate the plant (1)–(3) in still water by RK4 in `parts` steps; p has the order of `FITTED`.
+    The functions integrate the plant (1)–(3) in still water by RK4 in `parts` steps; p has the order of `FITTED`.
     """
     x, thrust, p, dt = ca.SX.sym("x", 12), ca.SX.sym("thrust", 4), ca.SX.sym("p", 13), ca.SX.sym("dt")
     limits = ca.DM.ones(4) * 1e12  # the thrust in the log is not limited again

@@ -19,20 +19,20 @@ __all__ = ["plant_system"]
 def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), units: bool = True) -> Any:
     """Return a `control.NonlinearIOSystem` from thrust command to the whole plant state, continuous in time.
 
-    `control.input_output_response` interpolates inputs between its times, but the simulation of this toolkit holds them
-    constant. It may also skip a short input. So give it times on both sides of a step, and
-    `solve_ivp_kwargs={"max_step": ...}`. With "rtol" and "atol" of 1e-12 it agrees with the simulation's fixed steps
-    (`surctl.simulation.advance`) to 1e-8 in SI units. `control.linearize` about trimmed motion gives the same system as
-    `linearise`.
+    `control.input_output_response` interpolates inputs between the given times, but the simulation of this toolkit
+    holds inputs constant. `control.input_output_response` may also skip a short input. So give times on both sides of a
+    step of an input, and `solve_ivp_kwargs={"max_step": ...}`. With "rtol" and "atol" of 1e-12, its result agrees with
+    the fixed-step simulation (`surctl.simulation.advance`) to 1e-8 in SI units. `control.linearize` about trimmed
+    motion gives the system that `linearise` returns.
 
     Args:
         vehicle: the vehicle; the system includes its thrust limits and thrust lag.
         current: steady current (3,) [m/s] in {E}, ENU.
-        units: append units to the signal names, such as "u [m/s]".
+        units: whether to append units to the signal names, as in "u [m/s]".
 
     Returns:
-        System with inputs `THRUST_NAMES`, and with states and outputs `STATE_NAMES`; without thrust lag, only the first
-        8 of these.
+        The system with inputs `THRUST_NAMES`, and with states and outputs `STATE_NAMES`; without thrust lag, states and
+        outputs are only the first 8 of `STATE_NAMES`.
 
     Raises:
         InputError: the current does not consist of three finite numbers.

@@ -1,4 +1,4 @@
-"""Kinematics (1)–(2): η̇ = J(ψ) ν with the ENU world frame {E} and the FLU body frame {B}."""
+"""The kinematics (1)–(2), η̇ = J(ψ) ν, with the ENU world frame {E} and the FLU body frame {B}."""
 
 from __future__ import annotations
 

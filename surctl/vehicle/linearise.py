@@ -1,4 +1,4 @@
-"""Linearise a vehicle as a python-control system with named signals."""
+"""Linearisation of a vehicle, as a python-control system with named signals."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
         vehicle: the vehicle; its trim thrust must lie strictly inside the thrust limits.
         nu: body velocity (4,) [m/s, rad/s] of the operating point in still water.
         psi: heading [rad].
-        units: append units to the signal names, such as "u [m/s]".
+        units: whether to append units to the signal names, as in "u [m/s]".
 
     Returns:
-        StateSpace with states and outputs `STATE_NAMES` and inputs `THRUST_NAMES`, in `SIGNAL_UNITS`. If `thrust_lag`
-        is 0, the system does not contain the four thrust states.
+        The StateSpace system with inputs `THRUST_NAMES`, and with states and outputs `STATE_NAMES`, in the units
+        `SIGNAL_UNITS`. If `thrust_lag` is 0, the system does not contain the four thrust states.
 
     Raises:
         InputError: the operating point needs more thrust than the vehicle has.
@@ -87,23 +87,24 @@ def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
 
 
 def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:
-    """Return the signal names, each with its unit if it has one, such as "u [m/s]"."""
+    """Return the signal names with their units appended, as in "u [m/s]"; dimensionless signals have no unit."""
     return [f"{name} [{SIGNAL_UNITS[name]}]" if units and name in SIGNAL_UNITS else name for name in names]
 
 
 def plant_jacobians(
     parameters: NDArray[np.float64], nu: NDArray[np.float64], *, psi: float = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return ∂ẋ/∂x and ∂ẋ/∂τ of many plants, each about its own trimmed motion in still water.
+    """Return ∂ẋ/∂x and ∂ẋ/∂τ of n plants, each linearised about its own trimmed motion in still water.
 
     Args:
-        parameters: (n, 17), one result of `plant_parameters` per row.
-        nu: (n, 4) body velocities [m/s, rad/s].
+        parameters: (n, 17), one plant per row, as `plant_parameters` returns it.
+        nu: (n, 4) body velocity of each plant [m/s, rad/s].
         psi: heading [rad] of all plants.
 
     Returns:
-        A (n, 12, 12), B (n, 12, 4) in the order of `STATE_NAMES` and `THRUST_NAMES`, and the trim thrust (n, 4)
-        [N, N m]. If a trim thrust exceeds a thrust limit, this B describes no possible motion.
+        Three arrays. A (n, 12, 12): state matrices ∂ẋ/∂x, in the order of `STATE_NAMES`; B (n, 12, 4): input matrices
+        ∂ẋ/∂τ, with columns in the order of `THRUST_NAMES`; trim thrust (n, 4) [N, N m]. If the trim thrust of a plant
+        exceeds a thrust limit, its matrix B describes no possible motion.
 
     Example:
         >>> import numpy as np

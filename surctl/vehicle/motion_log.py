@@ -1,4 +1,4 @@
-"""Read a log of motion and thrust, from which a vehicle can be identified."""
+"""Logs of motion and thrust, from which a vehicle can be identified, and the function that reads them."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ class MotionLog:
 
     Attributes:
         time: (n,) [s], increasing.
-        motion: (n, 8) η in {E} and velocity over ground ν in {B}; NaN where no measurement exists; ψ without jumps.
-        thrust: (n, 4) commanded thrust in {B} [N, N m], constant until the next row.
+        motion: (n, 8) pose η in {E}, then velocity over ground ν in {B}; NaN where no measurement exists; ψ is
+            continuous, without jumps by a full turn.
+        thrust: (n, 4) commanded thrust in {B} [N, N m]; each command is held constant until the next sample.
         source: name of the file.
     """
 
@@ -60,12 +61,12 @@ class MotionLog:
 
 
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
-    """Read a log (CSV, .mat or netCDF) with `t_s`, the thrust, and any columns of motion; other columns are ignored.
+    """Read a log file (CSV, .mat or netCDF) with the columns `t_s`, thrust, and any of motion; ignore other columns.
 
     Args:
         path: the file.
         frame: frame of the file; default: the frame in its comments (`# frame=ned`), otherwise enu. The returned log is
-            in enu.
+            in the frame enu.
 
     Raises:
         InputError: the file cannot be read, a column is missing, a cell is not a number, or the time does not increase;

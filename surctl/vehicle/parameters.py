@@ -1,4 +1,4 @@
-"""The parameters of a vehicle, read from a TOML file; each has a unit, a range and a provenance."""
+"""The parameters of a vehicle, read from a TOML file; each parameter has a unit, a range and a provenance."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LIBRARY = Path(__file__).parent / "library"
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """The definition of a vehicle parameter: its table in the file, unit, meaning, whether 0 is allowed, default."""
+    """The definition of a vehicle parameter: table in the file, unit, meaning, whether 0 is allowed, default value."""
 
     table: str
     unit: str
@@ -81,26 +81,26 @@ class Vehicle:
 
     @property
     def mass(self) -> NDArray[np.float64]:
-        """Diagonal of M, (4,): m11, m22, m33 [kg], m44 [kg m²]."""
+        """Diagonal (4,) of the inertia matrix M: m11, m22, m33 [kg], m44 [kg m²]."""
         return np.array([self[k] for k in ("m11", "m22", "m33", "m44")])
 
     @property
     def linear_drag(self) -> NDArray[np.float64]:
-        """(4,): Xu, Yv, Zw [N s/m], Nr [N m s]."""
+        """Linear drag coefficients (4,): Xu, Yv, Zw [N s/m], Nr [N m s]."""
         return np.array([self[k] for k in ("Xu", "Yv", "Zw", "Nr")])
 
     @property
     def quadratic_drag(self) -> NDArray[np.float64]:
-        """(4,): Xuu, Yvv, Zww [N s²/m²], Nrr [N m s²]."""
+        """Quadratic drag coefficients (4,): Xuu, Yvv, Zww [N s²/m²], Nrr [N m s²]."""
         return np.array([self[k] for k in ("Xuu", "Yvv", "Zww", "Nrr")])
 
     @property
     def thrust_limit(self) -> NDArray[np.float64]:
-        """(4,): largest |F_u|, |F_v|, |F_w| [N] and |F_r| [N m]."""
+        """Thrust limits (4,): largest |F_u|, |F_v|, |F_w| [N] and |F_r| [N m]."""
         return np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
 
     def steady_yaw(self, share: float) -> float:
-        """Return the yaw rate [rad/s] that a share of the yaw moment sustains against drag in the worst case."""
+        """Return the yaw rate [rad/s] that `share` of the yaw moment sustains against the drag in the worst case."""
 
         def worst(name: str, which: int) -> float:
             known = self.parameters[name].range
@@ -115,7 +115,7 @@ class Vehicle:
         return hashlib.sha256(numbers.encode()).hexdigest()
 
     def with_values(self, values: Mapping[str, float]) -> Vehicle:
-        """Return a copy with some values changed; each must lie in the range of its parameter."""
+        """Return a copy with some values changed; each new value must lie in the range of its parameter."""
         changed = dict(self.parameters)
         for name, value in values.items():
             self[name]
@@ -219,7 +219,7 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
 
 
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
-    """Return the parameter; raise InputError if its sign or range is wrong."""
+    """Return the parameter from its file entry; raise InputError if the sign or the range is wrong."""
     spec = PARAMETERS[name]
     key, value = f"{spec.table}.{name}", parameter.value
     if not np.isfinite(value) or value < 0 or (value == 0 and not spec.zero_allowed):
