@@ -1,1 +1,1 @@
-"""Calibration of a range sensor from a range test, which is a file or Table II of the paper."""
+"""Calibration of a range sensor from the data of a range test: a file, or Table II of the paper."""

@@ -168,10 +168,10 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     """Fit bias, scale and noise to true and measured distances (n,) [m], given in any order.
 
     Raises:
-        InputError: if there are fewer than `LEAST_ROWS` rows or `LEAST_DISTANCES` distinct distances, or a number is
-            not finite or is below 0. InputError is also raised if the median ratio of measured to true distance lies
-            outside 1/3 to 3, because then the units may differ; a ratio that suggests a converter for air used in
-            water, or the reverse, is accepted.
+        InputError: if there are fewer readings than `LEAST_ROWS` or fewer distinct distances than `LEAST_DISTANCES`, or
+            if a number is negative or not finite. InputError is also raised if the median ratio of measured to true
+            distance lies outside 1/3 to 3, because then the units may differ; a ratio that suggests a converter for air
+            used in water, or the reverse, is accepted.
 
     Example:
         >>> import numpy as np

@@ -23,7 +23,7 @@ _ZOOMS = 5
 _DEEP = 25.0  # the grid spans log-likelihoods down to this far below the largest
 _THIN = 4
 _HALVINGS = 45  # bisections of an interval, or of its logarithm
-_CELLS = 4096  # with more distinct ranges, those within 1/4096 of the span share a weight
+_CELLS = 4096  # with more distinct ranges, ranges within 1/4096 of the span share a weight
 
 
 @dataclass(frozen=True, kw_only=True)

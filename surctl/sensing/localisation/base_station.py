@@ -105,7 +105,7 @@ class OwnState:
     Attributes:
         position_sd: standard deviation of measured x, y and z [m]; 0 gives exact values.
         yaw_sd: standard deviation of measured ψ [rad]; 0 gives exact values.
-        rate_sd: standard deviation of measured yaw rate r [rad/s] (*chosen*); 0 gives exact values.
+        rate_sd: standard deviation of measured yaw rate r [rad/s] (design choice); 0 gives exact values.
         fixes: period, latency and loss probability of the position fixes that `fix` returns.
     """
 

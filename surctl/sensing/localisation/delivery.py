@@ -27,8 +27,8 @@ class Delivery:
     """Period, latency and losses of one kind of message to the robot.
 
     Attributes:
-        period: time between two measurements [s] (*chosen*).
-        latency: time from a measurement to its arrival [s] (*chosen*).
+        period: time between two measurements [s] (design choice).
+        latency: time from a measurement to its arrival [s] (design choice).
         loss: probability that a message is lost, independent for each message.
         gaps: intervals (start, end) [s] of the run without measurements; messages already under way still arrive.
     """

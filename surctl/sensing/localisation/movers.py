@@ -50,8 +50,8 @@ class MoverTracker:
         latency: age of a message when it arrives [s], below `forget`.
         position_sd: standard deviation of each coordinate in a message [m].
         velocity_sd: standard deviation of each velocity component in a message [m/s].
-        acceleration: largest acceleration of an obstacle [m/s²] (design choice: a light robot of the size of ours under
-            full thrust).
+        acceleration: largest acceleration of an obstacle [m/s²] (design choice: a light robot of equal size under full
+            thrust).
         forget: age of the last message [s] above which the tracker drops the obstacle (design choice).
         sigmas: number of standard deviations in the bound (design choice: 3 standard deviations contain 98.9 % of a
             planar Gaussian).

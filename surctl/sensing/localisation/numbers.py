@@ -1,4 +1,4 @@
-"""The own-state filter in NumPy: an independent implementation of `OwnStateFilter.update` with the same results."""
+"""The own-state filter in NumPy: an independent implementation with the results of `OwnStateFilter.update`."""
 
 from __future__ import annotations
 

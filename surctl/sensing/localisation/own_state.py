@@ -7,8 +7,8 @@ vehicle model (3) under the last command (with thrust limit and lag, and drag at
 to {E} by the heading. The filter also estimates a disturbance acceleration in {E}, which represents all model errors
 (mass, drag, waves, current).
 
-x, y and z share one covariance. The covariance ignores the damping by drag, so in a gap between fixes it is too large
-rather than too small. Yaw and yaw rate are measured in every step, so their gains are constant.
+x, y and z share one covariance. The covariance ignores the damping by drag. So in a gap between fixes, the covariance
+is too large rather than too small. Yaw and yaw rate are measured in every step, so their gains are constant.
 
 The filter builds CasADi expressions with explicit state for the exported law.
 """
@@ -35,9 +35,9 @@ __all__ = ["BELIEVED_AFTER", "LONGEST_AGE", "LONGEST_LATENCY", "UNKNOWN_SD", "Ow
 
 T = TypeVar("T")
 
-LONGEST_LATENCY = 1.0  # [s] with a longer latency the model no longer predicts the present (*chosen*)
-LONGEST_AGE = 60.0  # [s] limit of a fix's age; it also stands for no fix
-BELIEVED_AFTER = 3  # consecutive refused fixes that agree, after which the filter restarts
+LONGEST_LATENCY = 1.0  # [s] with a longer latency the model no longer predicts the present (design choice)
+LONGEST_AGE = 60.0  # [s] limit of a fix's age; this value also means that no fix has arrived
+BELIEVED_AFTER = 3  # number of consecutive refused fixes that agree with each other, after which the filter restarts
 UNKNOWN_SD = 100.0  # [m] standard deviation of the position before the first fix
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # stored entries of a covariance
 
@@ -72,15 +72,15 @@ class OwnStateFilter:
         yaw_sd: standard deviation of the measured yaw [rad].
         rate_sd: standard deviation of the measured yaw rate [rad/s].
         disturbance_sd: standard deviation of the disturbance acceleration, which the vehicle model omits, along each
-            axis of {E} [m/s²] (*chosen*, see `analysis/11_own_state`).
-        disturbance_time: correlation time of the disturbance acceleration [s] (*chosen*).
-        acceleration_noise: white acceleration noise that is always present [m/s^1.5] (*chosen*).
-        model_noise: additional white acceleration noise for each m/s² of modelled acceleration [s^0.5] (*chosen*),
-            because the errors from a wrong mass and from thrust noise grow with the thrust.
-        yaw_acceleration_noise: white noise [rad/s^1.5] that represents the unmodelled yaw acceleration (*chosen*).
-        velocity_start_sd: standard deviation of the velocity when the filter starts from a fix [m/s] (*chosen*).
+            axis of {E} [m/s²] (design choice, see `analysis/11_own_state`).
+        disturbance_time: correlation time of the disturbance acceleration [s] (design choice).
+        acceleration_noise: white acceleration noise that is always present [m/s^1.5] (design choice).
+        model_noise: additional white acceleration noise for each m/s² of modelled acceleration [s^0.5] (design
+            choice), because the errors from a wrong mass and from thrust noise grow with the thrust.
+        yaw_acceleration_noise: white noise [rad/s^1.5] that represents the unmodelled yaw acceleration (design choice).
+        velocity_start_sd: standard deviation of the velocity when the filter starts from a fix [m/s] (design choice).
         thrust_lag: time constant of the thrust's first-order lag in the vehicle model [s]; 0 for no lag.
-        gate: number of standard deviations from the estimate beyond which a fix is refused (*chosen*).
+        gate: number of standard deviations from the estimate beyond which a fix is refused (design choice).
     """
 
     dt: float
@@ -200,8 +200,8 @@ class OwnStateFilter:
         """Return the estimate after one control step of the Kalman filter (see Brown and Hwang 2012, ch. 4).
 
         The filter starts from the first fix. The filter restarts from a refused fix if three consecutive fixes were
-        refused and agree with each other. Refused fixes agree if they have the same offset from the estimate, within
-        the gate; offsets are compared because they do not contain the robot's own motion.
+        refused and agree with each other. Refused fixes agree if their offsets from the estimate are equal within the
+        gate. Offsets are compared, and not positions, because offsets do not contain the robot's own motion.
 
         Args:
             state: state by port name, with the shapes of `ports(prefix)`.

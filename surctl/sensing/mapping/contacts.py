@@ -145,7 +145,7 @@ class ContactMemory:
     Attributes:
         sensors: number of sensors n.
         dt: period of the updates [s].
-        hold: longest age of a stored echo [s] (*chosen*).
+        hold: longest age of a stored echo [s] (design choice).
     """
 
     dt: float

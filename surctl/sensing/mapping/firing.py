@@ -39,7 +39,7 @@ RING = 1.5
 READING_SIZE = sum(size for _, size, _ in READING)
 
 _INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: minimum depth of a cell inside a beam for the beam to clear it
-# the same for a narrow beam, as shares of half its width: its middle clears cells, and its turning clears the others
+# minimum depth for a narrow beam, as shares of half its width: the middle clears cells; turning clears the others
 _OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
 MIDDLE = 1.0 - _OF_THE_UNKNOWN
 """Share of a narrow beam's width in which the beam clears unknown cells."""

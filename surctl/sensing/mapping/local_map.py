@@ -11,8 +11,8 @@ that moves with the robot. A cell that enters the window at one side replaces th
 so the size of the map does not depend on the site. If the window fits between the walls of the site, it never extends
 beyond the walls, because no cells are needed there. Unknown cells among the two cells beside a wall are ignored,
 because the range error hides these two cells from most beams. An object there that is wider than two cells also extends
-into the third cell, which is not ignored. Each cell holds one number. Just after marking, the number is 1, and it fades
-to 0 within `mark_time`. Just after clearing, the number is −1, and it fades to 0 within `free_time`.
+into the third cell, which is not ignored. Each cell holds one number. When a cell is marked, its number becomes 1 and
+fades to 0 within `mark_time`. When a cell is cleared, its number becomes −1 and fades to 0 within `free_time`.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class LocalMap:
         block: number of cells along one side of a block, a square group of cells; in each block the map finds the
             nearest marked cell and the nearest unknown cell.
         sectors: number of directions in which the map returns the nearest cells, a multiple of 4.
-        mark_time: time [s] until a marked cell has faded to 0 (*chosen*).
-        free_time: time [s] until a cleared cell has faded to 0 (*chosen*).
+        mark_time: time [s] until a marked cell has faded to 0 (design choice).
+        free_time: time [s] until a cleared cell has faded to 0 (design choice).
         known: fraction of `free_time`, at its end, in which a cleared cell no longer counts as known to be free
-            (*chosen*).
+            (design choice).
     """
 
     dt: float
@@ -110,8 +110,8 @@ class LocalMap:
         `walls` (4,) holds x_min, x_max, y_min, y_max of the site in {E} [m]; give distant walls if there are none.
         `slots` (slots · 10,) holds the firings one after another, each with the 10 numbers of `READING`. `marked`
         (sectors · 3,) holds three numbers for each direction: the offset x, y [m] from the robot's centre to the
-        nearest marked cell, and the squared distance [m²] of this cell, 1e6 if no cell is marked. `unknown` (sectors ·
-        3,) holds the corresponding numbers for the nearest unknown cell.
+        nearest marked cell, and the squared distance [m²] of this cell; the squared distance is 1e6 if no cell is
+        marked. `unknown` (sectors · 3,) holds the corresponding numbers for the nearest unknown cell.
         """
         return _Steps(self).routine()
 

@@ -139,12 +139,12 @@ class _Beam:
         return np.asarray(self.along * self.sine - self.across * self.cosine)
 
     def on_arc(self, edge: float) -> NDArray[np.bool_]:
-        """Return which cells may have caused the echo."""
+        """Return a mask of the cells that may have caused the echo."""
         band = (self.square >= self.near**2) & (self.square <= self.far**2) & (self.far >= 0)
         return np.asarray(band & (self.depth > -0.5 * edge))
 
     def in_front(self, edge: float, value: Vector) -> NDArray[np.bool_]:
-        """Return which cells are free: nearer than the echo, and as deep in the cone as their present value needs."""
+        """Return a mask of the free cells: nearer than the echo, and as deep in the cone as their value requires."""
         share = np.where(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
         deep = np.minimum(_INSIDE * edge + _INSIDE_MORE, share * self.along * self.sine)
         return np.asarray((self.depth > deep) & (self.square < self.clear**2) & ((self.clear > 0) | (value <= BLIND)))

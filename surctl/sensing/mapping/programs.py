@@ -36,9 +36,9 @@ BASE, BEAM = 4, 3
 """Size of the base of a column or row, and size of its beam for one firing."""
 BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
 
-_AT_A_WALL = 2  # cells beside a wall where unknown cells do not count: a larger object also extends into the third cell
+_AT_A_WALL = 2  # cells beside a wall where unknown cells are ignored: a larger object also extends into the third cell
 _SLACK = 1e-3  # cells; a wall may be this far from a grid line
-_FAR = 1e6  # m², squared distance for a block without such a cell
+_FAR = 1e6  # m², squared distance for a block without a marked or unknown cell
 _TOUCHED = 0.55  # cells; a block this far outside a cone is skipped (cells on the arc are at most 0.5 outside)
 NONE = (0.0, 0.0, _FAR)
 """Offset x, y and squared distance that are returned if no such cell exists."""
@@ -92,7 +92,7 @@ class MapPrograms:
         for s, slot in enumerate(split(slots, self.slots)):
             values = limit_values(slot, edge)
             limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in LIMITS))
-            explained[f"explained_{s}"] = values["far"] < values["near"]  # no cell is on such an arc
+            explained[f"explained_{s}"] = values["far"] < values["near"]  # no cell is on an empty arc
         ring = hull + RING * edge
         everything = explained["explained_0"]
         for s in range(1, self.slots):
@@ -150,7 +150,7 @@ class MapPrograms:
         return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
     def idle(self) -> Program:
-        """Program that tests, per firing, whether it changes no cell of a block; and whether the hull covers none."""
+        """Program that tests whether a firing changes no cell of a block, and whether the hull covers no cell of it."""
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits, hull = self._limits(), ca.SX.sym("hull", 2)
         outputs = {}

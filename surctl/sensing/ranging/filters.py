@@ -108,22 +108,23 @@ def lms_step(
     """Return the result of a step of Algorithm 1: momentum (6), corrected error (7), with errata E5, E6, E19 corrected.
 
     If e_n ≥ ē, the weights change to θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}); otherwise they do not change ("smaller …
-    does not need to be corrected"). Here ℜ = x_n − θᵀX, and X holds the m values *before* x_n (E19). The corrected
-    error is e_n = (1/N) Σ w_i |e_i| with w falling linearly from 1 (newest) to 1/N (E6). ē is the exponential mean of
-    e_n, with a time constant of N firings (*chosen*), and β = β_max·min(1, e_n/ē). The variance that (7) also defines
-    is not used in any formula. `corrected`: 2μ = ρ/XᵀX with the relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum
-    with residual 0. `printed`: 2μ = 2/XᵀX for every ρ; the residual after the step is −ℜ, so it never decreases (E5).
+    does not need to be corrected"). In this formula, ℜ = x_n − θᵀX, and X holds the m values *before* x_n (erratum
+    E19). The corrected error is e_n = (1/N) Σ w_i |e_i|, where w falls linearly from 1 (newest) to 1/N (erratum E6).
+    Its exponential mean is ē, with a time constant of N firings (design choice), and β = β_max·min(1, e_n/ē). The
+    variance that (7) also defines is not used in any formula. With `step` "corrected", 2μ = ρ/XᵀX with the relaxation 0
+    < ρ ≤ 1; ρ = 1 is the line-search optimum with residual 0. With `step` "printed", 2μ = 2/XᵀX for every ρ; the
+    residual after the step is −ℜ, so the magnitude of the residual never decreases (erratum E5).
 
     Args:
-        theta: θ_n (m,).
-        theta_prev: θ_{n−1} (m,).
+        theta: weights θ_n (m,).
+        theta_prev: previous weights θ_{n−1} (m,).
         X: (m,) the m values before x_n [m], newest first.
         x_n: the value to be predicted [m].
         errors: (N,) last values of |ℜ| before this step [m], newest first.
-        mean_error: ē before this step [m].
-        relaxation: ρ, limited to [0, 1].
-        beta_max: β_max, limited to [0, 0.5].
-        step: rule for μ.
+        mean_error: exponential mean ē of the corrected error before this step [m].
+        relaxation: relaxation ρ, limited to [0, 1].
+        beta_max: largest momentum β_max, limited to [0, 0.5].
+        step: rule for the step size μ, "corrected" or "printed".
 
     Raises:
         InputError: if `step` is unknown.
@@ -217,7 +218,7 @@ class SensorFilter:
         )
 
     def gain_ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the gains with their defaults (*chosen*)."""
+        """Return the ports of the gains with their defaults (design choice)."""
         return (
             Port(f"{prefix}lambda1", (1,), "1", "half-width of the gate (5) in standard deviations, >= 0", 3.0),
             Port(f"{prefix}relaxation", (1,), "1", "LMS step as a fraction of the optimum, 0 to 1", 0.5),
@@ -243,10 +244,10 @@ class SensorFilter:
         Args:
             state: state by port name, with the shapes of `ports(prefix)`; the state changes only for sensors that
                 fired.
-            samples: (n, samples) raw samples [m], oldest first; rows of sensors that did not fire are ignored
-                (but must be finite).
+            samples: (n, samples) raw samples [m], oldest first; the samples of sensors that did not fire are ignored,
+                but must be finite.
             fresh: (n,) 1 for a sensor that fired since the last step, else 0.
-            gains: gains by port name, see `gain_ports(prefix)`.
+            gains: gains by port name; `gain_ports(prefix)` returns these ports.
             prefix: prefix of the port names of state and gains.
         """
         names = [port.name.removeprefix(prefix) for port in self.ports(prefix)]

@@ -12,7 +12,7 @@ __all__ = ["Late", "lateness"]
 _SMALL, _TELLING, _TELLING_WALL = 0.025, 0.035, 0.05  # m, least shift that matters, and that can show a delay
 _TRACK_SPREAD, _WALL_SPREAD = 0.012, 0.02  # m, standard deviation of residuals from the old track and expected range
 _TRACK_GATE = _WALL_GATE = 0.05  # m
-_EVIDENCE, _LOOKS, _LOOKS_WALL = 60.0, 4, 6  # needed for a decision: shift² in variances, and numbers of readings
+_EVIDENCE, _LOOKS, _LOOKS_WALL = 60.0, 4, 6  # needed for a decision: sum of shift²/variance, numbers of readings
 _FORGET = 0.95  # factor on the old evidence at each new reading
 
 

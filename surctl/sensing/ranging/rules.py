@@ -39,9 +39,9 @@ class _Compared(NamedTuple):
 
     corrected: Value  # [m], the reading; if it is late, minus its shift
     innovation: Value  # [m], difference from the track
-    agrees: Value  # whether it agrees with the known walls
-    crosstalk: Value  # whether it equals another sensor's reading
-    near: Value  # whether it belongs to the track
+    agrees: Value  # whether the reading agrees with the known walls
+    crosstalk: Value  # whether the reading equals another sensor's reading
+    near: Value  # whether the reading belongs to the track
 
 
 def range_step(
@@ -170,7 +170,7 @@ def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
     innovation = part * (corrected - x)
     usual = op.where(scene.turning, _SURPRISING_TURNING, _SURPRISING) * op.root(total)
     surprise = op.most(_CALM * state["surprise"], op.size(corrected - x) - usual, 0.0)
-    # such a reading confirms the track only to within their difference
+    # a reading near the track confirms the track only to within their difference
     from_wall = op.where(new.agrees, op.size(corrected - scene.expected), 0.0)
     shared = op.most(op.where(anew, 0.0, op.size(corrected - x)), from_wall)
     surprise = op.where(crosstalk, op.most(surprise, shared), surprise)

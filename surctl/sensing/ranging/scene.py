@@ -16,14 +16,14 @@ MOST_REPEATS = 9
 _TURNING = 0.05  # rad/s; at a lower rate the beam counts as not turning
 _SLIDING = 0.04  # m per cycle, above the noise of an expected range
 _NOISE = 2.25e-3  # m²/s³, noise of the rate, for an obstacle that changes its speed by 0.15 m/s within a second
-_NOISE_TURNING = 0.4  # m²/s³, the same while turning: the nearest point slides along objects that the beam sweeps
+_NOISE_TURNING = 0.4  # m²/s³, noise of the rate while turning: the nearest point slides along objects
 _VARIANCE = 0.09  # m², largest variance of the range
 _NEVER = 1e6  # s, rad
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """Parameters of the rules in SI units; see `RangeTracker`."""
+    """The parameters of the tracker's rules in SI units; see `RangeTracker`."""
 
     dt: float
     due: float
@@ -44,7 +44,7 @@ class Rules:
 
     @property
     def stuck(self) -> float:
-        """Number of repetitions above which a sensor counts as stuck; with too little noise, they are not counted."""
+        """Number of repetitions of a sample set above which a sensor is stuck; inactive if the noise is too small."""
         return max(self.repeats, 1) - 0.5
 
     @property
@@ -54,7 +54,7 @@ class Rules:
 
 
 class StepInputs(NamedTuple):
-    """Inputs of a tracker step."""
+    """The inputs of a tracker step."""
 
     samples: list[Value]
     fresh: Value

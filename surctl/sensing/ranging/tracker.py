@@ -60,8 +60,8 @@ class RangeTracker:
     """The tracker of an array: a step with explicit state returns range, bound and health of every sensor.
 
     The bound on the range covers objects that the last firing could detect. If an object enters or leaves a turning
-    beam between two firings, the bound covers this object only if it is a known wall. A sensor that reads its maximum
-    in open water cannot be distinguished from a sensor that receives no echoes (study 10).
+    beam between two firings, the bound covers this object only if the object is a known wall. A sensor that reads its
+    maximum in open water cannot be distinguished from a sensor that receives no echoes (study 10).
 
     Attributes:
         array: the sonar array.
@@ -172,7 +172,7 @@ class RangeTracker:
 
         Args:
             state: state by port name, with the shapes of `ports(prefix)`.
-            samples: (n, k) raw samples [m]; rows of sensors that did not fire are ignored (but must be finite).
+            samples: (n, k) raw samples [m]; the samples of sensors that did not fire are ignored, but must be finite.
             fresh: (n,) 1 for a sensor whose samples arrived since the last step, else 0.
             closing: (n,) the robot's velocity along each beam's axis [m/s]; a positive value shortens the range to an
                 object at rest.

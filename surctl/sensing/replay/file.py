@@ -22,7 +22,7 @@ __all__ = ["Recording", "filtered_rows", "read_readings", "sonar_array"]
 _CYCLE = SonarArray().cycle_limit  # s
 
 Array = NDArray[np.float64]
-_BACK = 0.05  # share of rows whose time may go back
+_BACK = 0.05  # share of lines whose time may go back
 _MOTION = ("closing_m_per_s", "turn_rad_per_s")
 
 
@@ -39,7 +39,7 @@ class Recording:
         crowded: number of lines skipped because a later reading of the same sensor is assigned to the same step.
         beyond: number of lines with a sample above the sensor's maximum; the maximum replaces this sample.
         cycle: usual time from one reading of a sensor to its next reading [s].
-        still: names of the motion columns that the file does not contain; their values are taken as 0.
+        still: names of the motion columns that the file does not contain; the replay uses 0 for these motions.
         single: whether the samples of every reading are equal to each other; then only one sample per reading is used.
     """
 

@@ -56,11 +56,11 @@ class Tracked:
     """The outputs of the tracker after each step, (steps, n) each.
 
     Attributes:
-        reading: trimmed mean of the newest firing, even if it did not update the track [m].
+        reading: trimmed mean of the newest firing [m], even if this firing did not update the track.
         range: estimated range [m].
         bound: half-width of the interval around `range` that shall contain the true range [m].
         healthy: whether the range is reliable.
-        age: time since a reading last updated the track [s]; NaN before the first reading.
+        age: time since the last reading that updated the track [s]; NaN before the first reading.
         accepted: whether the tracker accepted this step's reading.
     """
 
@@ -182,7 +182,7 @@ def tracker_of(readings: Readings) -> RangeTracker:
 
 
 def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], closing: Array, turn: Array) -> Tracked:
-    """Run the tracker from its initial state over samples (steps, n, k); fresh, closing (steps, n); turn (steps,).
+    """Run the tracker from its initial state on samples (steps, n, k), fresh and closing (steps, n), turn (steps,).
 
     Example:
         >>> import numpy as np

@@ -24,17 +24,17 @@ class SonarArray:
     """Sensors on the hull that fire one after another; a default that the paper does not give is a design choice.
 
     Attributes:
-        azimuths: (n,) directions of the beams' axes in {B} [rad], counter-clockwise from forward (*chosen*).
+        azimuths: (n,) directions of the beams' axes in {B} [rad], counter-clockwise from forward (design choice).
         mounts: (n, 2) apexes of the beams in {B} [m], not inside the hull; None: each apex lies on the hull at the
-            azimuth of its sensor. The directions that the hull blocks are not part of a beam, see `cones`. hull_radius:
-        radius [m] of the hull, a disc about the robot's centre. beam_angle: full opening angle [rad], below π (75°, a
-        design choice). incidence_limit: largest angle [rad] between the outward normal of a surface and the direction
-        to the sensor
+            azimuth of its sensor. The directions that the hull blocks are not part of a beam, see `cones`.
+        hull_radius: radius [m] of the hull, a disc about the robot's centre.
+        beam_angle: full opening angle [rad], below π (75°, a design choice).
+        incidence_limit: largest angle [rad] between the outward normal of a surface and the direction to the sensor
             at which the surface reflects, in (0, π/2) (Webots' default for its sonars is 22.5°); None: every surface
             reflects.
-        minimum: blind range [m]; the sensor reads `minimum` for every object at a shorter distance (*chosen*).
-        blind_time: time after a ping in which the sensor receives no echo [s]; it replaces `minimum`. With
-            `blind_time`, the blind range is half the blind time, multiplied by the speed of sound.
+        minimum: blind range [m]; the sensor reads `minimum` for every object at a shorter distance (design choice).
+        blind_time: time after a ping in which the sensor receives no echo [s]; if given, the blind time replaces
+            `minimum`. With `blind_time`, the blind range is half the blind time, multiplied by the speed of sound.
         maximum: longest range [m] that the sensor measures; a sensor without an echo also reads `maximum`.
         medium, temperature: medium in which the sound travels, and temperature of the medium [°C]; medium and
             temperature determine the speed of sound.

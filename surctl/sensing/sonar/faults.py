@@ -105,7 +105,7 @@ class FaultChances(Strict):
     @classmethod
     @cache
     def kinds(cls) -> tuple[FaultKind, ...]:
-        """Return the kinds of random faults, in the order in which their probabilities are added up."""
+        """Return the kinds of random faults, in the order in which a uniform number selects among them."""
         return tuple(kind for kind in FAULT_KINDS if kind in cls.model_fields)
 
     def strikes(self, uniform: float) -> FaultKind | None:

@@ -21,14 +21,14 @@ __all__ = ["fire", "firing_samples", "true_range"]
 
 
 def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
-    """Return the distance [m] from a sensor's apex to the nearest reflecting point in its cones; inf without one.
+    """Return the distance [m] from a sensor's apex to the nearest reflecting point in its cones; inf if none exists.
 
     Args:
         array: the sonar array.
         sensor: index of the sensor.
         position: (2,) centre of the robot in {E} [m].
         heading: ψ [rad].
-        shapes: all reflecting shapes at their present positions.
+        shapes: all reflecting shapes of the scene, at their present positions.
 
     Raises:
         InputError: if the sensor does not exist, or the position or heading is not finite.
@@ -67,7 +67,7 @@ def fire(
         sensor: index of the sensor.
         position: (2,) centre of the robot in {E} [m].
         heading: ψ [rad].
-        shapes: all reflecting shapes at their present positions.
+        shapes: all reflecting shapes of the scene, at their present positions.
         noise: (samples,) standard normal numbers.
 
     Raises:

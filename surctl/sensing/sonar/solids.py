@@ -15,7 +15,7 @@ from surctl.sensing.sonar.cones import disc_range, turned, wall_range
 
 __all__ = ["Cone", "Solid", "SolidBox", "SolidDisc", "SolidWalls"]
 
-_IN_CONE = 1e-12  # as `Shape.nearest_in_cone`
+_IN_CONE = 1e-12  # tolerance, as in `Shape.nearest_in_cone`
 _BESIDE = 1e-9  # rad, as `Shape.outlook`
 _PARALLEL = 1e-30  # replaces a direction component of 0, so that the ray crosses the slab very far away
 _LEAST = 1e-30  # m, lower limit of a length used as divisor
@@ -54,7 +54,7 @@ class Solid(ABC):
 
     @abstractmethod
     def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
-        """Return the distance [m] along a unit vector (2, 1) to the first hit, and the cosine of its incidence."""
+        """Return the distance [m] along a unit vector (2, 1) to the first hit, and the cosine of incidence at it."""
 
     @abstractmethod
     def outlook(self, apex: ca.SX) -> list[ca.SX]:

@@ -12,7 +12,7 @@ __all__ = ["Medium", "speed_of_sound"]
 Medium: TypeAlias = Literal["water", "air"]
 
 _MARCZAK = (1.402385e3, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
-_RANGE = {"water": (0.0, 95.0), "air": (-20.0, 50.0)}  # °C; the range for air is *chosen*: temperatures of a test site
+_RANGE = {"water": (0.0, 95.0), "air": (-20.0, 50.0)}  # °C; for air a design choice: temperatures of a test site
 
 
 def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
