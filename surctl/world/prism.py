@@ -43,11 +43,11 @@ class Heights:
         return isinf(self.bottom) and isinf(self.top)
 
     def gap(self, z: float) -> float:
-        """Return the signed vertical distance [m] from z to the interval; it is negative inside."""
+        """Return the signed vertical distance [m] from z to the interval, negative if z lies inside the interval."""
         return max(self.bottom - z, z - self.top)
 
     def crosses(self, z: float, distance: float) -> bool:
-        """Return whether any part of the body lies less than `distance` [m] above or below z."""
+        """Return whether any part of the interval lies less than `distance` [m] above or below z."""
         return self.gap(z) < distance
 
     def shares(self, other: Heights) -> bool:
@@ -67,7 +67,7 @@ class Prism:
     heights: Heights = WHOLE
 
     def distance(self, x: float, y: float, z: float) -> float:
-        """Return the signed distance [m] of a point in {E} to the surface; inside, minus the distance to a face."""
+        """Return the signed distance [m] from a point in {E} to the surface of the prism, negative inside the prism."""
         across = self.base.foot(x, y)[0]
         if self.heights.whole:
             return across

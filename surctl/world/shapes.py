@@ -34,7 +34,7 @@ _BESIDE = 1e-9  # [rad] angle between a ray and the corner or rim that it passes
 
 
 class Shape(ABC):
-    """A solid convex set in the plane; a subclass defines `foot`, `hit`, `outlook` and `moved`."""
+    """A solid convex set in the plane; subclasses define `foot`, `hit`, `outlook` and `moved`."""
 
     @abstractmethod
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
@@ -199,7 +199,7 @@ class Box(Shape):
         return distance, cx + c * qx - s * qy, cy + s * qx + c * qy
 
     def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """See `Shape.hit`; by the slab method in the box's frame, the ray hits the slab that it enters last."""
+        """See `Shape.hit`; by the slab method in the box's frame, the hit is the entry into the last slab."""
         px, py = self._local(x, y)
         c, s = self._axis
         hx, hy = self._half
@@ -249,7 +249,7 @@ class Wall(Shape):
 
     Attributes:
         point: (2,) any point of the surface [m] in {E}.
-        normal: (2,) vector into the water, of any length greater than 0; it is stored as a unit vector.
+        normal: (2,) vector into the water, of any length greater than 0; the shape stores the unit vector.
     """
 
     point: Vector2
@@ -311,7 +311,7 @@ def _beside(ux: float, uy: float, side: float) -> tuple[float, float]:
 
 
 def _slab(position: float, direction: float, *, half: float) -> tuple[float, float]:
-    """Return the parameters at which a line enters and leaves the slab |coordinate| ≤ half; (inf, −inf) if never."""
+    """Return the parameters where a line enters and leaves the slab |coordinate| ≤ half; (inf, −inf) if it misses."""
     if direction == 0.0:
         return (-inf, inf) if abs(position) <= half else (inf, -inf)
     one, other = (-half - position) / direction, (half - position) / direction
