@@ -1,7 +1,7 @@
 """The dynamics (3) with current, optional linear heave drag, thrust limits and first-order thrust lag.
 
 Added mass is part of the inertia matrix that the model inverts. A model that instead feeds back the added-mass force
-from a delayed acceleration diverges if the added mass exceeds the dry mass, as it does for this robot.
+from a delayed acceleration diverges if the added mass exceeds the dry mass, as the added mass of this robot does.
 """
 
 from __future__ import annotations

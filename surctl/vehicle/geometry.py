@@ -35,7 +35,7 @@ def sphere(
     the shell moves with the shell, and the added mass is that of a sphere, ½ρV (Fossen 2021, ch. 8). For f = 0, water
     passes freely through the shell. The moment of inertia is 2/5 (m + f (ρV − m)) R², as for a solid sphere without
     added mass. The quadratic drag is ½ρ C_d πR² in surge and sway, and 1.5 times this value in heave. Linear drag and
-    yaw drag are design choices, because no formula of this kind exists for them.
+    yaw drag are design choices, because no formula of this kind exists for linear drag or yaw drag.
 
     Args:
         name: name of the vehicle.

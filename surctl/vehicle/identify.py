@@ -34,7 +34,7 @@ _PRIOR = 2.0  # prior standard deviation of the relative change of a parameter
 _NARROW = 0.5  # largest ratio of half-interval to value of an identified parameter
 _CONVERGED = 1e-6  # relative change of the cost at which a fit has converged
 _TRIES = 40
-_FIRST_ROWS, _LONGER, _NEAR = 50, 1.5, 1e-3  # first fit: number of rows, growth per fit, and its tolerance
+_FIRST_ROWS, _LONGER, _NEAR = 50, 1.5, 1e-3  # first fit: number of log lines, growth per fit, tolerance
 _ROUNDS = 4  # largest number of alternations between fit and noise estimate
 _WHITE = 4.0  # correlation of neighbouring residuals over its standard deviation, above which they are not white noise
 _ROUNDING = 1e-6  # [m, rad, m/s, rad/s] residual standard deviation that is only rounding
@@ -204,7 +204,7 @@ def _identified(
 def _spread(slope: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the standard deviations √diag (SᵀS)⁻¹ of θ, where S is the Jacobian of the normalised residuals.
 
-    The computation is also valid if SᵀS is nearly singular.
+    The result is also valid if SᵀS is nearly singular.
     """
     size = np.linalg.norm(slope, axis=0)
     size[size == 0] = 1.0  # initial value of a quantity that is not measured and has no effect

@@ -66,7 +66,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle: its name, a note, every parameter of (3) by name (SI units), and its source file."""
+    """A vehicle: its name, a note, every parameter of (3) by name (in SI units), and the file it was read from."""
 
     name: str
     note: str
@@ -138,7 +138,7 @@ def load_vehicle(name_or_path: str) -> Vehicle:
 
     Raises:
         InputError: the name is unknown, the file is unreadable, a key is missing or unknown, a unit or sign is wrong, a
-            value is outside its own range, or a table has no provenance.
+            value is outside the range stated for it, or a table has no provenance.
 
     Example:
         >>> from surctl.vehicle import load_vehicle

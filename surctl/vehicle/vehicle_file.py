@@ -9,7 +9,7 @@ __all__ = ["write_vehicle"]
 
 
 def write_vehicle(vehicle: Vehicle) -> str:
-    """Return the text of a vehicle file; reading it gives the same numbers, ranges and provenances.
+    """Return the text of a vehicle file from which the vehicle's numbers, ranges and provenances can be read again.
 
     Example:
         >>> from pathlib import Path
