@@ -79,14 +79,15 @@ class Calibration:
         true: (n,) true distances.
         measured: (n,) readings of the sensor.
         order: (n,) position of each sorted reading in the input data.
-        bias: value of the fitted line at true = 0.
+        bias: value of the fitted line at the true distance 0.
         scale: slope of the fitted line [1].
         noise_sd: sd of the readings about the line; if the noise depends on range, the root of the mean of sd² over the
             readings.
-        noise_at_zero: s0 of sd = s0 + s1·range; None if one sd fits all ranges, or if there are too few readings.
-        noise_slope: s1 [m/m] of sd = s0 + s1·range; None if there are too few readings or no noise.
+        noise_at_zero: sd extrapolated to range 0, s0 in sd = s0 + s1·range; None if one sd fits all ranges, or if there
+            are too few readings.
+        noise_slope: slope s1 [m/m] in sd = s0 + s1·range; None if there are too few readings or no noise.
         noise_slope_p: p-value of the test that the noise slope is 0; None if `noise_slope` is None.
-        mean_error: mean of measured − true.
+        mean_error: mean of the errors measured − true.
         error_sd: sd of the errors measured − true about their mean.
         relative_sd: (n,) fitted sd of each reading, divided by `noise_sd`.
         studentised: (n,) externally studentised residuals: each residual is divided by its sd, estimated from the other
@@ -143,7 +144,7 @@ class Calibration:
 
     @property
     def varies(self) -> bool:
-        """Whether the noise depends on range at the 5 % level; if so, the fit is weighted."""
+        """Whether the noise depends on range at the 5 % level; only in this case, the fit is weighted."""
         return self.noise_at_zero is not None
 
     def to_dict(self) -> dict[str, Any]:
@@ -221,7 +222,7 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
 
 
 def _varies(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
-    """Return whether the noise of these readings depends on range at the 5 % level."""
+    """Return whether the noise of the given readings depends on range at the 5 % level."""
     if len(x) < LEAST_ROWS_OF_SLOPE or len(np.unique(x)) < LEAST_DISTANCES:
         return False
     line = fit_line(x, y, np.ones(len(x)))

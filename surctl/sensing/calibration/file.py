@@ -63,7 +63,7 @@ class SensorCalibration:
 
     @property
     def title(self) -> str:
-        """Sensor and medium as text; "one sensor" if the file names neither."""
+        """Names of sensor and medium as text; "one sensor" if the file names neither a sensor nor a medium."""
         parts = [f"sensor {self.sensor}" if self.sensor else "", self.medium]
         return ", ".join(p for p in parts if p) or "one sensor"
 
@@ -110,9 +110,9 @@ def calibrate_file(path: Path) -> list[SensorCalibration]:
     """Return a calibration of every sensor and medium in a CSV file, in the order of their first lines in the file.
 
     The file has the columns `true_m` and `measured_m`, or both with the suffix `_cm` or `_mm`. A file with several
-    sensors or media also has the text columns `sensor` and `medium`. Other columns are ignored. Lines with a missing,
-    NaN or infinite number are skipped and counted. Lines whose true distances are not in ascending order are sorted and
-    counted. A distance below 0 is an error.
+    sensors or media also has the text columns `sensor` and `medium`. Columns with other names are ignored. Lines with a
+    missing, NaN or infinite number are skipped and counted. Lines whose true distances are not in ascending order are
+    sorted and counted. A negative distance raises InputError.
 
     Raises:
         InputError: if `read_recorded` or `calibrate` raises InputError, a column is missing, or units are mixed.
@@ -285,7 +285,7 @@ def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]
 
 
 def _number(value: float) -> str:
-    """Return a number as TOML float text."""
+    """Return a number as the text of a TOML float."""
     text = f"{value:.6g}"
     return text if any(c in text for c in ".en") else text + ".0"
 

@@ -28,7 +28,7 @@ _CELLS = 4096  # with more distinct ranges, ranges within 1/4096 of the span sha
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseShape:
-    """The fitted noise as a function of range.
+    """The standard deviation of the noise, fitted as a function of range.
 
     Attributes:
         p: p-value of the likelihood-ratio test of the hypothesis that the noise is the same at all ranges.
@@ -53,9 +53,9 @@ def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> Noise
     """Fit sd(x) = s0 + s1·x to residuals about a line.
 
     Args:
-        x: (n,) ranges [m], n > 4, not all equal.
-        residuals: (n,) residuals about an unweighted line [m], not all 0. `line` of the result is the difference of
-            the weighted line from this unweighted line.
+        x: (n,) ranges [m] of the readings, n > 4, not all equal.
+        residuals: (n,) residuals about an unweighted line [m], not all 0. In the result, `line` is the weighted line
+            minus the unweighted line.
     """
     from scipy import stats  # the import takes about a second
 

@@ -1,10 +1,10 @@
 """Measurements by the base station: moving obstacles, and the robot's own position.
 
 `observe` and `measure` return measurements without delay or loss. `message` and `fix` return periodic measurements that
-arrive late or are lost. The caller passes the state at the time of a late measurement, from a buffer (`delayed`) or
-from the known motion of an obstacle. The noise is white and Gaussian; the caller draws the standard normal numbers.
-A method whose name ends in `_symbols` returns the result of the method without this suffix, in CasADi symbols for a
-compiled loop.
+arrive late or are lost. The caller passes the state at the time of measurement. This earlier state comes from a buffer
+(`delayed`) or from the known motion of an obstacle. The noise is white and Gaussian; the caller draws the standard
+normal numbers. A method whose name ends in `_symbols` returns the result of the method without this suffix, in CasADi
+symbols for a compiled loop.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class OwnState:
     def measure(
         self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return measured η (4,) in {E} [m, rad], and ν (4,) in {B} [m/s, rad/s] without noise.
+        """Return measured η (4,) in {E} [m, rad], and noise-free ν (4,) in {B} [m/s, rad/s].
 
         Args:
             eta: (4,) true η.

@@ -4,11 +4,12 @@ The filter estimates the position at the time `latency` before the present. So p
 the position at the time of its measurement, even after long gaps. The filter predicts the present position with the
 accelerations of the steps since that measurement, which it stores in a ring buffer. The accelerations come from the
 vehicle model (3) under the last command (with thrust limit and lag, and drag at the estimated ground velocity), rotated
-to {E} by the heading. The filter also estimates a disturbance acceleration in {E}, which represents all model errors
+into {E} by the heading. The filter also estimates a disturbance acceleration in {E}, which represents all model errors
 (mass, drag, waves, current).
 
 x, y and z share one covariance. The covariance ignores the damping by drag. So in a gap between fixes, the covariance
-is too large rather than too small. Yaw and yaw rate are measured in every step, so their gains are constant.
+is too large rather than too small. Yaw and yaw rate are measured in every step, so the Kalman gains for yaw and yaw
+rate are constant.
 
 The filter builds CasADi expressions with explicit state for the exported law.
 """
@@ -134,12 +135,12 @@ class OwnStateFilter:
 
     @cached_property
     def model_covariance(self) -> NDArray[np.float64]:
-        """Covariance (3, 3) that a step adds to Q for each (m/s²)² of modelled acceleration."""
+        """Covariance (3, 3) that is added to Q in a step for each (m/s²)² of modelled acceleration."""
         return white(self.dt, self.model_noise)
 
     @cached_property
     def yaw_gains(self) -> NDArray[np.float64]:
-        """Kalman gains (2, 2) from the innovations of yaw and yaw rate (columns) to yaw and yaw rate (rows)."""
+        """Kalman gains (2, 2) from the innovations of yaw and yaw rate (columns) to their estimates (rows)."""
         return yaw_gains(
             self.dt, yaw_sd=self.yaw_sd, rate_sd=self.rate_sd, acceleration_noise=self.yaw_acceleration_noise
         )
@@ -207,7 +208,7 @@ class OwnStateFilter:
             state: state by port name, with the shapes of `ports(prefix)`.
             fix: (3,) position [m] in {E}, measured `latency` before; if no fix arrived, any finite values.
             fix_fresh: 1 if a fix has arrived since the last step, else 0.
-            yaw: measured ψ [rad], with any number of full turns.
+            yaw: measured ψ [rad], which may contain any number of full turns.
             yaw_rate: measured r [rad/s].
             tau: (4,) command of the previous step, in {B} [N, N m].
             model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit` of the vehicle model, (4,) each.

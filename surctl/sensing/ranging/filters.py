@@ -47,10 +47,11 @@ def weighted_average(samples: ca.SX) -> ca.SX:
 def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Apply the gate (4)–(5): return `value` if it lies within λ1·S of the previous raw value, else the running mean.
 
-    S² = mean(d²) − mean(d)² over the window. S is limited to at least one conversion step: a constant signal has S = 0,
-    and the gate would refuse every value. With λ1 = 0 the gate accepts no value and always returns the running mean.
-    The window also stores refused raw values. After a true jump of the range, the next reading lies near the previous
-    raw value, so the gate accepts the next reading. The gate is late by one firing and cannot refuse for ever.
+    S² = mean(d²) − mean(d)² over the window. The standard deviation S is limited to at least one conversion step: a
+    constant signal has S = 0, and the gate would refuse every value. With λ1 = 0 the gate accepts no value and always
+    returns the running mean. The window also stores refused raw values. After a true jump of the range, the next
+    reading lies near the previous raw value, so the gate accepts the next reading. The gate is late by one firing and
+    cannot refuse for ever.
 
     Args:
         window: (n,) the last n values of the weighted mean, before the gate [m], newest first.
@@ -110,10 +111,10 @@ def lms_step(
     If e_n ≥ ē, the weights change to θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}); otherwise they do not change ("smaller …
     does not need to be corrected"). In this formula, ℜ = x_n − θᵀX, and X holds the m values *before* x_n (erratum
     E19). The corrected error is e_n = (1/N) Σ w_i |e_i|, where w falls linearly from 1 (newest) to 1/N (erratum E6).
-    Its exponential mean is ē, with a time constant of N firings (design choice), and β = β_max·min(1, e_n/ē). The
-    variance that (7) also defines is not used in any formula. With `step` "corrected", 2μ = ρ/XᵀX with the relaxation 0
-    < ρ ≤ 1; ρ = 1 is the line-search optimum with residual 0. With `step` "printed", 2μ = 2/XᵀX for every ρ; the
-    residual after the step is −ℜ, so the magnitude of the residual never decreases (erratum E5).
+    The exponential mean of e_n is ē, with a time constant of N firings (design choice), and β = β_max·min(1, e_n/ē).
+    The variance that (7) also defines is not used in any formula. With `step` "corrected", 2μ = ρ/XᵀX with the
+    relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum with residual 0. With `step` "printed", 2μ = 2/XᵀX for every
+    ρ; the residual after the step is −ℜ, so the magnitude of the residual never decreases (erratum E5).
 
     Args:
         theta: weights θ_n (m,).
@@ -234,7 +235,7 @@ class SensorFilter:
         gains: Mapping[str, ca.SX],
         prefix: str = "",
     ) -> FilterUpdate:
-        """Return the ranges after one control step, in which sensors that fired process their samples.
+        """Return the ranges after one control step; the filters of the sensors that fired process new samples.
 
         The range must be valid until the sensor fires again. So the range is the smaller of two values, the newest
         gated value and the prediction of the next value, limited to [lowest, maximum]. A sensor is healthy while fewer

@@ -2,8 +2,8 @@
 
 The tracker takes a trimmed mean of the samples of each firing. For each sensor, a Kalman filter estimates range and
 rate (constant velocity; Bar-Shalom, Li and Kirubarajan 2001, 6.2), with the robot's own motion as a known input.
-Additional rules distinguish faulty readings from true ones. The rules (module `rules`) are written once. They run on
-CasADi symbols for the exported law, and on NumPy arrays for recorded readings and many runs at once.
+Additional rules distinguish faulty readings from true ones. The rules (module `rules`) are written once, for two uses:
+CasADi symbols for the exported law, and NumPy arrays for recorded readings and many runs at once.
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ class RangeTracker:
         """Number of repetitions of a sample set after which a sensor counts as stuck; 0 if the noise is too small.
 
         Two successive firings of a working sensor give equal sets of codes with a probability of at most p; the
-        probability is p at the worst position of the range between two conversion steps. The number r of repetitions
-        satisfies p^r < 1e-4.
+        probability is p if the range lies at the worst position between two conversion steps. The number r of
+        repetitions satisfies p^r < 1e-4.
         """
         chance = _chance_of_equal_sets(self.array)
         needed = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))

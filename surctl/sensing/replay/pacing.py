@@ -62,8 +62,8 @@ def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
 def on_steps(time: Array, dt: float, *, file: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Return the step of each reading; for each segment between long gaps, its first step and its start time [s].
 
-    The steps are placed so that jitter rarely moves a reading into a neighbouring step. The first reading of a segment
-    lies in the segment's first step. The function raises InputError if there are too many steps.
+    The step boundaries are placed so that jitter rarely moves a reading into a neighbouring step. The first reading of
+    a segment lies in the segment's first step. `InputError` is raised if the recording would have too many steps.
 
     Args:
         time: (rows,) times [s], ascending.

@@ -34,7 +34,7 @@ class Readings:
         fresh: (steps, n) whether a reading arrived since the previous step.
         row: (steps, n) index of the reading's data line in the file; -1 if no reading arrived.
         closing: (steps, n) velocity of the robot along each beam's axis [m/s].
-        turn: (steps,) yaw rate [rad/s].
+        turn: (steps,) yaw rate of the robot [rad/s].
         first: (segments,) steps at which the tracker restarts: step 0, and the first step after each long gap.
         array: the sonar array.
         dt: time from step to step within a segment [s].
@@ -61,7 +61,7 @@ class Tracked:
         bound: half-width of the interval around `range` that shall contain the true range [m].
         healthy: whether the range is reliable.
         age: time since the last reading that updated the track [s]; NaN before the first reading.
-        accepted: whether the tracker accepted this step's reading.
+        accepted: whether the tracker accepted the reading that arrived in the step.
     """
 
     reading: Array
@@ -74,7 +74,7 @@ class Tracked:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSummary:
-    """Summary of one sensor in a replay.
+    """The summary of one sensor in a replay.
 
     Attributes:
         sensor: index of the sensor.
@@ -96,7 +96,7 @@ class SensorSummary:
     median_bound: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the summary as plain data for JSON."""
+        """Return the summary of the replay as plain data for JSON."""
         return {
             "sensor": self.sensor,
             "readings": self.readings,

@@ -42,11 +42,11 @@ class SonarArray:
             range times `scale`, which is the assumed speed divided by the true speed.
         firing_period: ΔT between two firings [s]; the echo from an object at `maximum` must arrive within ΔT.
         cycle_limit: longest cycle [s]; II-B: "the cycle time is set to be less than 0.1 s".
-        order: the sensors in firing order, each exactly once.
+        order: indices of the sensors in firing order, each index exactly once.
         bits: number of bits of the conversion; one conversion step is `resolution` (erratum E4).
         noise_sd: standard deviation of the noise of one sample [m].
-        bias: constant error of every sample [m] (Table II, water).
-        samples: number of samples in a firing; all are conversions of one echo.
+        bias: constant error of every sample [m] (default from Table II, water).
+        samples: number of samples in a firing; all samples of a firing are conversions of one echo.
         cones: for each sensor, the one or two parts of its beam that the hull does not block; each part is given as
             (offset from the axis, half angle) [rad] and computed from the other attributes.
     """

@@ -207,7 +207,8 @@ def faulty(
         time: time of the firing [s].
         distance: range to the nearest reflecting point [m], from `true_range`.
         noise: (samples,) standard normal numbers.
-        faults: scheduled faults, checked by `check_faults`; if several are active at a firing, the first one acts.
+        faults: scheduled faults, checked by `check_faults`; if several faults are active at a firing, the first fault
+            in the sequence acts.
         chances: probabilities of random faults, which may occur if no scheduled fault is active.
         uniforms: two numbers in (0, 1); the first selects the random fault, the second gives the value of a spike.
 

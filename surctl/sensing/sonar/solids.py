@@ -58,7 +58,7 @@ class Solid(ABC):
 
     @abstractmethod
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
-        """Return unit vectors (2, 1) from the apex in whose directions the nearest echo of a scene may lie."""
+        """Return unit vectors (2, 1) from the apex; the nearest echo of a scene may lie in one of these directions."""
 
 
 @dataclass(frozen=True, eq=False)
