@@ -1,4 +1,4 @@
-"""Geometry for sensing and simulation: planar shapes, distances and cones, and upright solids."""
+"""Geometry for sensing and simulation: planar shapes, distances to shapes, nearest points in cones, upright solids."""
 
 from surctl.world.echoes import nearest_echo
 from surctl.world.prism import WHOLE, Heights, Prism

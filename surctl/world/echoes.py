@@ -5,8 +5,8 @@ the surface. So `nearest_echo` cannot treat the shapes one by one; it examines a
 the nearest echo. On each face, range and incidence both increase with the distance from the foot point, the point of
 the face nearest to the apex. So the nearest reflecting point of a face is its foot point if the foot point is visible;
 otherwise it lies where the visible part of the face ends: at a corner of the face, on an edge ray of the cone, or at
-the shadow of another shape's rim. `Shape.outlook` lists the directions to these points, and the function evaluates the
-first hit in each direction.
+the shadow of another shape's rim. `Shape.outlook` lists the directions to these points, and `nearest_echo` evaluates
+the first hit in each direction.
 
 The rays pass corners and rims at an angle of 1e-9 rad, which changes a range r by less than 1e-9·r·tan(limit). Shapes
 may touch. If two shapes overlap, the directions do not include the intersection of their surfaces; if the smallest

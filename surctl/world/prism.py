@@ -67,7 +67,7 @@ class Prism:
     heights: Heights = WHOLE
 
     def distance(self, x: float, y: float, z: float) -> float:
-        """Return the signed distance [m] from a point in {E} to the surface of the prism, negative inside the prism."""
+        """Return the signed distance [m] of a point in {E} to the prism; inside, minus the distance to a face."""
         across = self.base.foot(x, y)[0]
         if self.heights.whole:
             return across
