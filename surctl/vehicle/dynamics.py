@@ -133,7 +133,7 @@ def build_plant() -> Plant:
 
 
 def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the thrust τ = C(ν)ν + D(ν)ν (4,) [N, N m] that holds the body velocity ν (4,) in still water.
+    """Return the trim thrust τ = C(ν)ν + D(ν)ν (4,) [N, N m], which holds the body velocity ν (4,) in still water.
 
     Example:
         >>> import numpy as np

@@ -29,7 +29,7 @@ FRAME_TEXT: dict[Frame, str] = {
 def swap_pose(eta: ArrayLike) -> NDArray[np.float64]:
     """Convert poses (…, 4) of x, y, z [m] and ψ [rad] from ENU to NED or back: (y, x, −z, π/2 − ψ).
 
-    Headings are not wrapped to one turn. A NaN takes the position of the converted quantity.
+    Headings are not wrapped to one turn by the conversion. If a quantity is NaN, its converted value is NaN.
 
     Example:
         >>> import numpy as np

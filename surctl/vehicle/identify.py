@@ -50,9 +50,9 @@ class Identified:
             identified have the values of `start`.
         start: the vehicle whose parameters are the initial values of the fit.
         estimates: for every fitted parameter by name, the estimate and half the width of its 95 % interval.
-        identified: names of the parameters with a sufficiently narrow interval.
+        identified: names of the parameters whose 95 % interval is sufficiently narrow.
         noise: standard deviation of the residuals, by column of the log.
-        notes: reasons why the intervals may be wrong.
+        notes: reasons why the 95 % intervals may be wrong.
     """
 
     vehicle: Vehicle
@@ -66,9 +66,9 @@ class Identified:
 def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     """Fit masses, drag and thrust lag of the vehicle `start` to a log, together with the unknown initial motion.
 
-    The model assumes still water, and thrust that follows its command with a first-order lag. The thrust at the start
-    of the log is fitted too. If `start` has no thrust lag, the fitted vehicle has no thrust lag. Thrust limits and
-    radius are those of `start`, because they cannot be identified from a log.
+    The model assumes still water, and thrust that follows its command with a first-order lag. The fit also estimates
+    the thrust at the start of the log. If `start` has no thrust lag, the fitted vehicle has no thrust lag. Thrust
+    limits and radius are those of `start`, because they cannot be identified from a log.
 
     Raises:
         InputError: no simulated motion is finite, which shows that the columns of motion and thrust do not match.
