@@ -91,8 +91,7 @@ class Body:
         return distance
 
     def contact(self, position: ca.SX) -> ca.SX:
-        """Return the contact (1, 6): x, y, radius, vx, vy, valid; for a box, x, y is its point nearest to
-        `position`."""
+        """Return the contact (1, 6): x, y, radius, vx, vy, valid; a box is given by its point nearest to `position`."""
         if self.boxed:
             half = 0.5 * self.size
             point = self.centre + ca.fmin(ca.fmax(position - self.centre, -half), half)
