@@ -36,7 +36,7 @@ class Sector(NamedTuple):
 
     @staticmethod
     def of(row: ca.SX) -> Sector:
-        """Return the sector that one line of an array of sectors holds."""
+        """Return the sector that one line of the array `sectors` holds."""
         return Sector(row[:2], row[2], row[3:5])
 
 

@@ -6,8 +6,8 @@ thrust command while the robot brakes, D the drag, c the current, and f any othe
 of the obstacle towards the robot, s = v + v_o the closing speed, and z = s + τ max(F + F_b, 0)/m.
 
 1. Then z ≥ s. While s ≥ 0, ż ≤ −(F_b − f + D(v − c))/m ≤ −F'/m with F' = F_b − f − D(v_o + c) for the largest drag,
-   because D is odd and increasing. (If the robot brakes with more than F_b, then F < −F_b and z = s, and the same
-   bound on ż holds.)
+   because D is odd and increasing. (If the robot brakes with more than F_b, then F < −F_b and z = s, and ż has the
+   same upper bound −F'/m.)
 2. The stopping distance S = m z²/(2F') satisfies Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance l satisfies l̇ ≥ −s, so
    l − S does not decrease. While s < 0, the clearance l increases, and S, evaluated at s = 0, decreases with F. So
    braking keeps l ≥ S ≥ 0. `stopping_distance` is S = m s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m). S is convex
@@ -23,25 +23,25 @@ of the obstacle towards the robot, s = v + v_o the closing speed, and z = s + τ
    during a control period T any thrust may act. Let V be the largest speed of the robot since the echo, and
    a⁺ = (F⁺ + f + D(v_o + c))/m_min. If d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), then
    l ≥ S at the next decision too. If this inequality fails, the robot brakes fully along n until it holds again, and
-   step 2 keeps l ≥ S meanwhile. So the robot never hits an obstacle for which the inequality has held once.
+   step 2 keeps l ≥ S meanwhile. So the robot never hits an obstacle if the inequality of this step has held once.
 5. The distance to a convex body is a convex function of the position. So a lower bound on the distance along the
    direction n of the last decision without braking is also a lower bound on the clearance.
 6. A law may use its own speed bound b(d) and brake as soon as v exceeds b by x(b), the excess at which its velocity
    loop commands F_b. Such a law keeps l ≥ S (or l ≥ B) if, wherever it does not brake, d − ε is at least the range
    that step 4 requires at v = b + x, down to d = 0.
 
-Assumptions: there is one obstacle at a time (braking for one obstacle does not lead into another); |v_o| is always
-bounded; m11 = m22. A sideways speed w at the start of braking adds the force `sideways_force`, because drag acts on
-each axis separately and not along the velocity. At a speed a ahead, drag helps to brake at any heading with at least
-(X a + X2 a²/√2) minus `sideways_force`, where X and X2 are the linear and quadratic drag coefficients. If drag acted
-along the velocity, the sideways speed would add at most X2 w min(v_o + c, w/2). If the hull turns at r rad/s while it
-brakes without a sideways command, the lagging thrust turns with the hull: z = s + (τ max(F + F_b, 0) + rτ²|F_across|)/m
-satisfies step 1 with the additional force (rτ)²F. The thrust limit acts on each axis separately, so the largest thrust
-on a diagonal is √2 times the largest thrust of one axis.
+Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead it into another obstacle);
+|v_o| is always bounded; m11 = m22. A sideways speed w at the start of braking adds the force `sideways_force`, because
+drag acts on each axis separately and not along the velocity. At a speed a ahead, drag helps to brake at any heading
+with at least (X a + X2 a²/√2) minus `sideways_force`, where X and X2 are the linear and quadratic drag coefficients.
+If drag acted along the velocity, the sideways speed would add at most X2 w min(v_o + c, w/2). If the hull turns at r
+rad/s while it brakes without a sideways command, the lagging thrust turns with the hull: z = s + (τ max(F + F_b, 0) +
+rτ²|F_across|)/m satisfies step 1 with the additional force (rτ)²F. The thrust limit acts on each axis separately, so
+the largest thrust on a diagonal is √2 times the largest thrust of one axis.
 
-`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. A grid of
-values that is checked cell by cell proves step 3. Certificates (`surctl.verification.braking`) prove steps 4 to 6 for
-one vehicle, one `Watch` (delay and accuracy of the measurements) and one law.
+`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. A check of a
+tabulated distance, cell by cell, proves step 3. Certificates (`surctl.verification.braking`) prove steps 4 to 6 for one
+vehicle, one `Watch` (delay and accuracy of the measurements) and one law.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ _SUMMANDS = 4000  # terms of the upper sum, which is then less than 0.2 % too lo
 
 @dataclass(frozen=True)
 class Brakes:
-    """The worst-case braking data of a vehicle, which hold for surge and sway.
+    """The braking data of a vehicle in the worst case, with the same values for surge and sway.
 
     Attributes:
         masses: least and largest mass [kg], > 0.
@@ -180,8 +180,8 @@ def brakes_of(
     Args:
         vehicle: the vehicle.
         share: guaranteed share of the stated thrust, in (0, 1].
-        spread: relative error of mass and drag; the stated thrust is then the largest thrust. None uses the ranges in
-            the vehicle's file, where a parameter without a range is exact.
+        spread: relative error of mass and drag; the stated thrust is then the largest thrust. With None, the function
+            uses the ranges in the vehicle's file, where a parameter without a range is exact.
         disturbance, current: see `Brakes`.
     """
     if not 0 < share <= 1:
@@ -249,7 +249,7 @@ def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float 
 
     Args:
         brakes: braking data of the vehicle; the present thrust is taken as the largest thrust.
-        fastest: largest speed of the robot in the table [m/s].
+        fastest: largest speed of the robot for which the table holds a distance [m/s].
         obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
     """
     swing, left = _swing(brakes, None), brakes.left(obstacle)

@@ -73,7 +73,7 @@ def crosstrack_next(
     held: ca.SX,
     dt: float,
 ) -> ca.SX:
-    """Return the method's state after one control period, limited to a slope of 45° (anti-windup).
+    """Return the method's state (y_int or b) after one control period, limited to a slope of 45° (anti-windup).
 
     Args:
         method: guidance method, one of `GUIDANCE`.

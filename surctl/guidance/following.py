@@ -48,8 +48,8 @@ class Follower:
     Attributes:
         leg: index of the present path segment, from 0.
         along: largest arc length on the present path segment so far [m].
-        missed: largest distance [m] at which a corner was passed so far; 0 before the first corner. For one corner,
-            this is the least distance to the corner while the robot is on one of the two segments that meet there.
+        missed: largest distance [m] at which a corner was passed so far; 0 before the first corner. The distance to a
+            corner is the least distance while the robot is on one of the two segments that meet at the corner.
 
     Example:
         >>> from surctl.guidance import Follower, Path

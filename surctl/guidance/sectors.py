@@ -39,12 +39,12 @@ _OVERTAKE = 0.05  # [m/s] by which the robot is faster than a contact from behin
 
 @dataclass(frozen=True)
 class Choice:
-    """The chosen velocity, and data of the encounter that the next step needs.
+    """The velocity that the avoidance law chose, and the data of the encounter that the next step needs.
 
     Attributes:
         velocity: chosen velocity (2, 1) [m/s] in {E}.
-        side: latched side of the chosen course: 0: no encounter; +1: left of the desired velocity (obstacle on the
-            right); −1: right of the desired velocity.
+        side: latched side of the chosen course (0: no encounter; +1: left of the desired velocity, obstacle on the
+            right; −1: right of the desired velocity).
         blocked: 1 if the desired velocity is not free.
         violation: largest violation of a bound by the chosen course [m/s]; 0 if the chosen course is free.
         blocker: (2, 1) [m] in {E}, position of the contact that blocks the desired velocity most.
@@ -89,7 +89,8 @@ def choose_velocity(
     Args:
         desired: desired velocity (2, 1) [m/s] in {E}.
         sectors: sectors of all contacts.
-        side: latched side of the previous step: −1, 0, +1; it does not change while the same contact blocks the course.
+        side: latched side of the previous step (−1, 0 or +1); it does not change while the same contact blocks the
+            course.
         blocker: `Choice.blocker` of the previous step.
         cruise: largest speed while the desired velocity is blocked [m/s].
         cap: largest speed [m/s].

@@ -35,7 +35,7 @@ def printed_step(x: Vector, residual: float) -> float:
 
 
 def residual_after(step: StepRule) -> float:
-    """Return the residual after one step of Algorithm 1, from θ = 1/m without momentum, divided by the one before."""
+    """Return the ratio of the residuals after and before one step of Algorithm 1 from θ = 1/m, without momentum."""
     m = len(_X)
     theta, x = ca.SX(np.full(m, 1.0 / m)), ca.SX(_X)
     done = lms_step(

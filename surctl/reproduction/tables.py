@@ -62,7 +62,7 @@ def _own(name: str) -> str:
 
 
 def _sensor(name: str) -> Result:
-    """Return the result for one property of the sensors, as the default sonar array has it."""
+    """Return the result for one sensor property of Table I, compared with that of the default sonar array."""
     ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
     text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
     # a step finer than "about 5 mm" also agrees

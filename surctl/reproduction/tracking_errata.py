@@ -132,7 +132,7 @@ def e9() -> Result:
 
 
 def e14() -> Result:
-    """Return the result for erratum E14: E_p of one offset by our metric √(Δx² + Δy² + Δz²), and as our copy reads."""
+    """Return the result for erratum E14: E_p of one offset, by √(Δx² + Δy² + Δz²) and by the formula of our copy."""
     x, y, z = 0.02, 0.06, 0.03
     used = path_error(np.array([np.hypot(x, y)]), np.array([z]), np.array([False]))
     whole, read = float(np.linalg.norm([x, y, z])), printed_position_error(x, y, z)

@@ -25,9 +25,9 @@ class Explanation:
 def explain(run: Run) -> list[Explanation]:
     """Return one explanation for each control step at which the set of binding or relaxed constraint rows changes.
 
-    To obtain the rows, the law's problem is solved again at each control step, with a name for every constraint row.
-    Mode `nsb` ignores the constraint rows, so its relaxed rows are the constraint rows that its velocity violates.
-    Control steps whose input the law rejected (`NONFINITE`) are left out.
+    The law's problem is solved again at each control step, with a name for every constraint row. Mode `nsb` ignores the
+    constraint rows, so for this mode the relaxed rows are those that the velocity violates. Control steps whose input
+    the law rejected (`NONFINITE`) are left out.
 
     Example:
         >>> from surctl.control import build_law, load_gains

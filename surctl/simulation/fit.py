@@ -63,8 +63,8 @@ def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]
 def _unseen(array: SonarArray, turning: float) -> list[Finding]:
     """Report directions that no sonar beam observes again before the map forgets them, at yaw rate `turning` [rad/s].
 
-    A sonar beam clears the map only in its middle (the share `MIDDLE` of its width). The map forgets after
-    `LocalMap.memory` that a cell is free.
+    A sonar beam clears the map only in its middle (the share `MIDDLE` of its width). The map forgets that a cell of its
+    grid is free after the time `LocalMap.memory`.
     """
     memory, between = LocalMap(dt=0.05).memory, turning * array.cycle
     least = min(2 * atan(MIDDLE * tan(half)) for cones in array.cones for _, half in cones)

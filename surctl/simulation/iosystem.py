@@ -56,8 +56,7 @@ def closed_loop_system(
     Returns:
         The system, and its state at the start of the scenario. The inputs `Fu_cmd` … `Fr_cmd` [N, N m] are added to the
         law's command. The states are the 12 plant states, followed by the states of the law. The outputs are pose (4),
-        body velocity (4), and the
-        law's command (4).
+        body velocity (4), and the law's command (4).
 
     Raises:
         InputError: the law uses sonars, whose state this system does not contain; or the hull starts inside an

@@ -21,12 +21,10 @@ class Obstacle(Strict):
     """One obstacle of a scenario; lengths in m, speeds in m/s, positions in {E} at the start.
 
     A box or a cylinder stands still except for its drift: a sinusoidal motion of amplitude `drift_m`, with random
-    direction and phase from the seed. A
-    `moving` obstacle goes in a straight line from `centre_m` to `to_m` and is removed on arrival if `removed` is true.
-    `bottom_m` and `top_m` are the z coordinates of its lower and upper end, negative below the surface like the path's
-    `depth_m`.
-    Without `bottom_m` and `top_m`, the obstacle extends to the floor and to the surface. A moving obstacle is an
-    upright cylinder.
+    direction and phase from the seed. A `moving` obstacle goes in a straight line from `centre_m` to `to_m` and is
+    removed on arrival if `removed` is true. `bottom_m` and `top_m` are the z coordinates of its lower and upper end,
+    negative below the surface like the path's `depth_m`. Without `bottom_m` and `top_m`, the obstacle extends to the
+    floor and to the surface. A moving obstacle is an upright cylinder.
     """
 
     name: str = Field(min_length=1)

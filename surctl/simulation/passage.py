@@ -73,8 +73,7 @@ def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = 
         clearance: half the required width [m]. If the start or the target has less clearance than this, the search
             moves it along the grid to a point with enough clearance, or to a local maximum of the clearance.
         depth: z [m] of the path; default: the depth of the scenario. Obstacles that are more than `clearance` above or
-            below
-            this depth are ignored.
+            below this depth are ignored.
     """
     length, width, _ = scenario.site
     step = float(np.hypot(length, width)) / _CELLS

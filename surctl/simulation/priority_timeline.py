@@ -1,6 +1,6 @@
 """Timeline of a run's priority decisions.
 
-It shows how much each priority level was relaxed, and which constraint rows (n·v ≤ b) caused this.
+The timeline shows how much each priority level was relaxed, and which constraint rows (n·v ≤ b) caused this.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class PriorityTimeline:
     Attributes:
         time: (n,) time of each control step [s].
         levels: names of the priority levels, highest priority first; `units` holds the units of the levels' residuals.
-        to_levels: (n, levels) part of each level's residual that higher levels cause (residual without constraint
-            rows).
+        to_levels: (n, levels) part of a level's residual that higher levels cause, that is, the residual without
+            constraint rows.
         to_rows: (n, levels) part of each level's residual that the constraint rows cause in addition.
         rows: names of the constraint rows that bind or are violated in some control step, in the law's order.
         binding: (n, rows) whether a constraint row binds; missed: (n, rows) by how much the velocity violates the

@@ -41,7 +41,7 @@ class Figure:
 class SafetyClaim:
     """The claim that the hull never hits an obstacle if the assumptions hold.
 
-    It also states whether detection range and margin are sufficient.
+    The claim also states whether detection range and margin are sufficient.
 
     Attributes:
         scenario, vehicle: names of the scenario and the vehicle.
@@ -128,7 +128,8 @@ def safety_claim(
         spread: largest relative error of mass and drag, see `brakes_of`.
         turning: yaw rate of the hull while it brakes [rad/s], see `turn_rate`.
         difference: largest |m11 - m22| [kg], which causes a force in a turn; the claim states the largest difference
-            that the margin covers. None takes the mass difference of the vehicle, see `mass_difference`.
+            that the margin covers. With None, the function takes the mass difference of the vehicle, see
+            `mass_difference`.
 
     Example:
         >>> from surctl.control import load_gains

@@ -78,9 +78,8 @@ class Scenario:
         sensors: sonars and their faults, base station, and measurement of the own state.
         uncertainty: ranges from which a Monte Carlo campaign draws parameters.
         depths: lowest and highest z [m] that the hull may use if it can reach the target only at another depth than the
-            path's;
-            None: the robot keeps to the path's depth. With `depths` the robot has two echo sounders, one upwards and
-            one downwards.
+            path's; None: the robot keeps to the path's depth. With `depths` the robot has two echo sounders, one
+            upwards and one downwards.
         corners: `pass`: the robot may skip corners of the path on a detour; `visit`: the robot must come within
             `arrival_radius` of every corner, in order, before it can arrive.
     """

@@ -155,7 +155,7 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
 
     Raises:
         InputError: the sonar array is invalid, cannot have these faults, or does not fit the steps of the closed loop.
-            The error names the table and the key.
+            The InputError names the table and the key of the scenario file.
     """
     array = _in_table("sonar", lambda: _array(sonar))
     base_station = BaseStation(

@@ -48,8 +48,8 @@ class Study:
         passed: whether every summary note that counts towards the result passes.
         notes: the notes of the study's summary.
         runs: simulated runs with true positions and with sonar, in the plan's order.
-        inapplicable: claims that do not concern the vehicle, each with the reason; the study fails if the plan names
-            one of them.
+        inapplicable: claims that do not concern the vehicle, each with the reason; such a claim fails if the plan names
+            it.
         deciding: for each run, whether the run counts towards the result of the study.
         replayed: the sonar runs that the exported C replayed: runs of the exported law in which the hull fits the site.
         linear: linear analysis of the nominal vehicle, and linear analysis of the worst vehicle over the corners of its
@@ -135,8 +135,8 @@ def conduct(
         command: the command line that the report shows.
 
     Raises:
-        InputError: the folder cannot be written, there is no compiler, or the law cannot use the sonars of a
-            scenario. All these errors are raised before the long computations start.
+        InputError: the folder cannot be written, there is no compiler, or the law cannot use the sonars of a scenario.
+            All these errors are raised before the long computations start.
 
     Example:
         >>> from pathlib import Path

@@ -33,7 +33,7 @@ class Case:
         vehicle: the simulated vehicle.
         gains: the law's gains.
         law, avoidance, mode, guidance, barrier, movers: options of the law, as for `build_law`.
-        sensing: `truth` or `sonar`, as for `simulate`.
+        sensing: kind of sensing: `truth` (exact positions) or `sonar`, as for `simulate`.
         model: vehicle model of the controller; None: the simulated vehicle.
     """
 

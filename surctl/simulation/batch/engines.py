@@ -67,9 +67,8 @@ def simulate_batch(
     """Simulate one run for each pair of parameter values and seed; values and seeds are broadcast against each other.
 
     The result of a run depends only on its own parameter values and seed, not on `threads` or the other runs. The
-    result equals that of `simulate` with the same setup and seed, except for the last digits. A run that starts inside
-    an obstacle counts as a collision at its
-    start.
+    metrics equal those of `simulate` with the same setup and seed, except for the last digits. A run that starts inside
+    an obstacle counts as a collision at its start.
 
     Args:
         case: the simulated setup (scenario, vehicle, law).

@@ -77,7 +77,7 @@ class Listening:
 
     @property
     def normals(self) -> int:
-        """Number of normally distributed random numbers for the sonar firings of one control step, which is even."""
+        """Number of normally distributed random numbers for the sonar firings of one control step (an even number)."""
         count = self._instants * self._wide * self.structure.equipment.array.samples
         return count + count % 2
 
@@ -102,8 +102,8 @@ class Listening:
         """Draw the noise of one control step, see `simulation.loop._StepNoise`.
 
         The result is the noise of the own-state measurement, of the message and of its loss; the firing noise goes into
-        `out`.
-        `movers` is the number of moving obstacles, if it differs between runs; absent obstacles use no random numbers.
+        `out`. `movers` is the number of moving obstacles, if it differs between runs; absent obstacles use no random
+        numbers.
         """
         count = self.normals
         if movers is None:
@@ -238,5 +238,5 @@ def _observed(station: BaseStation, row: ca.SX, noise: ca.SX) -> ca.SX:
 
 
 def flat(matrix: ca.SX) -> ca.SX:
-    """Return a matrix as a column vector, row by row."""
+    """Return a matrix as a column vector in row-major order."""
     return ca.reshape(matrix.T, -1, 1)

@@ -1,8 +1,8 @@
 """One control period of the closed loop as a CasADi function: world, sensing, law, plant and metrics in one state.
 
 The module writes the loop of `simulation.loop.simulate` as CasADi expressions, so that a whole run can be compiled,
-differentiated or run in CasADi's virtual machine. This loop and the reference loop are written independently, and the
-tests compare their results.
+differentiated or run in CasADi's virtual machine. The compiled loop and the reference loop are written independently,
+and the tests compare their results.
 """
 
 from __future__ import annotations

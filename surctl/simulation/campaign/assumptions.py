@@ -19,8 +19,8 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
     """Return the names of the violated assumptions in a fixed order; empty if every checked assumption holds.
 
     `obstacle speed`: an obstacle moves or drifts faster than `fastest`. `detection`: at the worst values of its ranges,
-    the vehicle needs more than the detection range to stop from the speed cap before the fastest obstacle. `thrust`:
-    a drawn thrust limit is less than 85 % of the stated limit. `range`: a drawn number is outside its stated range.
+    the vehicle needs more than the detection range to stop from the speed cap before the fastest obstacle. `thrust`: a
+    drawn thrust limit is less than 85 % of the stated limit. `range`: a drawn number is outside its stated range.
     `margin` (guarded law only): to brake before an obstacle at rest, the simulated vehicle needs more than the law's
     margin, including the force of its mass difference in a turn (`margin_needed`). `hull`: `end_findings` reports that
     the hull does not fit at the start or at the target; gaps between start and target are not checked.

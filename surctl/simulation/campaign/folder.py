@@ -29,7 +29,7 @@ __all__ = ["CampaignFolder"]
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """A folder of campaigns; an interrupted campaign resumes from it, and a finished campaign need not run again.
+    """A folder of campaigns; an interrupted campaign resumes from it, and a finished campaign does not run again.
 
     `campaign.json` describes the request, `campaign.chunks` holds finished runs, `NAME.csv` holds all runs, and `worst`
     holds files of the worst runs for `load_replay`. The number of runs is not part of the request in `campaign.json`,

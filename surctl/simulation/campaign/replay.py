@@ -132,7 +132,7 @@ class Replay:
 
 
 def replay_of(run: SampledRun, row: Mapping[str, Any], *, campaign: str) -> Replay:
-    """Return the replay file content for a run of a campaign and its results from `RunTable.row`."""
+    """Return the replay data of a run of a campaign, from the run and its results (`RunTable.row`)."""
     figures = {name: row[name] for name in _FIGURES if isfinite(row[name])}
     return Replay(run, row["stopped_because"], figures, campaign, tuple(row["broken_assumptions"]))
 

@@ -24,7 +24,7 @@ class RunTable:
 
     Attributes:
         seeds: (n,) seed of each run.
-        figures: (n, len(METRICS)) metrics of each run, in the order of `METRICS`.
+        figures: (n, len(METRICS)) metrics of the runs, columns in the order of `METRICS`.
         values: (n,) drawn values by parameter name.
         broken: (n,) names of the violated assumptions of each run.
     """

@@ -51,9 +51,8 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     The path goes straight through the 10 x 5 m tank, as in the paper. Still obstacles lie inside the tank and do not
     overlap. A moving obstacle goes in a straight line clear of the still obstacles, starts away from the robot, ends
     away from the target, and is removed at its end. Two moving obstacles always leave a gap that is 0.1 m wider than
-    the
-    hull. A moving obstacle may press the hull against a wall or a still obstacle. `findings` reports no error for such
-    a world: the hull fits at both ends and in the tightest gap of its path.
+    the hull. A moving obstacle may press the hull against a wall or a still obstacle. `findings` reports no error for
+    such a world: the hull fits at both ends and in the tightest gap of its path.
 
     Args:
         vehicle: the vehicle that must fit into the world.
