@@ -1,4 +1,4 @@
-"""The contacts around the robot as tables for loops: sectors of blocked courses, and cones of moving contacts."""
+"""Arrays of the contacts around the robot, for loops: sectors of blocked courses, cones of moving contacts."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _AWAITED = 12.0  # [s] time in which a moving contact must come near, for the ro
 
 
 class Sector(NamedTuple):
-    """The courses that one contact blocks: all velocities with n·v > bound.
+    """The sector of courses that one contact blocks: all velocities v with n·v > bound.
 
     Attributes:
-        normal: (2, 1) unit vector n, robot → contact, in {E}.
-        bound: largest allowed n·v [m/s]; a negative bound requires a retreat.
-        point: (2, 1) [m] in {E}, position of the contact; it distinguishes encounters.
+        normal: (2, 1) unit vector n from robot to contact, in {E}.
+        bound: largest allowed n·v [m/s]; a negative bound requires that the robot retreats.
+        point: (2, 1) [m] in {E}, position of the contact; the law distinguishes encounters by it.
     """
 
     normal: ca.SX
@@ -36,15 +36,16 @@ class Sector(NamedTuple):
 
     @staticmethod
     def of(row: ca.SX) -> Sector:
-        """Return the sector in one row of a table of sectors."""
+        """Return the sector that one line of the array `sectors` holds."""
         return Sector(row[:2], row[2], row[3:5])
 
 
 @dataclass(frozen=True)
 class Around:
-    """All contacts as tables: sectors (n, 5), cones (m, 17) and sides (m, 3).
+    """All contacts as arrays: sectors (n, 5), cones (m, 17) and sides (m, 3).
 
-    A row of `sides` has the costs of passing a cone's contact on the left and on the right, and 1 if it crosses.
+    For each cone, `sides` holds three numbers: the cost of passing the contact on its left, the cost of passing it on
+    its right, and 1 if the contact crosses the robot's course.
     """
 
     sectors: ca.SX
@@ -53,13 +54,13 @@ class Around:
 
     @staticmethod
     def of(sectors: Sequence[Sector], cones: Sequence[Cone]) -> Around:
-        """Return the tables of the given sectors and cones, without `sides`."""
+        """Return the arrays of the given sectors and cones, without `sides`."""
         return Around(tabulated(sectors, 5), tabulated(cones, 17))
 
     def with_sides(
         self, desired: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
     ) -> Around:
-        """Return a copy with the table `sides`."""
+        """Return a copy with the array `sides`."""
 
         def sides(row: ca.SX) -> tuple[ca.SX]:
             cone = Cone.of(row)
@@ -71,7 +72,7 @@ class Around:
         return replace(self, sides=each("sides", sides, self.cones)[0]) if self.cones.shape[0] else self
 
     def excess(self, velocity: ca.SX) -> ca.SX:
-        """Return the largest violation of a bound by a velocity (2, 1) [m/s]; negative if it satisfies all bounds."""
+        """Return the largest violation of a bound by a velocity (2, 1) [m/s]; negative if no bound is violated."""
 
         def missed(worst: ca.SX, row: ca.SX) -> ca.SX:
             return ca.fmax(worst, ca.dot(velocity, row[:2]) - row[2])
@@ -80,7 +81,7 @@ class Around:
         return fold("depth", lambda worst, row: ca.fmax(worst, inside(velocity, Cone.of(row))), worst, self.cones)
 
     def free_speed(self, course: ca.SX, speed: ca.SX) -> ca.SX:
-        """Return the largest speed up to `speed` [m/s] on a course within all bounds; negative bounds count as 0."""
+        """Return the largest speed [m/s], at most `speed`, that a course allows; negative bounds count as 0."""
 
         def limited(free: ca.SX, row: ca.SX) -> ca.SX:
             along = ca.dot(course, row[:2])
@@ -90,7 +91,7 @@ class Around:
         return fold("free_speed", limited, speed, self.sectors)
 
     def passing(self, velocity: ca.SX, cost: ca.SX) -> ca.SX:
-        """Return the cost plus the costs of the sides on which a velocity passes the moving contacts."""
+        """Return the given cost plus the costs of the sides on which a velocity passes the moving contacts."""
 
         def passed(cost: ca.SX, row: ca.SX, sides: ca.SX) -> ca.SX:
             return cost + ca.if_else(passes_left(velocity, Cone.of(row)), sides[0], sides[1])
@@ -98,7 +99,7 @@ class Around:
         return cost if self.sides is None else fold("passing", passed, cost, self.cones, self.sides)
 
     def waits(self) -> ca.SX:
-        """Return whether a moving contact approaches soon, so that it is worth waiting until it has passed."""
+        """Return whether a moving contact approaches so soon that the robot should wait until it has passed."""
 
         def soon(any_other: ca.SX, row: ca.SX) -> ca.SX:
             cone = Cone.of(row)
@@ -107,11 +108,11 @@ class Around:
         return fold("waits", soon, ca.SX(0), self.cones)
 
     def any_there(self) -> ca.SX:
-        """Return whether any contact moves."""
+        """Return whether at least one contact moves."""
         return fold("there", lambda other, row: ca.logic_or(other, Cone.of(row).there), ca.SX(0), self.cones)
 
     def worst_blocker(self, course: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the position of the contact that blocks a course most, and whether it is a crossing moving contact."""
+        """Return the position of the contact that blocks a course most, and whether this contact crosses the course."""
 
         def by_sector(worst: ca.SX, where: ca.SX, row: ca.SX) -> list[ca.SX]:
             violation = speed * ca.dot(course, row[:2]) - row[2]
@@ -131,11 +132,11 @@ class Around:
 
 
 def edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: ca.SX) -> ca.SX:
-    """Return the unit vector n turned by ± arccos(bound/speed); a sign of +1 turns it to the left."""
+    """Return the unit vector n turned by ± arccos(bound/speed); a sign of +1 turns n to the left."""
     cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
     return turned(n, cosine, sign * ca.sqrt(1 - cosine * cosine))
 
 
 def turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
-    """Return a vector (2, 1) turned to the left by the angle with this cosine and sine."""
+    """Return a vector (2, 1) turned to the left by the angle with the given cosine and sine."""
     return ca.vertcat(n[0] * cosine - n[1] * sine, n[1] * cosine + n[0] * sine)

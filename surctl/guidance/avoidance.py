@@ -1,7 +1,7 @@
-"""Avoidance law (17)–(20) in three forms, and the allowed closing speed from the braking distance.
+"""Avoidance law (17)–(20) in three forms, and the closing speed that the braking distance allows.
 
-φ is the bearing from the robot to the obstacle, counter-clockwise (E1). With λ2 = +1 the robot passes with the obstacle
-on its right, with λ2 = −1 on its left (E10).
+φ is the bearing from the robot to the obstacle, positive counter-clockwise (E1). With λ2 = +1 the robot passes with the
+obstacle on its right; with λ2 = −1 it passes with the obstacle on its left (E10).
 """
 
 from __future__ import annotations
@@ -41,21 +41,22 @@ def avoidance_course(
     kappa: ca.SX,
     standoff: ca.SX,
 ) -> ca.SX:
-    """Return the commanded course ψ_dm [rad], counter-clockwise.
+    """Return the commanded course ψ_dm [rad], positive counter-clockwise.
 
     Args:
         form: `printed`: (20) as printed, with the clockwise angle of (17) and (22) inserted into (2);
-            `consistent`: (20) with every angle counter-clockwise (E1) and λ2 by E10;
-            `corrected`: ψ_dm = φ + λ2 arccos(sat[(v_o·n + κ(l − R_OB − d_s))/u]), so that
-            l̇ = −κ(l − R_OB − d_s): the clearance is a barrier function that includes the obstacle's velocity.
-        phi: bearing robot → obstacle [rad], counter-clockwise.
+            `consistent`: (20) with every angle counter-clockwise (E1) and with λ2 by E10;
+            `corrected`: ψ_dm = φ + λ2 arccos(sat[(v_o·n + κ(l − R_OB − d_s))/u]), so that l̇ = −κ(l − R_OB − d_s): the
+            clearance is a barrier function whose rate includes the obstacle's velocity.
+        phi: bearing from robot to obstacle [rad], positive counter-clockwise.
         clearance: l_dm = l − R_OB [m].
         radius: anti-collision radius R_OB [m].
-        side: λ2, +1 or −1; `printed` ignores it and uses the sign of the angle.
+        side: λ2, +1 or −1; the form `printed` ignores this argument and uses the sign of the angle.
         delta: offset δ of (20) [m].
         k3: convergence coefficient of (20).
         speed: avoidance speed u_dm > 0 [m/s].
-        closing: v_o·n, the obstacle's velocity along n (robot → obstacle) [m/s]; only `corrected` uses it.
+        closing: v_o·n, the obstacle's velocity along n (from robot to obstacle) [m/s]; only the form `corrected` uses
+            it.
         kappa: gain κ [1/s].
         standoff: stand-off distance d_s ≥ 0 [m].
 
@@ -81,16 +82,16 @@ def avoidance_course(
 
 
 def printed_side(phi: ca.SX) -> ca.SX:
-    """Return λ2 as printed below (20): +1 for a clockwise angle (E1) in [0°, 180°], −1 for one in [−180°, 0°]."""
+    """Return λ2 as printed below (20): +1 for a clockwise angle (E1) in [0°, 180°], −1 for an angle in [−180°, 0°]."""
     return ca.if_else(ca.sin(-phi) >= 0, 1, -1)
 
 
 def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float = 0.02) -> ca.SX:
-    """Return λ2 by E10: +1 if the velocity relative to the obstacle points left of the bearing, −1 if right.
+    """Return λ2 by E10: +1 if the velocity relative to the obstacle points left of the bearing, −1 if it points right.
 
     Args:
         relative_velocity: velocity of the robot minus that of the obstacle (2, 1) in {E} [m/s].
-        normal: unit vector robot → obstacle (2, 1) in {E}.
+        normal: unit vector from robot to obstacle (2, 1) in {E}.
         deadband: crosswise velocity [m/s] below which the encounter counts as head-on and the side is +1.
 
     Example:
@@ -112,12 +113,12 @@ def clearance_rate(course: ca.SX, phi: ca.SX, *, speed: ca.SX, closing: ca.SX) -
 def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX, reaction: ca.SX) -> ca.SX:
     """Return the largest closing speed [m/s] from which the robot still stops within `distance` d [m].
 
-    It is the inverse of the braking distance s²/(2a) + s t of a speed s: −a t + √((a t)² + 2 a d) for d ≥ 0. For d < 0
-    it continues with the slope 1/t, so a robot inside the stand-off distance must retreat.
+    The result is the inverse of the braking distance s²/(2a) + s t of a speed s: −a t + √((a t)² + 2 a d) for d ≥ 0.
+    For d < 0 the result continues with the slope 1/t, so a robot inside the stand-off distance must retreat.
 
     Args:
-        distance: clearance minus stand-off distance [m], of any sign.
-        deceleration: a > 0 [m/s²], at the thrust for braking and the largest mass.
+        distance: d, clearance minus stand-off distance [m], of any sign.
+        deceleration: a > 0 [m/s²], with the thrust available for braking and the largest mass.
         reaction: t > 0 [s], sum of thrust lag, control period and delay of the velocity loop.
 
     Example:

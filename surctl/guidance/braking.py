@@ -1,44 +1,47 @@
-"""The barrier with inertia: at which distance from an obstacle a vehicle with thrust lag must start to brake.
+"""The barrier with inertia: at which distance from an obstacle must a vehicle with thrust lag start to brake?
 
-Consider the motion along the latched direction n (robot → obstacle). For m11 = m22 = m no Coriolis force acts along n:
-m v̇ = F + f − D(v − c), Ḟ = (u − F)/τ. Here v is the speed of the robot, F the thrust, u ≤ −F_b the thrust command
-while it brakes, D the drag, c the current, and f any other force. Let v_o be the largest speed of the obstacle towards
-the robot, s = v + v_o, and z = s + τ max(F + F_b, 0)/m.
+Consider the motion along the latched direction n (robot → obstacle). For m11 = m22 = m no Coriolis force acts along n,
+so m v̇ = F + f − D(v − c) and Ḟ = (u − F)/τ. Here v is the speed of the robot along n, F the thrust, u ≤ −F_b the
+thrust command while the robot brakes, D the drag, c the current, and f any other force. Let v_o be the largest speed
+of the obstacle towards the robot, s = v + v_o the closing speed, and z = s + τ max(F + F_b, 0)/m.
 
 1. Then z ≥ s. While s ≥ 0, ż ≤ −(F_b − f + D(v − c))/m ≤ −F'/m with F' = F_b − f − D(v_o + c) for the largest drag,
-   because D is odd and increasing. (If the brake gives more than F_b, then F < −F_b and z = s, and the same holds.)
-2. S = m z²/(2F') satisfies Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance satisfies l̇ ≥ −s, so l − S does not decrease.
-   While s < 0, l increases, and S, evaluated at s = 0, decreases with F. So braking keeps l ≥ S ≥ 0.
-   `stopping_distance` is S = m s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m). S is convex in m, so an end of the
-   mass range is the worst case; it increases with s and F. (S may also be evaluated at s = −r < 0 < z: the drag of the
-   retreat then acts towards the obstacle with D(v_o + c + r), and l − S does not decrease as long as
-   z (D(v_o + c + r) + f − F_b) ≤ r F'. For z ≤ 0, S is 0. With a shorter lag z decreases faster, so all this holds.)
-3. Drag shortens the distance: B with B'(z) = max over v ≤ z of m(v + v_o)/(F_b − f + D(v − c)), with the least drag
-   ahead and the largest astern, satisfies Ḃ ≤ −(v + v_o), so braking also keeps l ≥ B. B = m G(v_0 + τ(F + F_b)/m)
-   with a convex G is a perspective function, so it is convex in m. `stopping_distance_with_drag` computes B by an upper
-   sum; S is 1.1 to 2.2 times B.
-4. Sampling: the measured range d is `age` old and wrong by up to ε, v is wrong by up to e_v, and during a period T any
-   thrust may act. Let V be the largest speed of the robot since the echo, and a⁺ = (F⁺ + f + D(v_o + c))/m_min. If
-   d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), then l ≥ S at the next decision too.
-   Otherwise the robot brakes fully along n until this test passes again, and step 2 keeps l ≥ S meanwhile. So the robot
-   never hits an obstacle for which the test has passed once.
-5. The distance to a convex body is a convex function of the position. So a bound along the direction n of the last
-   decision without braking is also a bound on the clearance.
-6. A law may use its own bound b(d) and brake as soon as v exceeds b by x(b), the excess at which its velocity loop
-   commands F_b. It keeps l ≥ S (or B) if, wherever it does not brake, d − ε is at least the range of step 4 at
-   v = b + x, down to d = 0.
+   because D is odd and increasing. (If the robot brakes with more than F_b, then F < −F_b and z = s, and ż has the
+   same upper bound −F'/m.)
+2. The stopping distance S = m z²/(2F') satisfies Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance l satisfies l̇ ≥ −s, so
+   l − S does not decrease. While s < 0, the clearance l increases, and S, evaluated at s = 0, decreases with F. So
+   braking keeps l ≥ S ≥ 0. `stopping_distance` is S = m s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m). S is convex
+   in m, so one of the two ends of the mass range is the worst case; S increases with s and F. (S may also be evaluated
+   at s = −r < 0 < z: the drag of the retreat then acts towards the obstacle with D(v_o + c + r), and l − S does not
+   decrease as long as z (D(v_o + c + r) + f − F_b) ≤ r F'. For z ≤ 0, S is 0. With a shorter thrust lag, z decreases
+   faster, so steps 1 and 2 still hold.)
+3. Drag shortens the stopping distance. The distance B with B'(z) = max over v ≤ z of m(v + v_o)/(F_b − f + D(v − c)),
+   with the least drag in motion ahead and the largest drag in motion astern, satisfies Ḃ ≤ −(v + v_o), so braking also
+   keeps l ≥ B. B = m G(v_0 + τ(F + F_b)/m) with a convex function G is a perspective function, so B is convex in m.
+   `stopping_distance_with_drag` computes B by an upper sum; S is 1.1 to 2.2 times B.
+4. Sampling: the measured range d is `age` old and wrong by up to ε, the measured speed v is wrong by up to e_v, and
+   during a control period T any thrust may act. Let V be the largest speed of the robot since the echo, and
+   a⁺ = (F⁺ + f + D(v_o + c))/m_min. If d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), then
+   l ≥ S at the next decision too. If this inequality fails, the robot brakes fully along n until it holds again, and
+   step 2 keeps l ≥ S meanwhile. So the robot never hits an obstacle if the inequality of this step has held once.
+5. The distance to a convex body is a convex function of the position. So a lower bound on the distance along the
+   direction n of the last decision without braking is also a lower bound on the clearance.
+6. A law may use its own speed bound b(d) and brake as soon as v exceeds b by x(b), the excess at which its velocity
+   loop commands F_b. Such a law keeps l ≥ S (or l ≥ B) if, wherever it does not brake, d − ε is at least the range
+   that step 4 requires at v = b + x, down to d = 0.
 
-Assumptions: one obstacle at a time (braking for one does not lead into another), |v_o| always bounded, m11 = m22.
-A sideways speed w at the start of braking adds `sideways_force`, because drag acts on each axis separately and not
-along the velocity. At a speed a ahead, drag helps at any heading with at least (X a + X2 a²/√2) minus that force. For
-drag along the velocity, the sideways speed adds at most X2 w min(v_o + c, w/2). If the hull turns at r rad/s while it
-brakes without a sideways command, the lagging thrust turns with it: z = s + (τ max(F + F_b, 0) + rτ²|F_across|)/m
-satisfies step 1 with the additional force (rτ)²F. Each axis is limited separately, so the largest thrust on a diagonal
-is √2 times that of one axis.
+Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead it into another obstacle);
+|v_o| is always bounded; m11 = m22. A sideways speed w at the start of braking adds the force `sideways_force`, because
+drag acts on each axis separately and not along the velocity. At a speed a ahead, drag helps to brake at any heading
+with at least (X a + X2 a²/√2) minus `sideways_force`, where X and X2 are the linear and quadratic drag coefficients.
+If drag acted along the velocity, the sideways speed would add at most X2 w min(v_o + c, w/2). If the hull turns at r
+rad/s while it brakes without a sideways command, the lagging thrust turns with the hull: z = s + (τ max(F + F_b, 0) +
+rτ²|F_across|)/m satisfies step 1 with the additional force (rτ)²F. The thrust limit acts on each axis separately, so
+the largest thrust on a diagonal is √2 times the largest thrust of one axis.
 
-`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. A table that
-is checked cell by cell proves step 3. Certificates (`surctl.verification.braking`) prove steps 4 to 6 for one vehicle,
-one `Watch` and one law.
+`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. A check of a
+tabulated distance, cell by cell, proves step 3. Certificates (`surctl.verification.braking`) prove steps 4 to 6 for one
+vehicle, one `Watch` (delay and accuracy of the measurements) and one law.
 """
 
 from __future__ import annotations
@@ -78,7 +81,7 @@ _SUMMANDS = 4000  # terms of the upper sum, which is then less than 0.2 % too lo
 
 @dataclass(frozen=True)
 class Brakes:
-    """The worst-case braking data of a vehicle, the same for surge and sway.
+    """The braking data of a vehicle in the worst case, with the same values for surge and sway.
 
     Attributes:
         masses: least and largest mass [kg], > 0.
@@ -124,27 +127,27 @@ class Brakes:
                 raise InputError(bound, key=name, value=value, remedy="correct the number")
 
     def largest_drag(self, speed: float) -> float:
-        """Return the drag D(v) ≥ 0 [N] for the largest coefficients."""
+        """Return the drag D(v) ≥ 0 [N] for the largest drag coefficients."""
         return self.linear[1] * speed + self.quadratic[1] * speed**2
 
     def left(self, obstacle: float) -> float:
-        """Return F' [N], the net braking force for an obstacle that approaches at v_o [m/s]; it may be negative."""
+        """Return the net braking force F' [N] for an obstacle that approaches at v_o [m/s]; F' may be negative."""
         return self.least - self.disturbance - self.largest_drag(obstacle + self.current)
 
     def acceleration(self, obstacle: float) -> float:
-        """Return a⁺ [m/s²], the largest acceleration towards the obstacle."""
+        """Return a⁺ [m/s²], the largest acceleration of the robot towards the obstacle."""
         return (self.most + self.disturbance + self.largest_drag(obstacle + self.current)) / self.masses[0]
 
 
 @dataclass(frozen=True)
 class Watch:
-    """Delay and accuracy of the measurements for a decision.
+    """Delay and accuracy of the measurements on which a braking decision is based.
 
     Attributes:
-        period: T > 0, time between two decisions [s].
-        age: age of a range when it is used [s], ≥ 0.
-        range_error: ε ≥ 0, largest error of a range [m].
-        speed_error: e_v ≥ 0, largest error of the robot's speed [m/s].
+        period: T > 0, time between two braking decisions [s].
+        age: age of a measured range when the law uses it [s], ≥ 0.
+        range_error: ε ≥ 0, largest error of a measured range [m].
+        speed_error: e_v ≥ 0, largest error of the robot's measured speed [m/s].
 
     Raises:
         InputError: a number violates these bounds.
@@ -177,8 +180,8 @@ def brakes_of(
     Args:
         vehicle: the vehicle.
         share: guaranteed share of the stated thrust, in (0, 1].
-        spread: relative error of mass and drag, with the stated thrust as largest thrust. None uses the ranges in the
-            vehicle's file, where a number without a range is exact.
+        spread: relative error of mass and drag; the stated thrust is then the largest thrust. With None, the function
+            uses the ranges in the vehicle's file, where a parameter without a range is exact.
         disturbance, current: see `Brakes`.
     """
     if not 0 < share <= 1:
@@ -220,7 +223,7 @@ def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, th
         brakes: braking data of the vehicle.
         speed: speed v of the robot towards the obstacle [m/s].
         obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
-        thrust: present thrust F [N]; default: the largest.
+        thrust: present thrust F [N]; default: the largest thrust F⁺.
     """
     left = brakes.left(obstacle)
     if left <= 0:
@@ -232,7 +235,7 @@ def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, th
 def stopping_distance_with_drag(
     brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None
 ) -> float:
-    """Return the stopping distance B ≤ S [m] with the least help of drag; see `stopping_distance`."""
+    """Return the stopping distance B ≤ S [m], which counts on the least help of drag; see `stopping_distance`."""
     if brakes.left(obstacle) <= 0:
         return inf
     own, swing = max(speed, -obstacle), _swing(brakes, thrust)
@@ -242,11 +245,11 @@ def stopping_distance_with_drag(
 def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float = 0.0) -> Callable[..., float]:
     """Return `stopping_distance_with_drag` as a function of the speed, from a table for one obstacle speed.
 
-    The tabulated distance is up to 1 % longer and never shorter.
+    The tabulated distance is up to 1 % longer than the exact distance, and never shorter.
 
     Args:
-        brakes: braking data of the vehicle; the present thrust is the largest.
-        fastest: largest speed of the robot in the table [m/s].
+        brakes: braking data of the vehicle; the present thrust is taken as the largest thrust.
+        fastest: largest speed of the robot for which the table holds a distance [m/s].
         obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
     """
     swing, left = _swing(brakes, None), brakes.left(obstacle)
@@ -267,12 +270,12 @@ def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float 
 
 
 def _swing(brakes: Brakes, thrust: float | None) -> float:
-    """Return τ(F + F_b) [N s], the impulse that the lag still delivers after the command to brake."""
+    """Return τ(F + F_b) [N s], the impulse that the lagging thrust still delivers after the command to brake."""
     return brakes.lag * max((brakes.most if thrust is None else thrust) + brakes.least, 0.0)
 
 
 class _Above(NamedTuple):
-    """An upper bound of B' over each step, and the ends of the steps, starting with 0."""
+    """Return an upper bound of B' over each step of the speed, and the ends of the steps, starting with 0."""
 
     step: float
     places: NDArray[np.float64]
@@ -305,15 +308,15 @@ def range_needed(
     fastest: float | None = None,
     stopping: Callable[..., float] = stopping_distance,
 ) -> float:
-    """Return the smallest measured range [m] for which another period without braking is safe (step 4 above).
+    """Return the smallest measured range [m] at which another period without braking is safe (step 4 above).
 
     Args:
-        brakes, obstacle: see `stopping_distance`.
+        brakes, obstacle: same meaning as for `stopping_distance`.
         watch: delay and accuracy of the measurements.
         speed: measured speed v of the robot [m/s].
-        thrust: thrust F⁺ at the end of the period [N]; default: the largest.
+        thrust: thrust F⁺ at the end of the period [N]; default: the largest thrust.
         fastest: V, largest measured speed of the robot since the echo [m/s]; default: `speed`.
-        stopping: `stopping_distance` or `stopping_distance_with_drag`.
+        stopping: function for the stopping distance, `stopping_distance` or `stopping_distance_with_drag`.
     """
     v, period, gain = speed + watch.speed_error, watch.period, brakes.acceleration(obstacle)
     before = (v if fastest is None else fastest + watch.speed_error) + obstacle
@@ -331,18 +334,18 @@ def admissible(
     thrust: float | None = None,
     fastest: float | None = None,
 ) -> float:
-    """Return `measured` minus `range_needed` [m]: another period without braking is safe if it is at least 0.
+    """Return `measured` minus `range_needed` [m]; if it is at least 0, another period without braking is safe.
 
-    It is −inf if the obstacle is too fast for braking.
+    The result is −inf if the obstacle is too fast for braking.
     """
     return measured - range_needed(brakes, watch, speed, obstacle=obstacle, thrust=thrust, fastest=fastest)
 
 
 def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: float = 0.0) -> float:
-    """Return the largest speed of the robot [m/s] for which `admissible` is at least 0, with V equal to this speed.
+    """Return the largest speed of the robot [m/s] for which `admissible` is at least 0, where V is this speed.
 
-    If the robot is too near even at rest relative to the obstacle, the bound continues with its slope at this point, so
-    the robot must retreat. It is −inf if the obstacle is too fast for braking.
+    If the robot is too near even at rest relative to the obstacle, the speed bound continues with its slope at this
+    point, so the robot must retreat. The result is −inf if the obstacle is too fast for braking.
     """
     left = brakes.left(obstacle)
     if left <= 0:
@@ -359,9 +362,9 @@ def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: fl
 
 
 def fastest_obstacle(brakes: Brakes) -> float:
-    """Return the largest obstacle speed v_o [m/s] for which braking gives a guarantee.
+    """Return the largest obstacle speed v_o [m/s] for which braking guarantees that no collision happens.
 
-    It solves D(v_o + c) = F_b − f for the largest drag.
+    This speed solves D(v_o + c) = F_b − f for the largest drag.
     """
     force, linear, quadratic = brakes.least - brakes.disturbance, brakes.linear[1], brakes.quadratic[1]
     if force <= 0:
@@ -374,9 +377,9 @@ def fastest_obstacle(brakes: Brakes) -> float:
 def sideways_force(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) -> float:
     """Return the largest additional drag force towards an obstacle [N] at a sideways speed w [m/s], for any heading.
 
-    It is the excess over D(v_o), because drag acts on each axis separately. For the velocity −v_o n + w t, any angle
-    between n and the axes, and coefficients in their ranges [low, high], the drag along n is at most
-    (high v_o + (high − low) w/2) + high v_o² + √2 high v_o w + (2 high − low) w²/(3√3).
+    This force is the excess over D(v_o) that arises because drag acts on each axis separately. For the velocity −v_o n
+    + w t (t perpendicular to n), any angle between n and the axes, and coefficients in their ranges [low, high], the
+    drag along n is at most (high v_o + (high − low) w/2) + high v_o² + √2 high v_o w + (2 high − low) w²/(3√3).
     """
     (low, high), (low2, high2) = brakes.linear, brakes.quadratic
     square = (2 * high2 - low2) * sideways**2 / (3 * sqrt(3))
@@ -384,5 +387,5 @@ def sideways_force(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) ->
 
 
 def beside(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) -> Brakes:
-    """Return the braking data with `sideways_force` added to the disturbance."""
+    """Return the braking data with `sideways_force` added to the disturbance force."""
     return replace(brakes, disturbance=brakes.disturbance + sideways_force(brakes, sideways, obstacle=obstacle))

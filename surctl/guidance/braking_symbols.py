@@ -1,4 +1,4 @@
-"""The closed-form barrier of `braking` as CasADi expressions."""
+"""The closed-form barrier of `guidance.braking` as CasADi expressions."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _LEAST_LEFT = 0.02  # lower bound of F' as a share of F_b; for an obstacle too f
 
 @dataclass(frozen=True, eq=False)
 class BrakeSymbols:
-    """The data of `Brakes` without disturbance and current, and the period of `Watch`, as scalar expressions.
+    """The data of `Brakes` (without disturbance and current) and the period of `Watch`, as scalar CasADi expressions.
 
     Attributes:
         lightest, heaviest: least and largest mass [kg], > 0.
-        least, most: guaranteed thrust F_b > 0 and largest thrust F⁺ [N].
+        least: guaranteed thrust F_b > 0 [N]; most: largest thrust F⁺ [N].
         lag: time constant τ of the thrust [s].
-        linear, quadratic: largest drag coefficients [N s/m, N s²/m²].
-        period: T > 0, time between two decisions [s].
+        linear: largest linear drag coefficient [N s/m]; quadratic: largest quadratic drag coefficient [N s²/m²].
+        period: T > 0, time between two braking decisions [s].
     """
 
     lightest: ca.SX
@@ -37,7 +37,7 @@ class BrakeSymbols:
         return ca.fmax(self.least - self._drag(obstacle), _LEAST_LEFT * self.least)
 
     def acceleration(self, obstacle: ca.SX) -> ca.SX:
-        """Return a⁺ [m/s²], the largest acceleration towards the obstacle."""
+        """Return a⁺ [m/s²], the largest acceleration of the robot towards the obstacle."""
         return (self.most + self._drag(obstacle)) / self.lightest
 
     def _drag(self, speed: ca.SX) -> ca.SX:
@@ -45,7 +45,7 @@ class BrakeSymbols:
 
 
 def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """Return `stopping_distance` [m] for the largest present thrust, with F' limited to at least 2 % of F_b."""
+    """Return the distance `stopping_distance` [m] for the largest present thrust, with F' of at least 2 % of F_b."""
     closing, swing, longest = ca.fmax(speed + obstacle, 0), brakes.lag * (brakes.most + brakes.least), ca.SX(0)
     for m in (brakes.lightest, brakes.heaviest):
         longest = ca.fmax(longest, m * (closing + swing / m) ** 2 / (2 * brakes.left(obstacle)))
@@ -53,14 +53,14 @@ def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> c
 
 
 def range_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """Return `range_needed` [m] for a range without delay and error."""
+    """Return the range `range_needed` [m] for range measurements without delay and error."""
     gain, period = brakes.acceleration(obstacle), brakes.period
     distance = stopping_symbol(brakes, speed + gain * period, obstacle=obstacle)
     return (speed + obstacle) * period + gain * period * period / 2 + distance
 
 
 def closing_bound(brakes: BrakeSymbols, distance: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """Return `allowed_speed` [m/s], of either sign, for a range without delay and error.
+    """Return the speed bound `allowed_speed` [m/s], of either sign, for range measurements without delay and error.
 
     Args:
         brakes: braking data of the vehicle.

@@ -1,7 +1,8 @@
-"""Collision cones: the velocities that lead to a collision with a moving contact in a given time.
+"""Collision cones: the velocities that lead to a collision with a moving contact within a given time.
 
-See Fiorini and Shiller (1998). A distance barrier would make the robot retreat from an approaching contact. A collision
-cone forbids only the velocities that lead to a collision, so the robot can sidestep.
+The method follows Fiorini and Shiller (1998). A barrier on the distance would make the robot retreat from an
+approaching contact. A collision cone forbids only the velocities that lead to a collision, so the robot can also
+sidestep.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ _NEVER = -10.0  # [m/s] depth of every velocity if there is no contact: far outs
 
 
 class Cone(NamedTuple):
-    """A collision cone: velocities v (2, 1) [m/s] in {E} that violate three bounds lead to a collision.
+    """A collision cone: velocities v (2, 1) [m/s] in {E} for which three bounds are exceeded lead to a collision.
 
-    The bounds are on left·v, right·v and ahead·v; v lies in the cone if all three are above their bounds.
+    The three bounds limit left·v, right·v and ahead·v; v lies in the cone if all three products exceed their bounds.
 
     Attributes:
-        left, right: (2, 1) inward unit normals of the two sides of the cone.
-        ahead: (2, 1) unit vector robot → contact.
+        left, right: (2, 1) unit normals of the two sides of the cone, which point into the cone.
+        ahead: (2, 1) unit vector from robot to contact.
         left_bound, right_bound: bounds on left·v and right·v [m/s].
-        ahead_bound: value of ahead·v [m/s] above which the robot meets the contact within the horizon.
-        closing: velocity of the contact along `ahead` [m/s], negative if it approaches.
+        ahead_bound: value of ahead·v [m/s] above which the robot meets the contact within the prediction time.
+        closing: velocity of the contact along `ahead` [m/s], negative if the contact approaches.
         clearance: clearance minus the stand-off distance [m], not negative.
-        distance: distance between the centres [m].
-        offset: distance between the centres when the robot passes the contact [m].
-        crossing: velocity of the contact across `ahead`, positive to the left [m/s].
+        distance: distance between the centres of robot and contact [m].
+        offset: distance between the centres of robot and contact when the robot passes the contact [m].
+        crossing: velocity of the contact perpendicular to `ahead`, positive to the left [m/s].
         there: 1 if there is a contact.
         point: (2, 1) [m] in {E}, position of the contact.
     """
@@ -52,7 +53,7 @@ class Cone(NamedTuple):
 
     @staticmethod
     def of(row: ca.SX) -> Cone:
-        """Return the cone in one row of a table of cones."""
+        """Return the collision cone that one line of an array of cones holds."""
         left, right, ahead, point = (row[k : k + 2] for k in (0, 2, 4, 15))
         bounds, met = (row[6], row[7], row[8]), (row[9], row[10], row[11], row[12], row[13], row[14])
         return Cone(left, right, ahead, *bounds, *met, point)
@@ -65,10 +66,10 @@ def collision_cone(
 
     Args:
         contact: the moving contact.
-        apart: clearance with which the robot may pass it [m].
-        standoff: clearance at which it counts as met [m].
+        apart: clearance with which the robot may pass the contact [m].
+        standoff: clearance at which the robot counts as having met the contact [m].
         horizon: prediction time [s].
-        there: 1 if the contact is to be considered.
+        there: 1 if the law must consider the contact.
         point: (2, 1) [m] in {E}, position of the contact.
 
     Example:
@@ -106,7 +107,7 @@ def collision_cone(
 
 
 def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
-    """Return the depth of a velocity (2, 1) inside the cone [m/s]; it is negative outside.
+    """Return the depth [m/s] at which a velocity (2, 1) lies inside the cone; the depth is negative outside the cone.
 
     Example:
         >>> import casadi as ca

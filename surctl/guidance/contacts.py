@@ -1,4 +1,4 @@
-"""Contacts: objects near the robot as direction, clearance and velocity, independent of the sensor."""
+"""Contacts: objects near the robot, described by direction, clearance and velocity, whatever sensor detects them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ FAR = 100.0  # clearance [m] of an empty contact slot
 
 @dataclass(frozen=True)
 class Contact:
-    """One object near the robot, in symbols.
+    """One object near the robot, as CasADi expressions.
 
     Attributes:
-        normal: (2, 1) unit vector robot → contact in {E}.
+        normal: (2, 1) unit vector from robot to contact, in {E}.
         clearance: distance from the hull to the object's surface [m]; `FAR` if there is no object.
         velocity: (2, 1) velocity of the object in {E} [m/s].
-        combined_radius: distance between the centres minus clearance [m], which is R_OB minus the margin.
+        combined_radius: distance between the centres of robot and contact minus the clearance [m], that is, R_OB minus
+            the margin.
     """
 
     normal: ca.SX
@@ -32,22 +33,24 @@ class Contact:
 
     @property
     def closing(self) -> ca.SX:
-        """Velocity v_o·n of the contact along the normal [m/s]; negative if it approaches."""
+        """Velocity v_o·n of the contact along the normal [m/s]; negative if the contact approaches."""
         return ca.dot(self.velocity, self.normal)
 
     @staticmethod
     def of(row: ca.SX) -> Contact:
-        """Return the contact in one row of a table; see `row`."""
+        """Return the contact that one line of an array of contacts holds; see `row`."""
         return Contact(row[:2], row[2], row[3:5], row[5])
 
     @property
     def row(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """The fields of the contact, as one row of a table of contacts."""
+        """The attributes of the contact, as one line of an array of contacts."""
         return self.normal, self.clearance, self.velocity, self.combined_radius
 
 
 def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, velocity: ca.SX, valid: ca.SX) -> Contact:
-    """Return the contact with a disc of this radius [m] that moves with `velocity` (2, 1) [m/s]; a point has radius 0.
+    """Return the contact with a disc of the given radius [m] that moves at `velocity` (2, 1) [m/s].
+
+    A point has radius 0.
 
     Example:
         >>> import casadi as ca
@@ -66,7 +69,7 @@ def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, vel
 
 
 def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
-    """Return `disc_contact` for each row (x, y, radius, vx, vy, valid) of a table (n, 6).
+    """Return the contact `disc_contact` for each disc (x, y, radius, vx, vy, valid) in an array (n, 6).
 
     Example:
         >>> import casadi as ca
@@ -86,7 +89,7 @@ def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
 
 
 def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> Contact:
-    """Return the contact with a point at rest, for example an echo.
+    """Return the contact with a point at rest, for example with the origin of an echo.
 
     Example:
         >>> import casadi as ca
@@ -119,7 +122,7 @@ def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
 
 
 def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> list[Contact]:
-    """Return for each sensor axis (2, 1) the nearest contact within ±45° of it.
+    """Return, for each sensor axis (2, 1), the nearest contact within ±45° of this axis.
 
     Example:
         >>> import casadi as ca

@@ -1,13 +1,14 @@
 """Integral (`ilos`) and adaptive (`alos`) line-of-sight guidance, which removes the path error of a steady disturbance.
 
-LOS guidance commands the slope −y_e/Δ. If a steady disturbance causes a steady crosswise velocity error d, the path
-error of (10) converges to y_e = Δ d/U. Both laws add a learnt `shift` [m] to y_e, so the command still needs no
-trigonometric function:
+LOS guidance commands the slope −y_e/Δ. If a steady disturbance causes a steady crosswise velocity error d, the
+cross-track error y_e under law (10) converges to y_e = Δ d/U. Both laws add a learnt `shift` [m] to y_e, so that the
+command still needs no trigonometric function:
 
 `ilos` (Børhaug, Pavlov, Pettersen 2008) uses the shift σ y_int with y_int' = Δ y_e/(Δ² + (y_e + σ y_int)²).
 `alos` (Fossen, Pettersen, Galeazzi 2015) uses the shift Δ b with b' = γ U Δ y_e/√(Δ² + (y_e + Δ b)²), where b is the
-slope of the drift. With U = U_∥ √(Δ² + (y_e + Δ b)²)/Δ and the speed U_∥ along the path, this is b' = γ U_∥ y_e. Then
-V = y_e²/2 + (b − b*)²/(2 γ) of the kinematic loop y_e' = −U_∥ (y_e/Δ + b − b*) decreases at the rate U_∥ y_e²/Δ.
+slope of the drift. With U = U_∥ √(Δ² + (y_e + Δ b)²)/Δ, where U_∥ is the speed along the path, the adaptation law
+becomes b' = γ U_∥ y_e. Then the Lyapunov function V = y_e²/2 + (b − b*)²/(2 γ) of the kinematic loop y_e' = −U_∥ (y_e/Δ
++ b − b*) decreases at the rate U_∥ y_e²/Δ.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _LEAST_GAIN = 1e-9  # m/s
 
 
 def check_guidance(name: str) -> None:
-    """Raise InputError, with a similar known name, if the name is not in `GUIDANCE`.
+    """Raise InputError, which suggests a similar known name, if the given name is not in `GUIDANCE`.
 
     Example:
         >>> from surctl.guidance import check_guidance
@@ -43,11 +44,11 @@ def check_guidance(name: str) -> None:
 
 
 def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma: ca.SX) -> ca.SX:
-    """Return the shift that is added to y_e [m]: σ y_int for `ilos`, Δ b for `alos`, 0 for `los`.
+    """Return the shift [m] that the law adds to y_e: σ y_int for `ilos`, Δ b for `alos`, 0 for `los`.
 
     Args:
-        method: one of `GUIDANCE`.
-        memory: y_int [s] of `ilos`, b [1] of `alos`.
+        method: guidance method, one of `GUIDANCE`.
+        memory: state of the method: y_int [s] for `ilos`, b [1] for `alos`.
         lookahead: look-ahead distance Δ_h [m].
         sigma: integral gain σ of `ilos` [m/s].
 
@@ -72,17 +73,17 @@ def crosstrack_next(
     held: ca.SX,
     dt: float,
 ) -> ca.SX:
-    """Return the memory after one control period, limited to a slope of 45° (anti-windup).
+    """Return the method's state (y_int or b) after one control period, limited to a slope of 45° (anti-windup).
 
     Args:
-        method: one of `GUIDANCE`.
-        memory: y_int [s] of `ilos`, b [1] of `alos`.
+        method: guidance method, one of `GUIDANCE`.
+        memory: state of the method: y_int [s] for `ilos`, b [1] for `alos`.
         y_e: cross-track error [m].
         along: commanded speed U_∥ along the path [m/s].
         lookahead: look-ahead distance Δ_h > 0 [m].
         sigma: integral gain σ of `ilos` [m/s].
         gamma: adaptation gain γ of `alos` [1/m²].
-        held: 1 while the error is not caused by a steady disturbance; then the memory does not change.
+        held: 1 while the path error has another cause than a steady disturbance; the state then does not change.
         dt: control period [s].
 
     Example:
@@ -118,7 +119,7 @@ def numeric_crosstrack_next(
     held: bool,
     dt: float,
 ) -> tuple[float, float]:
-    """Return the next memory [s or 1] and the present shift [m]: the same as `crosstrack_next`, in plain numbers."""
+    """Return the next state [s or 1] and the present shift [m], as `crosstrack_next` does, in plain numbers."""
     shift = {"los": 0.0, "ilos": sigma * memory, "alos": lookahead * memory}[method]
     if method == "los":
         return 0.0, shift

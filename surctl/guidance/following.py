@@ -1,10 +1,12 @@
-"""Decide on which leg of its path a robot is; the nearest point does not suffice if a path closes, crosses or folds.
+"""Decide on which segment of its path a robot is.
 
-The robot starts on the first leg and only ever advances to the next one. It advances once it is nearer to the next leg
-than to the rest of its own leg, and the part of the path that it would leave out at the corner is at most `_SHORT_CUT`
-times its distance to its own leg. So a robot that cuts the corner on a detour advances, but a robot that passes near
-the next leg elsewhere does not. If corners must be visited, the robot advances only within the arrival distance of a
-corner.
+The segment nearest to the robot is not always right, because a path may close, cross or fold back.
+
+The robot starts on the first path segment and only ever advances to the next segment. The robot advances if it is
+nearer to the next segment than to the rest of its present segment, and if the part of the path that it would leave out
+at the corner is at most `_SHORT_CUT` times its distance to the present segment. So a robot that cuts the corner on a
+detour advances, but a robot that comes near the next segment far from the corner does not. If corners must be visited,
+the robot advances only within the arrival distance of a corner.
 """
 
 from __future__ import annotations
@@ -36,18 +38,18 @@ _SHORT_CUT = 3.0  # chosen: cutting a right-angled corner on the diagonal leaves
 
 
 class Follower:
-    """The leg of a path that a robot is on, and its progress on this leg.
+    """The segment of a path that a robot is on, and the robot's progress on this segment.
 
     Args:
         path: the path that the robot follows.
-        visit: distance [m] to a corner that counts as a visit, if every corner must be visited; None: corners may be
-            cut.
+        visit: distance [m] to a corner within which the corner counts as visited, if every corner must be visited;
+            None: the robot may cut corners.
 
     Attributes:
-        leg: number of the present leg, from 0.
-        along: largest arc length so far on this leg [m].
-        missed: largest distance [m] at which a corner was passed so far; 0 before the first corner. The distance of one
-            corner is the least distance while the robot is on one of the two legs that meet there.
+        leg: index of the present path segment, from 0.
+        along: largest arc length on the present path segment so far [m].
+        missed: largest distance [m] at which a corner was passed so far; 0 before the first corner. The distance to a
+            corner is the least distance while the robot is on one of the two segments that meet at the corner.
 
     Example:
         >>> from surctl.guidance import Follower, Path
@@ -74,11 +76,11 @@ class Follower:
 
     @property
     def last(self) -> bool:
-        """Whether the robot is on the last leg."""
+        """Whether the robot is on the last path segment."""
         return self.leg == len(self._points) - 2
 
     def move(self, x: float, y: float) -> None:
-        """Update the leg for the robot's new position (x, y) [m] in {E}."""
+        """Update the present path segment for the robot's new position (x, y) [m] in {E}."""
         (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
         length = hypot(bx - ax, by - ay)
         ux, uy = (bx - ax) / length, (by - ay) / length
@@ -105,11 +107,11 @@ class Follower:
             self._missed, self._before, self._nearest = max(self._missed, self._before), self._nearest, inf
 
     def track(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Move the robot to each of the places (n, 2) [m] in turn, and return its distances to the path (n,) [m]."""
+        """Move the robot to the positions (n, 2) [m] in turn, and return its distances to the path (n,) [m]."""
         return self._over(places, self.distance)
 
     def directions(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Move the robot to each of the places (n, 2) [m] in turn, and return the directions of its legs (n,) [rad]."""
+        """Move the robot to the positions (n, 2) [m] in turn, and return the directions of its path segments [rad]."""
         return self._over(places, self._direction)
 
     def _over(self, places: ArrayLike, figure: Callable[[float, float], float]) -> NDArray[np.float64]:
@@ -124,7 +126,7 @@ class Follower:
         return atan2(by - ay, bx - ax)
 
     def distance(self, x: float, y: float) -> float:
-        """Return the distance [m] from (x, y) to the nearest of three legs: previous, present and next."""
+        """Return the distance [m] from (x, y) to the nearest of three path segments: previous, present and next."""
         return min(
             _apart(self._points[k], self._points[k + 1], x, y)
             for k in range(max(self.leg - 1, 0), min(self.leg + 2, len(self._points) - 1))
@@ -138,17 +140,17 @@ def _apart(a: tuple[float, float], b: tuple[float, float], x: float, y: float) -
 
 
 def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX, *, visit: ca.SX) -> dict[str, ca.SX]:
-    """Return the state of `Follower` after one move, in symbols.
+    """Return the state of `Follower` after one move of the robot, as CasADi expressions.
 
     Args:
-        old: values of `FOLLOWING` before the move.
-        waypoints: (n, 2) [m]; repetitions of the last point are ignored.
-        legs: number of legs.
+        old: values of the state `FOLLOWING` before the move.
+        waypoints: (n, 2) positions [m]; repetitions of the last waypoint are ignored.
+        legs: number of path segments.
         place: new position of the robot (2, 1) [m] in {E}.
-        visit: see `Follower`; 0 or less: corners may be cut.
+        visit: as for `Follower`; 0 or less means that the robot may cut corners.
 
     Returns:
-        Values of `FOLLOWING` after the move.
+        Values of the state `FOLLOWING` after the move.
 
     Example:
         >>> import casadi as ca

@@ -1,4 +1,4 @@
-"""The reference path: a polyline with arc length, as numbers (`Path`) and inside the law (`path_target`)."""
+"""The reference path: a polyline with arc length, as numbers (`Path`) and as expressions in the law (`path_target`)."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class Path:
 
     @property
     def slots(self) -> NDArray[np.float64]:
-        """The waypoints as the law expects them: (`MAX_WAYPOINTS`, 2) [m], filled up with the last point."""
+        """The waypoints in the law's shape (`MAX_WAYPOINTS`, 2) [m], filled up with the last waypoint."""
         spare = MAX_WAYPOINTS - len(self.waypoints)
         return np.vstack([self.waypoints, np.repeat(self.waypoints[-1:], spare, axis=0)])
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances (k,) [m] of the points (k, 2) to the nearest points of the path."""
+        """Return the distances (k,) [m] from k points (k, 2) to the path."""
         points = np.atleast_2d(points)
         best = np.full(len(points), np.inf)
         for a, b in zip(self.waypoints[:-1], self.waypoints[1:], strict=True):
@@ -70,14 +70,14 @@ class Path:
 
 
 def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the point and the tangent of the path at arc length s, in symbols, and the length of the path.
+    """Return the point and the tangent of the path at arc length s, and the length of the path, as CasADi expressions.
 
     Args:
-        waypoints: (n, 2) SX [m] in {E}; repetitions of the last point are ignored.
-        s: arc length [m], clipped to [0, length].
+        waypoints: (n, 2) CasADi SX [m] in {E}; repetitions of the last waypoint are ignored.
+        s: arc length [m]; it is clipped to [0, length].
 
     Returns:
-        point (2, 1) [m], unit tangent (2, 1) of the segment that contains s, total length [m].
+        point (2, 1) [m]; unit tangent (2, 1) of the segment that contains s; total length [m].
 
     Example:
         >>> import casadi as ca
@@ -104,10 +104,12 @@ def path_target(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
-    """Return the arc length [m] at the end of the leg that contains s; at a corner (within 0.1 mm), the corner itself.
+    """Return the arc length [m] at the end of the path segment that contains s.
+
+    If s is at a corner (within 0.1 mm), the result is the arc length of this corner.
 
     Args:
-        waypoints: see `path_target`.
+        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
         s: arc length [m], at most the length of the path.
 
     Example:
@@ -126,19 +128,24 @@ def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
 
 
 def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
-    """Return the arc length of the target [m], advanced to the next leg if a detour led the robot nearer to that leg.
+    """Return the arc length [m] of the target point, advanced to the next path segment after a detour.
 
-    Otherwise, such a robot would return to the corner, approach the next leg crosswise at full speed, and overshoot it.
+    The target advances if the detour led the robot nearer to the next segment.
+
+    If the target did not advance, such a robot would return to the corner, approach the next segment crosswise at full
+    speed, and overshoot it.
 
     Args:
-        waypoints: see `path_target`.
+        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
         s: arc length of the target point [m].
         here: position of the robot (2, 1) [m] in {E}.
-        near: distance of the target to the corner [m] below which the rest of a leg may be left out.
+        near: distance from the target point to the corner [m] below which the robot may leave out the rest of a path
+            segment.
 
     Returns:
-        Arc length of the robot's projection on the next leg. It is `s` if the robot is nearer to the target's leg
-        (prolonged backwards) or within 0.1 m of it, if the corner is further away, or if there is no next leg.
+        Arc length of the robot's projection on the next path segment. The result is `s` if the robot is nearer to the
+        target's segment (prolonged backwards) than to the next segment or within 0.1 m of the target's segment, if the
+        corner is further away than `near`, or if there is no next segment.
 
     Example:
         >>> import casadi as ca

@@ -1,8 +1,8 @@
-"""Choice of a course among many contacts: each contact blocks a sector of courses, and the law takes a free course.
+"""Choice of a course among many contacts: each contact blocks a sector of courses, and the law chooses a free course.
 
-It takes the free course nearest to the desired velocity. For one contact, the edges of the sector are exactly the
-`corrected` law φ ± arccos(·) of `avoidance`, with the braking distance in place of κ(l − R_OB − d_s):
-n·v ≤ a(l) + v_o·n. No trigonometric function is needed.
+The law takes the free course nearest to the desired velocity. For one contact, the edges of the sector are exactly the
+courses φ ± arccos(·) of the form `corrected` in `avoidance`, with the braking distance in place of κ(l − R_OB − d_s),
+that is, n·v ≤ a(l) + v_o·n. No trigonometric function is needed.
 """
 
 from __future__ import annotations
@@ -39,13 +39,14 @@ _OVERTAKE = 0.05  # [m/s] by which the robot is faster than a contact from behin
 
 @dataclass(frozen=True)
 class Choice:
-    """The chosen velocity and the data of the encounter.
+    """The velocity that the avoidance law chose, and the data of the encounter that the next step needs.
 
     Attributes:
         velocity: chosen velocity (2, 1) [m/s] in {E}.
-        side: latched side: 0 no encounter, +1 left of the desired velocity (obstacle on the right), −1 right of it.
-        blocked: 1 if the desired velocity itself is not free.
-        violation: largest violation of a bound by the chosen course [m/s]; 0 if the course is free.
+        side: latched side of the chosen course (0: no encounter; +1: left of the desired velocity, obstacle on the
+            right; −1: right of the desired velocity).
+        blocked: 1 if the desired velocity is not free.
+        violation: largest violation of a bound by the chosen course [m/s]; 0 if the chosen course is free.
         blocker: (2, 1) [m] in {E}, position of the contact that blocks the desired velocity most.
     """
 
@@ -73,29 +74,33 @@ def choose_velocity(
 ) -> Choice:
     """Return the velocity on the free course nearest to the desired velocity.
 
-    The candidates are the desired course and both edges of every sector and cone. While a moving contact approaches,
-    the desired course at reduced speed and zero velocity are candidates too. Courses on either side of the desired one
-    at reduced speed are candidates if all others lead back or leave the latched side, `slower` is 1, no contact moves
-    and no bound requires a retreat: between two contacts that both limit the speed, often no course is free at full
-    speed. If no candidate is free, the one with the smallest violation is chosen.
+    The candidates are the desired course and both edges of every sector and of every cone. While a moving contact
+    approaches, the desired course at reduced speed and zero velocity are also candidates. Courses on either side of the
+    desired course at reduced speed are candidates if four conditions hold: all other candidates lead back or leave the
+    latched side, `slower` is 1, no contact moves, and no bound requires a retreat. (Between two contacts that both
+    limit the speed, often no course is free at full speed.) If no candidate is free, the function chooses the candidate
+    with the smallest violation of a bound.
 
-    The speed is the desired speed. It is at most `cruise` while the desired velocity is blocked, so the robot does not
-    catch up between obstacles. It is higher, up to `cap`, while a bound requires a retreat, and the other bounds reduce
-    it. If zero velocity violates the bounds less than every course, the robot stops.
+    The speed of the result is normally the desired speed. The speed is at most `cruise` while the desired velocity is
+    blocked, so that the robot does not speed up between obstacles to catch up. While a bound requires a retreat, the
+    speed is higher, up to `cap`, and the other bounds reduce it. If zero velocity violates the bounds less than every
+    course, the robot stops.
 
     Args:
         desired: desired velocity (2, 1) [m/s] in {E}.
         sectors: sectors of all contacts.
-        side: latched side of the last step: −1, 0, +1; it does not change while the same contact blocks the course.
-        blocker: `Choice.blocker` of the last step.
+        side: latched side of the previous step (−1, 0 or +1); it does not change while the same contact blocks the
+            course.
+        blocker: `Choice.blocker` of the previous step.
         cruise: largest speed while the desired velocity is blocked [m/s].
         cap: largest speed [m/s].
-        same: distance [m] that the blocking point may move between two steps in the same encounter.
+        same: distance [m] that the position of the blocking contact may move between two steps of one encounter.
         cones: collision cones of moving contacts.
-        walls: walls of the site, for the side on which a head-on contact is passed, see `sides`.
-        now: velocity over ground (2, 1) [m/s] in {E}; it shows on which side a contact is being passed; default 0.
+        walls: walls of the site; they influence on which side the robot passes a head-on contact, see `sides`.
+        now: velocity over ground (2, 1) [m/s] in {E}; it shows on which side the robot is passing a contact; default:
+            0.
         acceleration: available acceleration [m/s²] to turn the velocity; default: unlimited.
-        slower: 1 if slower courses between contacts at rest are allowed; default: never.
+        slower: 1 if slower courses between contacts at rest are allowed; default: not allowed.
 
     Example:
         >>> import casadi as ca
@@ -150,14 +155,14 @@ class _Best(NamedTuple):
     pace: ca.SX
 
     def or_else(self, course: ca.SX, missed: ca.SX, side: ca.SX, cost: ca.SX, pace: ca.SX) -> _Best:
-        """Return the candidate with the lower cost: this one or the given one."""
+        """Return the candidate with the lower cost: either this candidate or the given candidate."""
         other = _Best(course, missed, side, cost, pace)
         return _Best(*(ca.if_else(cost < self.least, b, a) for a, b in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
 class _Search:
-    """The search over all candidates in a fixed order; of two candidates with equal cost it chooses the first."""
+    """The search over all candidates in a fixed order; among candidates with equal cost it chooses the first."""
 
     around: Around
     ahead: ca.SX
@@ -165,7 +170,7 @@ class _Search:
     latched: ca.SX
 
     def waiting(self, best: _Best) -> _Best:
-        """Try the desired course at the speed that the sectors allow, and zero velocity."""
+        """Try two candidates: the desired course at the speed that the sectors allow, and zero velocity."""
         for slow in (self.around.free_speed(self.ahead, self.speed), ca.SX(0)):
             missed = self.around.excess(slow * self.ahead)
             cost = 1 - slow / self.speed + _WAIT + _missed_cost(missed)
@@ -174,7 +179,7 @@ class _Search:
         return best
 
     def edges(self, best: _Best) -> _Best:
-        """Try both edges of every sector and cone: first all left edges, then all right edges."""
+        """Try both edges of every sector and cone as candidates: first all left edges, then all right edges."""
 
         def on_one_side(*values: ca.SX) -> list[ca.SX]:
             *held, side = values
@@ -207,7 +212,7 @@ class _Search:
         return best.or_else(course, missed, left, cost, self.speed)
 
     def slower(self, best: _Best) -> _Best:
-        """Try courses on either side of the desired one, each at the speed that the sectors allow."""
+        """Try courses on either side of the desired course, each course at the speed that the sectors allow."""
         fan = [
             (cos(angle), sign * sin(angle), sign, 1 - cos(angle) + (0 if sign > 0 else _HEAD_ON))
             for sign in (1, -1)
@@ -228,9 +233,9 @@ class _Search:
 
 
 def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
-    """Return a velocity (2, 1) [m/s] on the same course, slowed down to satisfy the bounds.
+    """Return a velocity (2, 1) [m/s] on the given velocity's course, slowed down to satisfy the bounds.
 
-    Each bound has a normal and the largest speed along it, which is not negative.
+    A bound consists of a normal and the largest speed along this normal, which is not negative.
 
     Example:
         >>> import casadi as ca
@@ -255,15 +260,15 @@ def round_unknown(
     *,
     cones: Sequence[Cone] = (),
 ) -> ca.SX:
-    """Return the chosen velocity, or a free course around unknown space on which the robot advances faster.
+    """Return the chosen velocity, or a free course around unknown water on which the robot advances faster.
 
-    The robot need not wait for a scan of an unknown place if it can go around it. The candidates are the edges of the
-    sectors of unknown places at the chosen speed. The function takes the candidate with the largest remaining speed
-    along the chosen course, if this candidate is free and gains enough.
+    The robot need not wait for a sonar scan of unknown water if it can go around this water. The candidates are the
+    edges of the sectors that unknown areas block, at the chosen speed. The function takes the candidate with the
+    largest remaining speed along the chosen course, if the candidate is free and is sufficiently faster.
 
     Args:
         velocity: chosen velocity (2, 1) [m/s] in {E}.
-        bounds: for each unknown place, its normal and the largest speed along it, which is not negative.
+        bounds: for each unknown area, a normal and the largest speed along this normal, which is not negative.
         sectors: sectors of all contacts.
         cones: collision cones of moving contacts.
 

@@ -1,7 +1,8 @@
 """Costs that decide on which side the robot passes a moving contact.
 
-In a head-on encounter, both ways around the contact are equally near to the desired course. Without these costs, the
-noise of the first message would choose the side, and the robot would keep it.
+In a head-on encounter, the course left of the contact and the course right of it are equally near to the desired
+course. Without these costs, the noise of the first message about the contact would choose the side, and the robot would
+keep it.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ _SLOW = 0.05  # [m/s] least assumed speed of a contact towards the robot
 
 
 def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca.SX, ca.SX]:
-    """Return the additional costs of passing a cone's contact on its left and on its right in a head-on encounter.
+    """Return the additional costs of passing a moving contact on its left and on its right in a head-on encounter.
 
-    Otherwise both costs are 0. A head-on contact stays on the robot's right (E10), unless the left path is too close to
-    a wall: near a wall the sonars detect little and the robot is slow.
+    In any other encounter both costs are 0. The robot keeps a head-on contact on its right (E10), unless the path left
+    of the contact is too close to a wall: near a wall the sonars detect little and the robot is slow.
 
     Args:
         cone: collision cone of the moving contact.
@@ -50,12 +51,12 @@ def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca
 
 
 def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the costs of passing a cone's contact on its left and on its right if this reverses a crosswise velocity.
+    """Return the costs of passing a moving contact on its left and on its right if the robot must reverse its motion.
 
-    The costs grow with the crosswise velocity relative to the contact that must be reversed. So the robot completes a
-    manoeuvre that it has begun, and from rest it passes behind a crossing contact and not in front of it. If the thrust
-    cannot reverse the velocity in half the time until the meeting, the remainder counts as a violation. In a head-on
-    encounter both costs are 0, so that noise does not choose the side.
+    The costs grow with the crosswise velocity relative to the contact that the robot must reverse. So the robot
+    completes a manoeuvre that it has begun, and from rest it passes behind a crossing contact and not in front of it.
+    If the thrust cannot reverse the crosswise velocity in half the time until the meeting, the remaining velocity
+    counts as a violation of a bound. In a head-on encounter both costs are 0, so that noise does not choose the side.
 
     Args:
         cone: collision cone of the moving contact.
@@ -74,7 +75,7 @@ def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tup
 
 
 def passes_left(velocity: ca.SX, cone: Cone) -> ca.SX:
-    """Return whether a velocity (2, 1) outside the cone passes left of the contact, which is then on the right."""
+    """Return whether a velocity (2, 1) outside the cone passes left of the contact (contact on the robot's right)."""
     return ca.dot(_left_of(cone.ahead), velocity) >= cone.crossing
 
 
@@ -83,7 +84,7 @@ def _left_of(n: ca.SX) -> ca.SX:
 
 
 def _cramped(path: ca.SX, walls: Sequence[Contact]) -> ca.SX:
-    """Return the cost of a straight path (2, 1) [m] from the robot's position that comes too close to walls."""
+    """Return the cost of a straight path (2, 1) [m] from the robot's position; it is positive too close to walls."""
     cost = ca.SX(0)
     for share, ample in _AMPLE_CLEARANCE:
         clearance = ca.SX(FAR)

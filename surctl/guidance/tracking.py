@@ -1,7 +1,8 @@
 """Tracking law (8)–(12) with the course in place of the heading (E7), saturation, and the correction U ≥ 0 (E9).
 
-With χ_d = γ_d − atan(y_e/Δ_h) and U_h = (U_d − k1 x_e) √(y_e² + Δ_h²)/Δ_h, the horizontal command has the component
-U_d − k1 x_e along the path and −(U_d − k1 x_e) y_e/Δ_h across it, so no trigonometric function is needed.
+With χ_d = γ_d − atan(y_e/Δ_h) and U_h = (U_d − k1 x_e) √(y_e² + Δ_h²)/Δ_h, the horizontal velocity command has the
+component U_d − k1 x_e along the path and the component −(U_d − k1 x_e) y_e/Δ_h across it, so no trigonometric function
+is needed.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ __all__ = ["along_command", "path_error", "progress_rate", "tracking_rate", "tra
 def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the along-track error x_e and the cross-track error y_e of (8) [m]; y_e is positive left of the path.
 
-    All vectors are (2, 1) in {E}.
+    All vector arguments are (2, 1) in {E}.
 
     Example:
         >>> import casadi as ca
@@ -39,9 +40,10 @@ def along_command(
         y_e: cross-track error [m].
         speed: speed U_d of the target point along the path [m/s].
         k1: along-track gain [1/s].
-        lookahead: look-ahead distance Δ_h [m].
-        maximum: largest speed U_h [m/s]; None: no limit, as in the paper.
-        repaired: limit U_h to at least 0; in the printed law, a negative U_h reverses the sign of the y_e term (E9).
+        lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
+        maximum: largest horizontal speed U_h [m/s]; None: no limit, as in the paper.
+        repaired: whether to limit U_h to at least 0; in the printed law, a negative U_h reverses the sign of the y_e
+            term (E9).
 
     Example:
         >>> import casadi as ca
@@ -62,7 +64,7 @@ def along_command(
 
 
 def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX) -> ca.SX:
-    """Return the commanded horizontal velocity (2, 1) in {E} [m/s] for an along-track command.
+    """Return the commanded horizontal velocity (2, 1) in {E} [m/s] for a given along-track command.
 
     Example:
         >>> import casadi as ca
@@ -75,15 +77,15 @@ def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX
 
 
 def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX, k2: ca.SX, turn: ca.SX) -> ca.SX:
-    """Return d/dt (x_e, y_e, z_e) [m/s] of the ideal kinematic loop: (9) with the commanded velocities.
+    """Return the error rates d/dt (x_e, y_e, z_e) [m/s] of the ideal kinematic loop: (9) with the commanded velocities.
 
     Args:
         error: (3, 1): x_e, y_e, z_e [m].
-        along: along-track command [m/s].
-        speed: speed U_d of the target point [m/s].
-        lookahead: look-ahead distance Δ_h [m].
+        along: commanded speed along the path [m/s].
+        speed: speed U_d of the target point along the path [m/s].
+        lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
         k2: depth gain [1/s].
-        turn: turn rate γ̇_d of the path [rad/s]; it cancels in V̇1.
+        turn: turn rate γ̇_d of the path direction [rad/s]; it cancels in V̇1.
     """
     x_e, y_e, z_e = error[0], error[1], error[2]
     return ca.vertcat(along - speed + y_e * turn, -along * y_e / lookahead - x_e * turn, -k2 * z_e)
@@ -92,8 +94,9 @@ def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX,
 def progress_rate(x_e: ca.SX, *, speed: ca.SX, wait: ca.SX) -> ca.SX:
     """Return the speed of the target point along the path [m/s].
 
-    It is U_d, and it decreases to 0 while the robot is `wait`/2 to `wait` [m] behind the target. Otherwise, a robot on
-    a detour would fall far behind, and would then cut corners at full speed to catch up.
+    The target's speed is U_d, and it decreases to 0 while the robot's distance behind the target grows from `wait`/2 to
+    `wait` [m]. If the target did not slow down, a robot on a detour would fall far behind, and would then cut corners
+    at full speed to catch up.
 
     Example:
         >>> import casadi as ca

@@ -1,4 +1,4 @@
-"""Reproduction of the paper: each claim, table, scenario and erratum as a row that compares print and computation."""
+"""Reproduction of the paper: compare each printed claim, table, scenario and erratum with our computed result."""
 
 from surctl.reproduction.reproduction import Reproduction, items, reproduce, required
 from surctl.reproduction.row import WORDS, Item, Result, Row, Word

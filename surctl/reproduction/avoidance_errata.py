@@ -1,4 +1,4 @@
-"""Errata of sections III-C and III-D on angles, sides, the window and V2 (E1, E10–E13, E17)."""
+"""Errata of sections III-C and III-D on angles, sides of avoidance, the window and V2 (E1, E10–E13, E17)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def printed_obstacle_rate(speed: float, psi: float) -> tuple[float, float]:
 
 
 def printed_turn(acceleration: float, radius: float, time: float) -> float:
-    """Return the angle σ_0 of equation (19) as it reads in our copy of the paper, √((a/R)·t)."""
+    """Return the angle σ_0 of equation (19) as it reads in our (damaged) copy of the paper, √((a/R)·t)."""
     return sqrt(acceleration / radius * time)
 
 
@@ -35,7 +35,7 @@ def mended_turn(acceleration: float, radius: float, time: float) -> float:
 
 
 def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca.SX:
-    """Return the desired course ψ_dm [rad] of equation (20), counter-clockwise, for side λ2 = +1 and printed speed."""
+    """Return the desired course ψ_dm [rad] of equation (20), counter-clockwise, for λ2 = +1 at the printed speed."""
     return avoidance_course(
         "consistent",
         phi,
@@ -52,7 +52,7 @@ def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca
 
 
 def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closing: float = 0.0) -> float:
-    """Return the distance e2 [m] to the safety circle after 120 s of avoidance by equation (20) from e2 = `start`.
+    """Return the distance e2 [m] to the safety circle after 120 s of avoidance by equation (20), from e2 = `start`.
 
     The obstacle approaches head-on at the speed −`closing` [m/s].
     """
@@ -64,7 +64,7 @@ def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closin
 
 
 def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vector:
-    """Return position and velocity (k, 4) of a mass with |v̇| ≤ `acceleration` that avoids the origin by (20)."""
+    """Return position and velocity (k, 4) of a point mass with |v̇| ≤ `acceleration` that avoids the origin by (20)."""
     x = ca.SX.sym("x", 4)
     away = ca.sqrt(ca.sumsqr(x[:2]))
     turned = course(away - setting.radius, ca.atan2(-x[1], -x[0]), setting)
@@ -76,7 +76,7 @@ def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vec
 
 
 def e1() -> Result:
-    """Return the result for erratum E1: ẏ by equations (17) and (2) at the same speed and angle."""
+    """Return the result for erratum E1: the rate ẏ by equation (17) and by equation (2), at equal speed and angle."""
     speed, psi = 0.15, pi / 4
     ours_y = value((planar_rotation(ca.SX(psi)) @ ca.vertcat(speed, 0.0))[1])
     printed_y = printed_obstacle_rate(speed, psi)[1]
@@ -98,7 +98,7 @@ def e1() -> Result:
 
 
 def e10() -> Result:
-    """Return the result for erratum E10: the side λ2 in one encounter, rotated to all directions, by two rules."""
+    """Return the result for erratum E10: the side λ2 by two rules, in one encounter rotated to all directions."""
     rule, mended = set(), set()
     for k in range(360):
         phi = np.radians(k + 0.5)
@@ -120,7 +120,7 @@ def e10() -> Result:
 
 
 def e11() -> Result:
-    """Return the result for erratum E11: V̇2 inside the circle (−δ < e2 < 0), and the final e2 with δ > 0."""
+    """Return the result for erratum E11: V̇2 inside the circle (−δ < e2 < 0), and the final e2 for δ > 0."""
     s = Setting()
     claim = claims(names=["v2-printed"])[0]
     margin, inside = evaluate(claim, claim.witnesses[0])
@@ -135,7 +135,7 @@ def e11() -> Result:
 
 
 def e12() -> Result:
-    """Return the result for erratum E12: the final e2 if an obstacle slower than the robot approaches head-on."""
+    """Return the result for erratum E12: the final e2 if an obstacle approaches head-on, slower than the robot."""
     s = Setting()
     end, formula = final_distance(0.5, s, closing=-s.obstacle_speed), settling_intrusion(s)
     ours = f"e2 converges to {end:.4f} m; the formula −k3 R c/√(1 − c²) gives {formula:.4f} m"
@@ -148,7 +148,7 @@ def e12() -> Result:
 
 
 def e13() -> Result:
-    """Return the result for erratum E13: avoidance of a resting obstacle with δ = 0, without and with inertia."""
+    """Return the result for erratum E13: avoidance of a resting obstacle with δ = 0, without and with robot inertia."""
     s, vehicle = Setting(), load_vehicle("sur540-flooded")
     acceleration = float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     begins = 0.3  # [m] less than the 0.46 m that it takes to stop
@@ -173,7 +173,7 @@ def e13() -> Result:
 
 
 def e17() -> Result:
-    """Return the result for erratum E17: the angle σ_0 computed in seconds and in minutes must be the same."""
+    """Return the result for erratum E17: the angle σ_0 must not depend on the unit of time (seconds or minutes)."""
     a, radius, t, minute = 0.05, 0.5, 2.0, 60.0
     read = printed_turn(a * minute**2, radius, t / minute) / printed_turn(a, radius, t)
     mended = mended_turn(a * minute**2, radius, t / minute) / mended_turn(a, radius, t)

@@ -1,4 +1,4 @@
-"""A row for each claim of the paper on V1, V2 and the course, as printed and as corrected."""
+"""Compare each claim of the paper on V1, V2 and the course, as printed and as corrected, with its verdict."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SPEEDS = f"--cruise {Setting.speed:g} --cap {Setting.speed_max:g}"
 
 
 def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item]:
-    """Return the rows of all claims for these gains, with `samples` samples of the falsifier for each claim."""
+    """Return the comparisons for all claims with these gains; the falsifier takes `samples` samples per claim."""
     return [
         Item(
             claim.name,

@@ -1,4 +1,4 @@
-"""A row for each of the errata E1–E21."""
+"""Compare the print with the computation for each of the errata E1–E21."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _ERRATA: tuple[tuple[str, str, str, Word, Callable[[], Result]], ...] = (
 
 
 def errata_items() -> list[Item]:
-    """Return the rows of the errata; E8 has one row for the sign and one row for the diagonal."""
+    """Return the comparisons for all errata; E8 has two, for the sign and for the diagonal."""
     return [
         Item(name, "errata", what, paper, expected, compute, f"surctl reproduce {name}")
         for name, what, paper, expected, compute in _ERRATA

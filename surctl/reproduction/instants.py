@@ -1,4 +1,4 @@
-"""Rows for times in the paper: transients, detection, and passing of moving obstacles, each from one simulated run."""
+"""Compare times in the paper (transients, detection and passing of moving obstacles) with those of simulated runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _APART = 1.0  # [s] a shorter interruption does not end an avoidance
 
 
 def instant_items(simulations: Simulations) -> list[Item]:
-    """Return a row for each time that the paper gives for a scenario of the library."""
+    """Return a comparison for each time that the paper gives for a scenario of the library."""
     items = []
     for name in scenario_names():
         paper = simulations.scenario(name).paper
@@ -44,13 +44,16 @@ def instant_items(simulations: Simulations) -> list[Item]:
 
 
 def avoidances(run: Run) -> list[float]:
-    """Return the start times [s] of the intervals in which the law avoids obstacles."""
+    """Return the start times [s] of the intervals in which the law avoids an obstacle."""
     time = run.record.time[run.telemetry("avoiding")[:, 0] > 0.5]
     return [float(t) for k, t in enumerate(time) if k == 0 or t - time[k - 1] > _APART]
 
 
 def passed_at(run: Run) -> float:
-    """Return the last time [s] at which a moving obstacle is ahead of the robot, towards the target; 0 if never."""
+    """Return the last time [s] at which a moving obstacle is ahead of the robot on its way; 0 if never.
+
+    Ahead means: in the direction from start to target.
+    """
     direction = run.scenario.target - run.scenario.start
     last = 0.0
     for time, eta, bodies in zip(run.record.time, run.record.eta, run.record.obstacles, strict=True):
@@ -99,7 +102,7 @@ def _passed(simulations: Simulations, name: str) -> Result:
 
 
 def _apart(run: Run, time: float) -> float:
-    """Return the distance between centres [m] to the nearest moving body at a time [s]; infinite if there is none."""
+    """Return the distance [m] from the robot's centre to that of the nearest moving body at a time [s]; inf if none."""
     k = int(np.argmin(np.abs(run.record.time - time)))
     centres = [b.shape.center for b in run.record.obstacles[k] if b.moving and isinstance(b.shape, Disc | Box)]
     return min((float(np.hypot(*(np.asarray(c) - run.record.eta[k, :2]))) for c in centres), default=float("inf"))

@@ -1,4 +1,4 @@
-"""Helper functions for several rows: the value of an expression, and the simulation of a small system of equations."""
+"""Helper functions: the value of an expression, and the simulation of a small system of differential equations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Vector = NDArray[np.float64]
 
 
 def value(expression: ca.SX) -> float:
-    """Return the numeric value of an SX expression without symbols."""
+    """Return the numeric value of a CasADi SX expression that contains no symbols."""
     return float(ca.evalf(expression))
 
 
@@ -28,7 +28,7 @@ def numeric(function: ca.Function) -> Callable[[Vector], Vector]:
 
 
 def trajectory(rate: Callable[[Vector], Vector], start: Vector, *, duration: float, step: float = 0.05) -> Vector:
-    """Return the states (k + 1, n) of ẋ = rate(x) from `start` (n,), by k = duration/step RK4 steps of `step` [s]."""
+    """Return the states (k + 1, n) of ẋ = rate(x) from `start` (n,) in k = duration/step RK4 steps of `step` [s]."""
     states = [np.asarray(start, dtype=float)]
     for _ in range(round(duration / step)):
         x = states[-1]

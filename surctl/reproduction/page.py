@@ -1,4 +1,4 @@
-"""The rows of the reproduction as a self-contained HTML page, with the paper's figures drawn from simulated runs."""
+"""Write the reproduction as a self-contained HTML page, with the paper's figures drawn from simulated runs."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ _SERIES = ("tank-speed", "pool-speed")
 
 
 def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
-    """Write the page: a table for each group and, if it has rows of scenarios, figures of one run per scenario.
+    """Write the HTML page with a table for each group of comparisons.
+
+    If scenarios are among the comparisons, the page shows figures of one run per scenario.
 
     The figures show runs with true positions and seed 0.
 
     Args:
-        done: the computed rows.
-        path: path of the page.
-        command: the command line that created the page.
+        done: the computed comparisons.
+        path: path of the HTML page.
+        command: the command line that created the HTML page.
 
     Raises:
         InputError: if the folder cannot be written.
@@ -80,7 +82,7 @@ def _table(group: str, rows: list[Row]) -> Section:
 
 
 def _trajectories(runs: list[Run]) -> Section:
-    """Return the section with plan view and coordinates of each scenario, as in Figs. 6, 8, 11, 13, 15."""
+    """Return the HTML section with plan view and coordinates of each scenario, as in Figs. 6, 8, 11, 13, 15."""
     blocks: list[Block] = []
     for run in runs:
         name, m = run.scenario.name, run.metrics
@@ -100,7 +102,7 @@ def _trajectories(runs: list[Run]) -> Section:
 
 
 def _series(runs: list[Run]) -> Section:
-    """Return the section with the four speeds of the moving obstacle, as in Figs. 17 and 19."""
+    """Return the HTML section with the four speeds of the moving obstacle, as in Figs. 17 and 19."""
     blocks: list[Block] = []
     for series in _SERIES:
         chosen = [run for run in runs if run.scenario.name.startswith(series)]
@@ -122,7 +124,7 @@ def _series(runs: list[Run]) -> Section:
 
 
 def _errors(runs: list[Run]) -> Section:
-    """Return the section with the position errors of the three simulations and of the pool, as in Fig. 20."""
+    """Return the HTML section with the position errors of the three simulations and of the pool, as in Fig. 20."""
     pictures = []
     for where, names in (
         ("simulation", ("tank-static", "tank-moving", "tank-speed-015")),

@@ -1,4 +1,4 @@
-"""The reproduction of the paper: selection and computation of rows, and a check that no required row is missing."""
+"""The reproduction of the paper: select and compute comparisons, and check that no required one is missing."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ QUICK_SAMPLES = 512
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """Computed rows that compare the paper with the results of this project.
+    """Computed comparisons of the paper with the results of this project.
 
     Attributes:
-        rows: the computed rows, in order.
-        missing: ids of required rows that have no computation; empty if only selected rows are computed.
-        seeds: number of seeds of each scenario.
-        simulations: the simulations of the scenarios.
+        rows: the computed comparisons, in order.
+        missing: ids of required comparisons that nothing computes; empty if only a selection is computed.
+        seeds: number of seeds (runs) of each scenario.
+        simulations: the simulations of the scenarios, from which the comparisons are computed.
     """
 
     rows: tuple[Row, ...]
@@ -41,11 +41,11 @@ class Reproduction:
 
     @property
     def passed(self) -> bool:
-        """Whether no row is missing and every row is as expected."""
+        """Whether no comparison is missing and every comparison has the expected result."""
         return not self.missing and all(row.as_expected for row in self.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; the writer of the JSON must handle numbers that are not finite."""
+        """Return the reproduction as plain data for JSON; the writer must handle numbers that are not finite."""
         return {
             "passed": self.passed,
             "seeds": self.seeds,
@@ -56,7 +56,7 @@ class Reproduction:
 
 
 def items(simulations: Simulations, *, samples: int = FULL) -> list[Item]:
-    """Return every row before its computation: claims, tables, errata, scenarios, position errors.
+    """Return every comparison before its computation: claims, tables, errata, scenarios, position errors.
 
     Example:
         >>> from surctl.reproduction import Simulations, items
@@ -77,7 +77,7 @@ def items(simulations: Simulations, *, samples: int = FULL) -> list[Item]:
 
 
 def required() -> list[str]:
-    """Return the ids of all required rows: each claim, percentage, erratum and scenario, and the position errors.
+    """Return the ids of all required comparisons: claims, percentages, errata, scenarios and position errors.
 
     Example:
         >>> from surctl.reproduction import required
@@ -104,17 +104,17 @@ def reproduce(
     progress: Callable[[str], None] = lambda _: None,
     done: Callable[[Row], None] = lambda _: None,
 ) -> Reproduction:
-    """Compute the rows with the given ids, or all rows.
+    """Compute the comparisons with the given ids, or all comparisons.
 
     Args:
-        names: ids of the rows; an empty sequence selects all rows.
+        names: ids of the comparisons; an empty sequence selects all comparisons.
         quick: whether to use fewer seeds and samples.
-        seeds: number of seeds of the compiled loop for each scenario; default 20, or 3 if `quick`.
-        progress: function that is called with each row's id before the computation of the row.
-        done: function that is called with each row as soon as it is computed.
+        seeds: number of seeds of the compiled loop for each scenario; default: 20, or 3 if `quick` is true.
+        progress: function that is called with the id of each comparison before its computation.
+        done: function that is called with each comparison as soon as it is computed.
 
     Raises:
-        InputError: if an id is unknown (the error suggests the nearest known id), or there is less than one seed.
+        InputError: an id is unknown (the error suggests the nearest known id), or the number of seeds is less than 1.
 
     Example:
         >>> from surctl.reproduction import reproduce

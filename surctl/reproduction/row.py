@@ -1,4 +1,4 @@
-"""A row: one statement or number printed in the paper, compared with the result computed here."""
+"""A comparison: one statement or number printed in the paper, compared with the result computed here."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ WORDS: tuple[Word, ...] = get_args(Word)
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a row's computation.
+    """The result of one comparison.
 
     Attributes:
-        ours: the computed result with its unit.
+        ours: the result computed by this project, with its unit.
         word: the verdict.
-        reason: reason for a difference, or the counterexample; empty if the result agrees with the paper.
-        numbers: numbers behind `ours` by name, with the unit in the name.
-        safe: for simulations, whether every run arrived and none collided; None if that does not decide the row.
+        reason: reason for a difference from the paper, or the counterexample; empty if the result agrees with the
+            paper.
+        numbers: the numbers from which `ours` is written, by name, with the unit in the name.
+        safe: for simulations, whether every run arrived and none collided; None if arrivals and collisions do not
+            decide the comparison.
     """
 
     ours: str
@@ -42,7 +44,7 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """The verdict, followed by a colon and the reason if there is one."""
+        """The verdict on the printed statement, followed by a colon and the reason if there is a reason."""
         return f"{self.word}: {self.reason}" if self.reason else self.word
 
 
@@ -62,22 +64,23 @@ def wrong_in_print(ours: str, counterexample: str, **numbers: float) -> Result:
 
 
 def unreadable(ours: str, **numbers: float) -> Result:
-    """Return a result for a statement that is wrong as it reads, possibly because our copy of the paper is damaged."""
+    """Return a result for a statement that is wrong as our copy of the paper reads; the copy may be damaged."""
     return Result(ours, "unreadable in our copy", numbers=numbers)
 
 
 @dataclass(frozen=True)
 class Item:
-    """A row before its computation.
+    """A comparison before its computation.
 
     Attributes:
-        id: id of the row.
+        id: id of the comparison.
         group: `claims`, `tables`, `errata`, `scenarios` or `position errors`.
         what: the quantity or statement that is compared.
-        paper: the printed statement, with its place in the paper.
-        expected: the verdict that the computation must give; None if the simulated runs decide.
-        compute: the computation, which gives all numbers of the row.
-        command: a command that computes the same numbers.
+        paper: the printed statement, with its location in the paper.
+        expected: the verdict that the computation must give; None if the arrivals and collisions of simulated runs
+            decide.
+        compute: function that computes all numbers of the comparison.
+        command: a command of the program that computes the same numbers.
     """
 
     id: str
@@ -89,7 +92,7 @@ class Item:
     command: str
 
     def row(self) -> Row:
-        """Compute the row; return it with the time of the computation."""
+        """Compute the comparison; return it with the duration of the computation."""
         began = time.perf_counter()
         try:
             result = self.compute()
@@ -100,7 +103,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Row:
-    """A computed row, and the time of its computation [s]."""
+    """A computed comparison, with the duration of its computation [s]."""
 
     item: Item
     result: Result
@@ -108,13 +111,13 @@ class Row:
 
     @property
     def as_expected(self) -> bool:
-        """Whether the row has its recorded verdict, and its simulated runs (if any) arrived without collision."""
+        """Whether the comparison has its expected verdict, and its runs (if any) arrived without collision."""
         if self.item.expected is None:
             return self.result.safe is not False
         return self.result.word == self.item.expected and self.result.safe is not False
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the row as plain data for JSON."""
+        """Return the comparison as plain data for JSON."""
         return {
             "id": self.item.id,
             "group": self.item.group,

@@ -1,7 +1,7 @@
-"""Rows of the scenarios: arrivals, collisions and times of all seeds compared with the paper, and E_p of both series.
+"""Compare arrivals, collisions and times of all seeds with the paper for each scenario, and E_p for both series.
 
-These rows have no recorded verdict: a row is as expected if every run arrived and none collided. The row reports a time
-that differs from the paper, but a different time does not make the row fail.
+These comparisons have no expected verdict: the result is as expected if every run arrived and none collided. A time
+that differs from the paper is reported, but it does not make the comparison fail.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LIMITS: tuple[tuple[str, Factors], ...] = (
 
 
 def scenario_items(simulations: Simulations) -> list[Item]:
-    """Return a row for each scenario with true positions, and a row with sonar perception."""
+    """Return two comparisons for each scenario: with true positions, and with sonar perception."""
     return [
         Item(
             f"{name}{ending}",
@@ -54,7 +54,10 @@ def scenario_items(simulations: Simulations) -> list[Item]:
 
 
 def hull_items(simulations: Simulations) -> list[Item]:
-    """Return rows of the pool with a hull of the printed size; any result is valid, as no path is guaranteed (E15)."""
+    """Return comparisons for the pool and a hull of the printed size.
+
+    Any result is valid, because no path is guaranteed for this hull (E15).
+    """
     return [
         Item(
             f"{name}-printed-hull",
@@ -71,7 +74,7 @@ def hull_items(simulations: Simulations) -> list[Item]:
 
 
 def limit_items(simulations: Simulations) -> list[Item]:
-    """Return the row on the vehicle parameter that limits the time of the slowest scenario with sonar perception."""
+    """Return the comparison on the vehicle parameter that limits the time of the slowest scenario with sonar."""
     scenario, name = simulations.scenario(_LIMITED), f"{_LIMITED}-sonar-limit"
     return [
         Item(
@@ -87,7 +90,7 @@ def limit_items(simulations: Simulations) -> list[Item]:
 
 
 def position_items(simulations: Simulations) -> list[Item]:
-    """Return the rows of the position error E_p, for the tank and the pool scenarios and both kinds of sensing."""
+    """Return the comparisons of the position error E_p, for tank and pool scenarios and both kinds of sensing."""
     items = []
     for series, where in _SERIES:
         names = [name for name in scenario_names() if name.startswith(series)]
@@ -109,7 +112,10 @@ def position_items(simulations: Simulations) -> list[Item]:
 
 
 def time_verdict(ours: float, paper: float, kind: str) -> tuple[bool, str]:
-    """Return whether a time [s] agrees with the paper's time of that kind, and a text with the difference."""
+    """Return whether a time [s] agrees with the paper's time of that kind, and a text with the difference.
+
+    The kind says whether the paper's time is approximate or an upper limit.
+    """
     off = ours / paper - 1
     if kind == "less than":
         return ours < paper, f"{ours:.2f} s is {100 * off:.1f} % above {paper:g} s"
@@ -146,7 +152,7 @@ def _arrivals(simulations: Simulations, name: str, sensing: Sensing) -> Result:
 
 
 def _hull(simulations: Simulations, name: str) -> Result:
-    """Return the result with the printed hull; `safe` is None, so the row cannot fail."""
+    """Return the result with the printed hull; `safe` is None, so the comparison cannot fail."""
     batch = simulations.batch(name, "truth", PRINTED_HULL)
     reached, collided, runs = int(batch.column("reached").sum()), int(batch.column("collided").sum()), batch.runs
     text, lost = _ended(reached, collided, runs)
@@ -158,7 +164,7 @@ def _hull(simulations: Simulations, name: str) -> Result:
 
 
 def _limit(simulations: Simulations) -> Result:
-    """Return the times with changed vehicle parameters; `safe` is None, so the row cannot fail."""
+    """Return the arrival times with changed vehicle parameters; `safe` is None, so the comparison cannot fail."""
     took = {
         what: _mean(simulations.arrived(_LIMITED, "sonar", "time_s", factors))
         for what, factors in (("the vehicle as it is", ()), *_LIMITS)
@@ -174,13 +180,13 @@ def _limit(simulations: Simulations) -> Result:
 
 
 def _ended(reached: int, collided: int, runs: int) -> tuple[str, str]:
-    """Return a text with the numbers of arrivals and collisions, and a text for runs that failed."""
+    """Return a text with the numbers of arrivals and collisions, and a text about the runs that failed."""
     text = f"{reached} of {runs} arrived, {collided} collided"
     return text, f"{collided} of {runs} runs collided and {runs - reached - collided} did not arrive"
 
 
 def _judged_time(simulations: Simulations, name: str, sensing: Sensing) -> float:
-    """Return the time [s] that corresponds to the paper's: mean of a scenario, mean of its series, or longest run."""
+    """Return the time [s] to compare with the paper's: mean of a scenario, mean of its series, or longest run."""
     paper = simulations.scenario(name).paper
     if paper.time_of == "series":
         return float(simulations.arrived(name, sensing, "time_s").max())

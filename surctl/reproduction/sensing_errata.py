@@ -1,4 +1,4 @@
-"""Errata of section II: Table II, the converter, and the adaptive filter (E2–E6, E19, E20)."""
+"""Errata of section II: Table II, the analogue-to-digital converter, and the adaptive filter (E2–E6, E19, E20)."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ _X_N = 1.30
 
 
 def largest_error(test: RangeTest) -> float:
-    """Return the largest |measured − desired| in both media [m]."""
+    """Return the largest error |measured − desired| over both media of Table II [m]."""
     return max(float(np.max(np.abs(test.errors(medium)))) for medium in MEDIA)
 
 
 def largest_percent(test: RangeTest) -> float:
-    """Return the largest relative error in both media [%]."""
+    """Return the largest relative error over both media of Table II [%]."""
     return max(float(np.max(test.percent(medium))) for medium in MEDIA)
 
 
 def printed_step(x: Vector, residual: float) -> float:
-    """Return step size μ of S5 in Algorithm 1 as printed, gᵀg/(gᵀRg) with g = Xℜ and R = XXᵀ [1/m²]."""
+    """Return the step size μ in S5 of Algorithm 1 as printed, gᵀg/(gᵀRg) with g = Xℜ and R = XXᵀ [1/m²]."""
     g, R = x * residual, np.outer(x, x)
     return float(g @ g / (g @ R @ g))
 
 
 def residual_after(step: StepRule) -> float:
-    """Return the ratio of residuals after and before one step of Algorithm 1 from θ = 1/m, without momentum."""
+    """Return the ratio of the residuals after and before one step of Algorithm 1 from θ = 1/m, without momentum."""
     m = len(_X)
     theta, x = ca.SX(np.full(m, 1.0 / m)), ca.SX(_X)
     done = lms_step(
@@ -60,13 +60,13 @@ def loss_gradient(theta: Vector, x: Vector, x_n: float) -> Vector:
 
 
 def printed_gradient(theta: Vector, x: Vector, x_n: float) -> Vector:
-    """Return the gradient ∇(ℜ) of S3 in Algorithm 1 as printed, +2ℜX (n,) [m²]."""
+    """Return the gradient ∇(ℜ) in S3 of Algorithm 1 as printed, +2ℜX (n,) [m²]."""
     printed: Vector = 2 * (x_n - theta @ x) * x
     return printed
 
 
 def e2() -> Result:
-    """Return the result for erratum E2: all percentages of Table II recomputed, one of which is wrong in print."""
+    """Return the result for erratum E2: all percentages of Table II recomputed; one printed percentage is wrong."""
     test = table_ii()
     off = [(medium, int(k)) for medium in MEDIA for k in test.disagreeing(medium)]
     if not off:
@@ -96,7 +96,7 @@ def e3() -> Result:
 
 
 def e4() -> Result:
-    """Return the result for erratum E4: one step of the 8-bit conversion, compared with the printed resolution."""
+    """Return the result for erratum E4: the step size of the 8-bit conversion, compared with the printed resolution."""
     array = SonarArray()
     step, needed = 1e3 * array.resolution, int(np.ceil(np.log2(array.maximum / 0.005 + 1)))
     ours = f"{step:.2f} mm"
@@ -160,7 +160,7 @@ def e19() -> Result:
 
 
 def e20() -> Result:
-    """Return the result for erratum E20: the printed total ranging error, and the largest error of Table II."""
+    """Return the result for erratum E20: the printed total ranging error and the largest error of Table II."""
     worst = largest_error(table_ii())
     ours = f"largest error {worst:.3f} m"
     if worst < 0.02:

@@ -1,4 +1,4 @@
-"""The simulations for the rows of the scenarios; each is computed once and stored."""
+"""The simulations of the scenarios for the comparisons; every simulation is computed once and stored."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def scenario_names() -> list[str]:
 
 @dataclass(frozen=True)
 class Simulations:
-    """Simulations of the library's scenarios with the default gains; results are stored and used again.
+    """Simulations of the library's scenarios with the given gains; stored results are used again.
 
     Attributes:
-        seeds: number of seeds 0, 1, … of the compiled loop, at least 1.
+        seeds: number of seeds (0, 1, …) that the compiled loop simulates, at least 1.
         threads: number of threads of the compiled loop.
         gains: gains of the control law.
     """
@@ -47,11 +47,14 @@ class Simulations:
             raise InputError("must be at least 1", key="seeds", value=self.seeds)
 
     def scenario(self, name: str) -> Scenario:
-        """Return the scenario with that name."""
+        """Return the library's scenario with the given name."""
         return load_scenario(name)
 
     def batch(self, name: str, sensing: Sensing, vehicle: str = "", factors: Factors = ()) -> BatchResult:
-        """Return the metrics of all seeds with the scenario's or another vehicle; `factors` multiply its parameters."""
+        """Return the metrics of all seeds with the scenario's or another vehicle.
+
+        `factors` multiply parameters of this vehicle.
+        """
         key = (name, sensing, vehicle, factors)
         if key not in self._batches:
             scenario = self.scenario(name)
@@ -62,7 +65,7 @@ class Simulations:
         return self._batches[key]
 
     def run(self, name: str, sensing: Sensing = "truth") -> Run:
-        """Return the run of the reference loop with seed 0, including its record."""
+        """Return the run of the reference loop with seed 0, including the recorded signals."""
         key = (name, sensing)
         if key not in self._runs:
             scenario = self.scenario(name)
@@ -71,7 +74,7 @@ class Simulations:
         return self._runs[key]
 
     def arrived(self, name: str, sensing: Sensing, metric: str, factors: Factors = ()) -> Vector:
-        """Return the values (k,) of a metric for the runs that arrived."""
+        """Return the values (k,) of a metric for the k runs that arrived."""
         batch = self.batch(name, sensing, factors=factors)
         values: Vector = batch.column(metric)[batch.column("reached") > 0.5]
         return values

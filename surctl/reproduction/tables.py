@@ -1,4 +1,4 @@
-"""Rows of the paper's tables: the quantities of Table I that the model contains, and the 36 percentages of Table II."""
+"""Compare the paper's tables: the quantities of Table I that the model contains, and the 36 percentages of Table II."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ __all__ = ["table_items"]
 
 
 def table_items() -> list[Item]:
-    """Return the rows of Table I (range and resolution; no model uses size, supply and frequency) and of Table II."""
+    """Return the comparisons for Table I (range and resolution) and for Table II.
+
+    No model uses the other quantities of Table I: size, supply and frequency.
+    """
     items = [
         Item(
             f"table-i-{name}",
@@ -59,7 +62,7 @@ def _own(name: str) -> str:
 
 
 def _sensor(name: str) -> Result:
-    """Return the result for one property of the sensors in the default array."""
+    """Return the result for one sensor property of Table I, compared with that of the default sonar array."""
     ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
     text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
     # a step finer than "about 5 mm" also agrees
@@ -70,7 +73,7 @@ def _sensor(name: str) -> Result:
 
 
 def _percentage(medium: Medium, k: int) -> Result:
-    """Return the percentage recomputed from the reading; it agrees if it rounds to the printed decimal."""
+    """Return the percentage recomputed from the sensor reading; it agrees if it rounds to the printed decimal."""
     test = table_ii()
     ours, column = float(test.percent(medium)[k]), test.column(medium)
     printed = float(column.printed_percent[k])

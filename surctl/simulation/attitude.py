@@ -1,4 +1,4 @@
-"""Attitude of a vehicle along its motion: crab angle, heading error, and oscillation like that of a limit cycle."""
+"""Attitude of a vehicle along its motion: crab angle, heading error, and oscillation of the sway velocity."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Attitude:
     """Crab angle, heading error and oscillation of one run.
 
     Attributes:
-        crab_angle_deg: mean absolute angle between hull and velocity while it moves; NaN if it never moves.
-        max_crab_angle_deg: largest absolute crab angle while it moves; NaN if it never moves.
-        heading_error_deg: rms angle between the hull and the current leg of the path while it moves.
+        crab_angle_deg: mean absolute angle between hull and velocity while the vehicle moves; NaN if it never moves.
+        max_crab_angle_deg: largest absolute crab angle while the vehicle moves; NaN if it never moves.
+        heading_error_deg: rms angle between the hull and the current path segment while the vehicle moves.
         oscillates: whether the sway velocity is periodic in the last part of the run, as in a limit cycle.
-        period_s: period of that oscillation [s]; NaN if there is none.
-        swing_m_per_s: amplitude of the sway velocity in that part of the run [m/s].
+        period_s: period of the sway oscillation [s]; NaN if the sway velocity does not oscillate.
+        swing_m_per_s: amplitude of the sway velocity in the last part of the run [m/s].
     """
 
     crab_angle_deg: float
@@ -42,7 +42,7 @@ class Attitude:
     swing_m_per_s: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data; the writer of the file converts NaN."""
+        """Return the attitude results as plain data; the writer of the file converts NaN."""
         return asdict(self)
 
 
@@ -50,7 +50,7 @@ def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: 
     """Return crab angle, heading error and oscillation of a recorded motion.
 
     Args:
-        follower: path follower, at the start of its path.
+        follower: path follower (tracks the current path segment), at the start of its path.
         cruise: cruise speed [m/s].
         time: (n,) time [s], evenly spaced.
         eta: (n, 4) position [m] and heading [rad] in {E}.

@@ -1,4 +1,4 @@
-"""Check whether a hull fits at the start, at the target, and in the gaps between them."""
+"""Check whether a hull fits at the start, at the target, and in the gaps along the way."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CLEARANCE = 0.02  # [m] two standard deviations of the base station's position:
 
 
 def clearance_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Return all findings about clearance: walls and obstacles at start and target, gaps, launch, and the surface."""
+    """Return all findings about clearance: at start and target, in gaps, in the launch area, at the surface."""
     return [
         *end_findings(scenario, vehicle),
         *_drifting_together(scenario),
@@ -33,13 +33,13 @@ def clearance_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> li
 
 
 def _met(scenario: Scenario, vehicle: Vehicle) -> list[Obstacle]:
-    """Return the obstacles that a hull at the path's depth can touch, or passes within `_CLEARANCE` of their ends."""
+    """Return the obstacles that a hull at the path's depth can touch, or passes vertically within `_CLEARANCE`."""
     extent = vehicle["radius"] + _CLEARANCE
     return [o for o in scenario.obstacles if o.heights.crosses(scenario.depth, extent)]
 
 
 def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Return the findings at the start and the target only, without the slow search for gaps between them."""
+    """Return the findings at the start and the target only, without the slow search for gaps on the way."""
     results = _at_walls(scenario, vehicle)
     for obstacle in _met(scenario, vehicle):
         results += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
@@ -47,14 +47,14 @@ def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
-    """Return the points that the hull must reach: name, position, and the distance [m] that counts as reached."""
+    """Return the points that the hull must reach: name, position, and the distance [m] to count as reached."""
     corners = scenario.path.waypoints[1:-1] if scenario.visit else ()
     visited = [(f"corner ({c[0]:g}, {c[1]:g})", c, scenario.arrival_radius) for c in corners]
     return [("start", scenario.start, 0.0), *visited, ("target", scenario.target, 0.0)]
 
 
 def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report obstacles in the water that `launch_m` declares free: the law relies on it before its first echoes."""
+    """Report obstacles in the launch area (`launch_m`), which the law takes as free before its first echoes."""
     results = []
     start = (float(scenario.start[0]), float(scenario.start[1]))
     for obstacle in _met(scenario, vehicle):
@@ -132,9 +132,9 @@ def _drifting_together(scenario: Scenario) -> list[Finding]:
 
 
 def _gap(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Report the tightest gap on the widest passage to the target if it is too narrow for the hull and its path error.
+    """Report the tightest gap on the widest passage to the target if the gap is too narrow for hull and path error.
 
-    If another depth has a passage, the finding is a warning that names this depth instead of an error.
+    If there is a wide enough passage at another depth, the finding is a warning that names the depth, not an error.
     """
     error = scenario.paper.position_error_m or _CLEARANCE
     hull = 2 * vehicle["radius"]
@@ -168,10 +168,11 @@ def _passes(scenario: Scenario, clearance: float, z: float, *, hull: float) -> b
 
 
 def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
-    """Return z [m] of the depths that the law tries besides the path's depth, see `control.layers`.
+    """Return the depths z [m] that the law tries in addition to the path's depth, see `control.layers`.
 
-    Depths above the path come first, the nearest first. The list is empty if the mission has no `depths`. Obstacles
-    that the echo sounders may detect on the way to a depth are not considered.
+    Depths above the path come first, and the depth nearest to the path comes first among them. The list of depths is
+    empty if the mission has no `depths`. The function does not consider obstacles that the echo sounders may detect on
+    the way to another depth.
     """
     if scenario.depths is None:
         return []

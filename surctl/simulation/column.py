@@ -1,10 +1,11 @@
-"""The water around a hull: the obstacles that its sonars can detect, and the free water above and below it.
+"""The water around a hull: the obstacles that the hull's sonars can detect, and the free water above and below it.
 
-Both closed loops make the same two simplifications. First, the beam of a sonar is a horizontal fan, at every range as
-thick as the hull plus `BAND` above and below: the sonar detects the obstacles that cross this fan and no others. (A
-real beam is thinner near the hull and thicker far away, where it would detect a sill that the hull passes over.)
-Second, an echo sounder measures, without noise, the distance to the nearest obstacle over or under a disc that is
-`FOOTPRINT` wider than the hull. The limits of the mission's `depths` count as obstacles for it.
+The reference loop and the compiled loop make the same two simplifications. First, the beam of a sonar is a horizontal
+fan, which at every range is as thick as the hull plus `BAND` above and below: the sonar detects exactly the obstacles
+that cross this fan. (A real beam is thinner near the hull and thicker far away, where it would detect a sill that the
+hull passes over.) Second, an echo sounder measures, without noise, the vertical distance to the nearest obstacle over
+or under a disc that is `FOOTPRINT` wider than the hull. The limits of the mission's `depths` count as obstacles for the
+echo sounder.
 """
 
 from __future__ import annotations
@@ -42,11 +43,11 @@ def beside(bodies: Sequence[Body], z: float, hull: float) -> list[Body]:
 def column(
     scenario: Scenario, bodies: Sequence[Body], place: NDArray[np.float64] | Sequence[float], hull: float
 ) -> tuple[float, float]:
-    """Return the free water above and below a hull [m], within the mission's `depths`; 0 if it has no `depths`.
+    """Return the free water [m] above and below a hull, within the mission's `depths`; 0 without `depths`.
 
     Args:
         scenario: the mission.
-        bodies: obstacles at this instant.
+        bodies: obstacles of the scenario at the present instant.
         place: (3,) position of the hull's centre in {E} [m].
         hull: radius of the hull [m].
     """

@@ -15,10 +15,10 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Disturbance(Strict):
-    """Waves and slow drift as seeded sinusoidal forces in {E}, a constant current, and thrust errors.
+    """Disturbances: waves and slow drift as seeded sinusoidal forces in {E}, constant current, and thrust errors.
 
-    For a command τ, an axis with the limit τ_max delivers the thrust (1 + g)·τ + b·τ_max within that limit. The numbers
-    g and b are drawn once per run, uniformly within ±`thrust_error` and ±`thrust_bias`.
+    For a command τ, an axis with the thrust limit τ_max delivers the thrust (1 + g)·τ + b·τ_max, clipped to ±τ_max. The
+    gain error g and the bias b are drawn once per run, uniformly within ±`thrust_error` and ±`thrust_bias`.
     """
 
     wave_force_n: NotNegative = 0.0

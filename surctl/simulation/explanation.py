@@ -1,4 +1,4 @@
-"""Explain a run: which tasks the priority solver relaxed, and which constraint rows caused it."""
+"""Explain a run: which tasks the priority solver relaxed, and which constraint rows (n·v ≤ b) caused this."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ __all__ = ["Explanation", "explain"]
 
 @dataclass(frozen=True)
 class Explanation:
-    """The binding and relaxed rows from `time_s` [s] until the next explanation; `text` describes its first step."""
+    """The binding and relaxed constraint rows from `time_s` [s] until the next explanation.
+
+    `text` describes the first control step of this interval.
+    """
 
     time_s: float
     binding: tuple[str, ...]
@@ -20,10 +23,11 @@ class Explanation:
 
 
 def explain(run: Run) -> list[Explanation]:
-    """Return one explanation for each control step whose binding or relaxed rows differ from the step before.
+    """Return one explanation for each control step at which the set of binding or relaxed constraint rows changes.
 
-    Each control step is solved again with a name for every row. Mode nsb ignores the rows, so its relaxed rows are the
-    rows that its velocity violates. Steps whose input the law rejected (`NONFINITE`) are left out.
+    The law's problem is solved again at each control step, with a name for every constraint row. Mode `nsb` ignores the
+    constraint rows, so for this mode the relaxed rows are those that the velocity violates. Control steps whose input
+    the law rejected (`NONFINITE`) are left out.
 
     Example:
         >>> from surctl.control import build_law, load_gains

@@ -10,9 +10,10 @@ __all__ = ["Finding"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding about a scenario: it cannot work (`error`), deserves attention (`warning`), or is a note (`info`).
+    """One finding about a scenario: an error (the mission cannot work), a warning, or a note (`info`).
 
-    `clearance_m` is the distance [m] between hull and wall or obstacle that an error is about, negative for an overlap.
+    `clearance_m` is the distance [m] from hull to wall or obstacle that an error reports; it is negative for an
+    overlap.
     """
 
     level: Literal["error", "warning", "info"]
@@ -21,5 +22,5 @@ class Finding:
     clearance_m: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; `clearance_m` only where there is one."""
+        """Return the finding as plain data for JSON; `clearance_m` is present only if the finding has a clearance."""
         return {name: value for name, value in asdict(self).items() if value is not None}

@@ -27,10 +27,10 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
     Args:
         scenario: the mission.
         vehicle: the vehicle of the mission.
-        gains: gains of the law, which set how it turns and brakes; default: the built-in gains.
+        gains: gains of the law, which determine how the vehicle turns and brakes; default: the built-in gains.
 
     Raises:
-        InputError: the hull starts inside an obstacle, still or moving.
+        InputError: the hull starts inside a still or moving obstacle.
 
     Example:
         >>> from surctl.simulation import findings, load_scenario
@@ -47,7 +47,7 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
 
 
 def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Report sonars that do not suit the law, which enters only water that its sonars have observed."""
+    """Report sonars that do not suit the law; the law enters only water that its sonars have observed."""
     try:
         array = scenario.sensors.on(vehicle["radius"]).array
     except InputError as error:
@@ -61,10 +61,10 @@ def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]
 
 
 def _unseen(array: SonarArray, turning: float) -> list[Finding]:
-    """Report directions that no beam observes again before the map forgets them, at the yaw rate `turning` [rad/s].
+    """Report directions that no sonar beam observes again before the map forgets them, at yaw rate `turning` [rad/s].
 
-    A beam clears the map only in its middle (`MIDDLE` of its width). The map forgets a cleared place after
-    `LocalMap.memory`.
+    A sonar beam clears the map only in its middle (the share `MIDDLE` of its width). The map forgets that a cell of its
+    grid is free after the time `LocalMap.memory`.
     """
     memory, between = LocalMap(dt=0.05).memory, turning * array.cycle
     least = min(2 * atan(MIDDLE * tan(half)) for cones in array.cones for _, half in cones)
@@ -86,7 +86,7 @@ def _unseen(array: SonarArray, turning: float) -> list[Finding]:
 
 
 def _widest_gap(array: SonarArray) -> float:
-    """Return the largest angle [rad] between neighbouring cones in the far field; 0 if the cones leave no gap."""
+    """Return the largest angle [rad] between neighbouring sonar cones in the far field; 0 if the cones leave no gap."""
     cones = sorted(
         ((azimuth + offset) % (2 * pi), half)
         for azimuth, parts in zip(array.azimuths, array.cones, strict=True)
@@ -99,7 +99,7 @@ def _widest_gap(array: SonarArray) -> float:
 
 
 def _short(scenario: Scenario, array: SonarArray, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Report a sonar range that is shorter than the law's stopping distance v²/(2a) + v t from the cruise speed."""
+    """Report a sonar range that is shorter than the law's stopping distance v²/(2a) + v t from the cruise speed v."""
     deceleration = gains["brake"] * float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     braking = scenario.cruise**2 / (2 * deceleration) + scenario.cruise * gains["reaction"]
     if array.maximum >= braking:

@@ -22,11 +22,11 @@ __all__ = ["ClosedLoopSystem", "closed_loop_system"]
 
 
 class ClosedLoopSystem(NamedTuple):
-    """A closed loop for `control.input_output_response(system, times, inputs, initial)`.
+    """A closed loop for python-control, to simulate as `control.input_output_response(system, times, inputs, initial)`.
 
     Attributes:
-        system: `control.NonlinearIOSystem` with `dt` the control period.
-        initial: state of the system at the scenario's start.
+        system: a `control.NonlinearIOSystem` whose sampling time `dt` is the control period.
+        initial: state vector of the system at the scenario's start.
     """
 
     system: Any
@@ -44,19 +44,19 @@ def closed_loop_system(
 ) -> ClosedLoopSystem:
     """Return the closed loop that `simulate` runs with true positions, as a system of python-control.
 
-    With zero input it gives the same numbers as `simulate`, to the last bit. One step is one control period: the law
-    computes the thrust, and the plant moves with constant thrust. The system continues where a run would end, at the
-    target or in a collision. The world (obstacles, waves, random choices of the seed) depends on time, so the first
-    time must be a multiple of the control period.
+    With zero input the system gives the same numbers as `simulate`, to the last bit. One step of the system is one
+    control period: the law computes the thrust, and the plant moves with this thrust. Unlike a run, the system
+    continues after it has reached the target or collided. The world (obstacles, waves, random choices of the seed)
+    depends on time, so the first time of a simulation must be a multiple of the control period.
 
     Args:
-        scenario, vehicle, gains, seed, model: as for `simulate`.
+        scenario, vehicle, gains, seed, model: same meaning as for `simulate`.
         law: a law without sonar inputs; default: the law that `build_law` returns.
 
     Returns:
-        The system and its state at the start. Inputs `Fu_cmd` … `Fr_cmd` [N, N m] are added to the law's command. The
-        states are the 12 of the plant, then those of the law. The outputs are pose (4), body velocity (4), and the
-        law's command (4).
+        The system, and its state at the start of the scenario. The inputs `Fu_cmd` … `Fr_cmd` [N, N m] are added to the
+        law's command. The states are the 12 plant states, followed by the states of the law. The outputs are pose (4),
+        body velocity (4), and the law's command (4).
 
     Raises:
         InputError: the law uses sonars, whose state this system does not contain; or the hull starts inside an

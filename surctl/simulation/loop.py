@@ -1,4 +1,4 @@
-"""The reference closed loop: plant by RK4 at 10 ms, control at 50 ms, a sonar every 25 ms, all noise from the seed."""
+"""The reference closed loop: plant by RK4 at 10 ms, control at 50 ms, sonar firing at 25 ms, seeded noise."""
 
 from __future__ import annotations
 
@@ -47,11 +47,12 @@ def simulate(
         vehicle: the simulated vehicle.
         gains: the law's gains.
         law: the law; default: the law that `build_law` returns, with sonars if `sensing` is `sonar`.
-        sensing: `truth`: the law receives every obstacle and its own pose exactly; `sonar`: it receives the echoes of
-            its sonars, and measurements with noise of the moving obstacles and of its own pose.
+        sensing: `truth`: the law receives the exact positions of all obstacles and its exact pose; `sonar`: the law
+            receives the echoes of its sonars, and noisy measurements of the moving obstacles and of its pose.
         seed: seed of all random choices.
         model: vehicle model of the controller; default: the simulated vehicle.
-        stepper: (x, u, p) → step of the law; it replaces the law, for instance by another precision or process.
+        stepper: function (x, u, p) → control step that replaces the law, for instance with another precision or
+            process.
 
     Raises:
         InputError: `sensing` is unknown or does not fit the law, or the hull starts inside an obstacle.
@@ -93,10 +94,11 @@ def simulate(
 
 
 class _StepNoise(NamedTuple):
-    """Random numbers of one control step.
+    """The random numbers of one control step.
 
-    Normal numbers: (instants, k, samples) for the sonars, (6,) for fix and IMU, (slots, 4) for a message, and one for
-    its loss. Uniform numbers: (instants, k, 2) for faults of the sonars.
+    Normally distributed numbers: (instants, k, samples) for the sonars; (6,) for position fix and IMU; (slots, 4) for a
+    message; one number for the loss of the message. Uniformly distributed numbers: (instants, k, 2) for faults of the
+    sonars.
     """
 
     samples: NDArray[np.float64]
@@ -107,7 +109,7 @@ class _StepNoise(NamedTuple):
 
 
 class Loop:
-    """The state of a run during the simulation."""
+    """The state of a run while it is simulated."""
 
     def __init__(
         self,
@@ -142,7 +144,7 @@ class Loop:
         self.rows: list[tuple[object, ...]] = []
 
     def run(self) -> str:
-        """Run to the end and return the reason why the run ended."""
+        """Simulate the run to its end and return the reason why it ended."""
         scenario, dt, stopped, standing, gone = self.world.scenario, self.law.dt, 0, 0, 0
         for index in range(int(np.ceil(scenario.time_limit / dt))):
             time = index * dt
@@ -178,9 +180,9 @@ class Loop:
         return LINK_LOST if gone else "time limit"
 
     def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
-        """Return the law's step in a state, and the next plant state with `added` thrust.
+        """Return the law's control step in a given state, and the next plant state with the additional thrust `added`.
 
-        This is only for sensing `truth`, where the sensors have no state.
+        The method is only for sensing `truth`, where the sensors have no state.
         """
         self.state, time, noise = state, index * self.law.dt, self._draw()
         step = self.stepper(law_state, self._inputs(self.world.bodies(time), noise, index), self.p)
@@ -188,7 +190,7 @@ class Loop:
         return step, self.state
 
     def record(self) -> Record:
-        """Return the recorded steps as arrays."""
+        """Return the recorded control steps as arrays."""
         time, state, tau, clearance, x, u, status, telemetry, bodies = zip(*self.rows, strict=True)
         states = np.array(state)
         return Record(
@@ -206,7 +208,7 @@ class Loop:
         )
 
     def _draw(self) -> _StepNoise:
-        """Draw all noise of one control step in a fixed order: firings, own state, then every moving obstacle."""
+        """Draw all noise of one control step in a fixed order: sonar firings, own state, then every moving obstacle."""
         instants, wide, size = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
         firings = instants * wide * size
         # an even number, because the generator makes normal numbers in pairs
@@ -259,7 +261,7 @@ class Loop:
         self.instant += 1
 
     def _left(self) -> float:
-        """Return the distance to the target [m]: horizontal if the mission has only one depth, otherwise in 3D."""
+        """Return the distance to the target [m]: horizontal if the mission allows only one depth, otherwise in 3D."""
         scenario = self.world.scenario
         level = float(np.hypot(*(self.state[:2] - scenario.target)))
         return level if scenario.depths is None else float(np.hypot(level, self.state[2] - scenario.depth))
@@ -311,7 +313,7 @@ class Loop:
         return {**inputs, "fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate}
 
     def _mover_rows(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
-        """Return one row per moving obstacle, zero if it is absent; only the nearest ones if there are too many."""
+        """Return the message data of each moving obstacle, zero if absent; only the nearest if there are too many."""
         there = {b.name: b for b in bodies if b.moving}
         named = self.movers
         if len(named) > self.slots:

@@ -1,4 +1,4 @@
-"""The margin that a vehicle needs beyond the law's bound, and the part due to a turning hull with two masses."""
+"""The margin that a vehicle needs beyond the law's speed bound, and the part due to turning with m11 ≠ m22."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ def margin_needed(
     barrier: Barrier = "simple",
     turning: float = 0.0,
 ) -> float:
-    """Return the margin [m] that the actual vehicle needs beyond the law's bound; inf if it cannot brake.
+    """Return the distance margin [m] that the actual vehicle needs beyond the law's bound; inf if it cannot brake.
 
-    The margin is computed as in `safety_claim`, but with the exact numbers of the actual vehicle: its own two masses,
-    and its thrust less the scenario's thrust error.
+    The margin is computed as in `safety_claim`, but with the exact parameters of the actual vehicle: its own masses m11
+    and m22, and its thrust limit minus the scenario's thrust error.
 
     Args:
-        scenario, gains, barrier: as for `safety_claim`.
-        believed: vehicle model of the law.
-        actual: vehicle that brakes.
-        turning: yaw rate while braking [rad/s], see `turn_rate`.
+        scenario, gains, barrier: same meaning as for `safety_claim`.
+        believed: vehicle model that the law uses.
+        actual: vehicle that brakes, with its true parameters.
+        turning: yaw rate of the hull while it brakes [rad/s], see `turn_rate`.
 
     Example:
         >>> from surctl.control import load_gains
@@ -74,17 +74,17 @@ def margin_needed(
 def turn_rate(
     scenario: Scenario, believed: Vehicle, gains: Gains, *, sonar: bool, actual: Vehicle | None = None
 ) -> float:
-    """Return the steady yaw rate [rad/s] of the hull: while it scans (sonar), otherwise in the path's sharpest corner.
+    """Return the steady yaw rate [rad/s] of the hull: during a sonar scan, or else in the sharpest path corner.
 
-    At the steady rate, the moment of the yaw loop equals the yaw drag. It differs from the desired rate if the drag
-    differs from that of the law's model.
+    At the steady rate, the moment of the yaw loop equals the yaw drag. The steady rate differs from the desired rate if
+    the yaw drag differs from that of the law's model.
 
     Args:
         scenario: the mission.
-        believed: vehicle model of the law.
+        believed: vehicle model that the law uses.
         gains: gains of the law.
         sonar: whether the law turns the hull to scan with its sonars.
-        actual: vehicle that turns; default: the one that turns fastest within the stated ranges.
+        actual: vehicle that turns; default: the vehicle that turns fastest within the stated ranges.
 
     Example:
         >>> from surctl.control import load_gains
@@ -117,11 +117,12 @@ def turn_rate(
 def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
     """Return the largest |m11 - m22| [kg] that the true vehicle may have.
 
-    If the file gives surge and sway the same mass and the same range, the two masses of the true vehicle are equal.
+    If the file gives surge and sway the same mass and the same range, the function assumes that both true masses are
+    equal.
 
     Args:
         vehicle: vehicle model of the law.
-        spread: largest common relative error of both masses; None takes the ranges of the vehicle file.
+        spread: largest relative error of the masses, common to m11 and m22; None takes the ranges of the vehicle file.
     """
     surge, sway = (vehicle.parameters[name] for name in ("m11", "m22"))
     if spread is not None:
@@ -133,18 +134,18 @@ def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
 
 
 def munk(difference: float, turning: float, speed: float) -> float:
-    """Return the largest force [N] on a turning hull with two masses, |m11 - m22| r v; its direction turns too."""
+    """Return the largest force [N] |m11 - m22| r v on a turning hull with m11 ≠ m22; it turns with the hull."""
     return difference * turning * speed
 
 
 def turned(brakes: Brakes, turning: float) -> Brakes:
-    """Return the brakes of a turning hull, whose thrust lag reduces the braking force, see `guidance.braking`."""
+    """Return the braking data of a turning hull, whose thrust lag reduces the braking force (`guidance.braking`)."""
     return replace(brakes, least=brakes.least / (1 + (turning * brakes.lag) ** 2))
 
 
 @dataclass(frozen=True)
 class Bound:
-    """The law's speed bound, and the brakes and sampling that decide whether its margin is enough."""
+    """The law's speed bound, with the braking data and sampling that decide whether the law's margin is enough."""
 
     brakes: Brakes
     watch: Watch
@@ -154,9 +155,9 @@ class Bound:
     cap: float
 
     def difference(self, obstacle: float, turning: float) -> float:
-        """Return the largest |m11 - m22| [kg] that the margin covers; inf without turning.
+        """Return the largest |m11 - m22| [kg] that the law's margin covers; inf if the hull does not turn.
 
-        The disturbance of `brakes` must not include the force of that difference.
+        The disturbance in `brakes` must not include the force that this mass difference causes.
         """
         if turning * self.cap <= 0:
             return inf
@@ -175,7 +176,7 @@ class Bound:
         return low
 
     def limit(self, detection: float) -> float:
-        """Return the largest obstacle speed [m/s] that range and margin cover; 0 if they do not cover one at rest."""
+        """Return the largest obstacle speed [m/s] that range and margin cover; 0 if they cover no moving obstacle."""
         low, high = 0.0, min(_NEAR * fastest_obstacle(self.brakes), 10.0)
         if not self.suffices(0.0, detection):
             return 0.0
@@ -185,14 +186,14 @@ class Bound:
         return low
 
     def suffices(self, obstacle: float, detection: float) -> bool:
-        """Return whether detection range and margin are enough for an obstacle of that speed [m/s]."""
+        """Return whether detection range and margin are enough for an obstacle of the given speed [m/s]."""
         needed = range_needed(
             self.brakes, self.watch, self.cap, obstacle=obstacle, stopping=stopping_distance_with_drag
         )
         return needed <= detection and max(self.margins(obstacle).values()) <= self.gains["margin"]
 
     def margins(self, obstacle: float) -> Mapping[float, float]:
-        """Return a map from own speed [m/s], up to the cap, to the margin [m] that is needed beyond the bound."""
+        """Return a function from the robot's speed [m/s], up to the cap, to the margin [m] needed beyond the bound."""
         result, top = {}, self.cap + self.watch.speed_error + self.excess(self.cap)
         distance = tabled_stopping_distance(
             self.brakes, top + self.brakes.acceleration(obstacle) * self.watch.period, obstacle=obstacle
@@ -204,7 +205,7 @@ class Bound:
         return result
 
     def law_distance(self, speed: float, obstacle: float) -> float:
-        """Return the distance [m], without the margin, at which the law allows this speed before the obstacle."""
+        """Return the distance [m] to the obstacle, without the margin, at which the law allows the given speed."""
         if self.barrier == "inertia":
             own = brakes_of(self.vehicle, share=self.gains["brake"])
             return range_needed(own, Watch(self.watch.period), speed, obstacle=obstacle)
@@ -213,9 +214,9 @@ class Bound:
         return closing**2 * heaviest / (2 * self.gains["brake"] * weakest) + (closing + obstacle) * reaction
 
     def excess(self, speed: float) -> float:
-        """Return the speed excess over the bound [m/s] at which the velocity loop commands the least braking thrust.
+        """Return the excess over the speed bound [m/s] at which the velocity loop commands the least braking thrust.
 
-        The velocity loop compensates drag by feedforward.
+        The feedforward of the velocity loop compensates the drag.
         """
         v, pairs = max(speed, 0.0), (("Xu", "Xuu"), ("Yv", "Yvv"))
         drag = max(self.vehicle[a] * v + self.vehicle[b] * v**2 for a, b in pairs)

@@ -46,7 +46,7 @@ LINK_LOST = "link lost"
 
 @dataclass(frozen=True)
 class MetricSpec:
-    """Unit and meaning of a metric, and whether low or high values are better (None: neither)."""
+    """Definition of a metric: its unit, its meaning, and whether low or high values are better (None: neither)."""
 
     unit: str
     meaning: str
@@ -79,21 +79,21 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Metrics:
-    """Metrics of one run.
+    """The metrics of one run.
 
     Attributes:
         reached: whether the robot came within the scenario's arrival radius of the target.
         time_s: time at which the run ended.
-        min_clearance_m: smallest distance from the hull to an obstacle, or to a wall (walls count once the hull was
-            clear of them).
-        path_error_m: rms distance to the reference path, all three axes, outside avoidance intervals; NaN if the
-            whole run is one avoidance interval.
-        deviation_m: rms horizontal distance to the reference path over the whole run, avoidance included.
+        min_clearance_m: smallest distance from the hull to an obstacle or a wall; walls count once the hull was clear
+            of them.
+        path_error_m: rms distance in 3D to the reference path outside avoidance intervals; NaN if the whole run is one
+            avoidance interval.
+        deviation_m: rms horizontal distance to the reference path over the whole run, including avoidance intervals.
         length_m: length of the path that the robot travelled.
         effort_n: mean magnitude of the horizontal thrust command.
-        stopped_because: one of `STOPS`, or `LINK_LOST`.
-        max_deviation_m, missed_corner_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: see
-            `METRICS`.
+        stopped_because: reason why the run ended, one of `STOPS`, or `LINK_LOST`.
+        max_deviation_m, missed_corner_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: metrics
+            that `METRICS` defines.
     """
 
     reached: bool
@@ -112,7 +112,7 @@ class Metrics:
     thrust_rate_n_per_s: float
 
     def row(self) -> tuple[float, ...]:
-        """Return the metrics in the order of `METRICS`."""
+        """Return the values of the metrics in the order of `METRICS`."""
         coded = {
             "reached": float(self.reached),
             "collided": float(self.stopped_because == "collision"),
@@ -124,7 +124,7 @@ class Metrics:
 def avoidance_intervals(
     avoiding: NDArray[np.float64], distance: NDArray[np.float64], *, tube: float = TUBE
 ) -> NDArray[np.bool_]:
-    """Return (n,) whether each sample is in an avoidance interval, which ends when |y_e| is back within the tube."""
+    """Return whether each of n samples is in an avoidance interval; it ends when |y_e| is back within the tube."""
     out = np.zeros(len(avoiding), dtype=bool)
     active = False
     for k, (commanded, away) in enumerate(zip(avoiding > 0.5, distance, strict=True)):
@@ -134,7 +134,7 @@ def avoidance_intervals(
 
 
 def path_error(horizontal: NDArray[np.float64], vertical: NDArray[np.float64], excluded: NDArray[np.bool_]) -> float:
-    """Return E_p = √(mean(Δh² + Δz²)) [m] (E14) over the samples that are not excluded; NaN if all are excluded."""
+    """Return E_p = √(mean(Δh² + Δz²)) [m] (E14) over the samples that are not excluded; NaN if none remains."""
     included = ~excluded
     if not included.any():
         return float("nan")

@@ -1,4 +1,4 @@
-"""Check the speeds of a scenario: obstacles, current, thrust, speed cap and time limit."""
+"""Check the speeds in a scenario: moving obstacles, current, available thrust, speed cap and time limit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["closest", "motion_findings"]
 
 
 def motion_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Return the findings about obstacles that collide or are too fast, current, thrust, speed cap and time limit."""
+    """Return the findings about moving obstacles (collisions, speed), current, thrust, speed cap and time limit."""
     return [
         *_obstacle_speeds(scenario),
         *_meetings(scenario, vehicle),
@@ -55,10 +55,11 @@ def _meetings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
-    """Return the smallest distance [m] between the centres of two moving obstacles up to a time [s].
+    """Return the smallest distance [m] between the centres of two moving obstacles up to the given time [s].
 
-    Each obstacle moves straight at its speed. At its end it stays, or it leaves the water if it is `removed`. The
-    distance is inf if the two are never in the water together.
+    Each of the two obstacles moves along a straight line at its constant speed. At the end of its line, the obstacle
+    stays, or it leaves the water if it is `removed`. The distance is inf if the two obstacles are never in the water
+    together.
     """
     ends = [_arrival(o) for o in (a, b)]
     last = min([until, *(end for end, o in zip(ends, (a, b), strict=True) if o.removed)])
@@ -73,7 +74,7 @@ def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
 
 
 def _arrival(obstacle: Obstacle) -> float:
-    """Return the time [s] at which the obstacle arrives at its end; inf if it does not move."""
+    """Return the time [s] at which the obstacle arrives at the end of its line; inf if it does not move."""
     distance = float(np.hypot(*np.subtract(obstacle.to_m or obstacle.centre_m, obstacle.centre_m)))
     return distance / obstacle.speed_m_per_s if obstacle.speed_m_per_s else inf
 
@@ -85,7 +86,7 @@ def _at(obstacle: Obstacle, time: float) -> NDArray[np.float64]:
 
 
 def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report obstacles that braking alone cannot avoid, at the worst values of the vehicle's ranges."""
+    """Report obstacles that the robot cannot avoid by braking alone, at the worst values of the vehicle's ranges."""
     brakes, results = brakes_of(vehicle), []
     most, sight = fastest_obstacle(brakes), scenario.sensors.equipment.array.maximum
     for o in scenario.obstacles:
@@ -110,7 +111,10 @@ def _current(scenario: Scenario) -> list[Finding]:
 
 
 def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report a thrust below the drag at cruise speed, for the easier heading: along the leg or into the current."""
+    """Report a thrust below the drag at cruise speed.
+
+    The check takes the heading with less drag: along the path segment or into the current.
+    """
     d = scenario.disturbance
     current, weak = np.array(d.current_m_per_s), 1 - d.thrust_error - d.thrust_bias
     worst, figures = 0.0, (0.0, 0.0, 0.0)
@@ -137,7 +141,7 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report a speed cap above the speed that the thrust holds in still water; the robot cannot reach such a cap."""
+    """Report a speed cap that the robot cannot reach, because its thrust is too small in still water."""
     held = {"surge": _held(vehicle, "Xu", "Fu_max"), "sway": _held(vehicle, "Yv", "Fv_max")}
     if scenario.cap <= min(held.values()):
         return []

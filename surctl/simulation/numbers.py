@@ -1,4 +1,4 @@
-"""The parameter vector of a law from a mission, gains and a vehicle."""
+"""Pack the parameter vector of a law from a mission, gains and a vehicle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ The rest of the distance covers the error of that position.
 
 
 def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
-    """Return the law's parameters, packed as in `PARAMETERS`, from a scenario, gains, and the law's vehicle model.
+    """Return the law's parameter vector, packed as in `PARAMETERS`, from a scenario, gains and the law's vehicle model.
 
     Example:
         >>> from surctl.control import PARAMETERS, load_gains

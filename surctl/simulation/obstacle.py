@@ -18,12 +18,13 @@ NotNegative = Annotated[float, Field(ge=0)]
 
 
 class Obstacle(Strict):
-    """One obstacle; lengths in m, speeds in m/s, positions in {E} at the start.
+    """One obstacle of a scenario; lengths in m, speeds in m/s, positions in {E} at the start.
 
-    A box or a cylinder stands still except for its drift: a seeded sine of amplitude `drift_m` in a seeded direction. A
-    `moving` obstacle goes in a straight line from `centre_m` to `to_m` and is removed on arrival if `removed` is true.
-    `bottom_m` and `top_m` are z of its lower and upper end, negative below the surface like the path's `depth_m`.
-    Without them, the obstacle extends to the floor or to the surface. A moving obstacle is an upright cylinder.
+    A box or a cylinder stands still except for its drift: a sinusoidal motion of amplitude `drift_m`, with random
+    direction and phase from the seed. A `moving` obstacle goes in a straight line from `centre_m` to `to_m` and is
+    removed on arrival if `removed` is true. `bottom_m` and `top_m` are the z coordinates of its lower and upper end,
+    negative below the surface like the path's `depth_m`. Without `bottom_m` and `top_m`, the obstacle extends to the
+    floor and to the surface. A moving obstacle is an upright cylinder.
     """
 
     name: str = Field(min_length=1)
@@ -66,7 +67,7 @@ class Obstacle(Strict):
 
     @property
     def rounding(self) -> float:
-        """Radius [m] of the obstacle; 0 for a box, and for a moving obstacle that takes the radius of the hull."""
+        """Radius [m] of the obstacle; 0 for a box, and for a moving obstacle whose radius is that of the hull."""
         return 0.0 if self.size_m is not None else self.radius_m or 0.0
 
     def distance(self, point: Point) -> float:
@@ -79,7 +80,10 @@ class Obstacle(Strict):
 
 
 def _between(obstacle: Obstacle, centre: Point, size: tuple[float, float], radius: float) -> float:
-    """Return the signed distance [m]; a box has radius 0 and a cylinder size 0, so one formula covers every pair."""
+    """Return the signed distance [m] between two obstacles.
+
+    A box has radius 0 and a cylinder has edge lengths 0, so one formula covers every pair of shapes.
+    """
     own = obstacle.size_m or (0.0, 0.0)
     x, y = (abs(obstacle.centre_m[k] - centre[k]) - (own[k] + size[k]) / 2 for k in (0, 1))
     beyond = hypot(max(x, 0.0), max(y, 0.0)) if max(x, y) > 0 else max(x, y)

@@ -24,12 +24,12 @@ class PaperFigure(Strict):
 
     Attributes:
         result: the result in words; empty if the paper has no such scenario.
-        time_s: time to the target; `time_kind` says whether it is approximate or an upper limit, `time_of` whether
-            the paper states it for this run, for every run of a series, or for the mean of a series.
-        position_error_m: E_p to the reference path outside avoidance; `position_error_kind` and `position_error_of`
-            have the same meaning as for the time.
-        detected_s: approximate time at which the moving obstacle is detected.
-        passed_s: approximate time at which the moving obstacles are behind the robot.
+        time_s: time to the target; `time_kind` says whether the time is approximate or an upper limit; `time_of` says
+            whether the paper states the time for this run, for every run of a series, or for the mean of a series.
+        position_error_m: position error E_p to the reference path outside avoidance; `position_error_kind` and
+            `position_error_of` correspond to `time_kind` and `time_of`.
+        detected_s: approximate time at which the robot detects the moving obstacle.
+        passed_s: approximate time from which the moving obstacles are behind the robot.
         transients_s: approximate times at which avoidance disturbs the path tracking.
     """
 

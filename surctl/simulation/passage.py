@@ -1,9 +1,9 @@
 """The tightest gap on the widest path from start to target, between obstacles and walls that stand still.
 
-A search on a grid finds the gap: the widest path is the one whose smallest clearance is largest (a shortest-path search
-with the minimum instead of the sum; Pollack 1960, "The maximum capacity through a network"). The width of the gap is
-then computed exactly from the two bodies beside it. In the search, the drift amplitude of an obstacle is added to its
-size, so that the clearance is always available.
+A search on a grid finds the gap: the widest path is the path whose smallest clearance is largest (a shortest-path
+search with the minimum instead of the sum; Pollack 1960, "The maximum capacity through a network"). The width of the
+gap is then computed exactly from the two bodies on both sides of the gap. The search adds the drift amplitude of an
+obstacle to its size, so that the clearance is available at every drift.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ Cell = tuple[int, int]
 
 @dataclass(frozen=True)
 class Gap:
-    """A gap between two bodies.
+    """A gap between two bodies (obstacles or walls).
 
     Attributes:
         between: names of the two bodies.
-        place: (x, y) [m] in {E} where the path crosses the gap, to within a grid cell.
-        width: distance between the bodies without drift [m]; not positive if they touch.
+        place: point (x, y) [m] in {E} where the path crosses the gap, to within a grid cell.
+        width: distance between the two bodies without drift [m]; zero or negative if they touch or overlap.
         drift: amount by which drift may narrow the gap [m].
     """
 
@@ -57,7 +57,7 @@ class _Still:
     drift: float
 
     def distance(self, x: Field, y: Field) -> Field:
-        """Return the signed distance [m] to the surface at the worst drift; it is negative inside the body."""
+        """Return the signed distance [m] from a point to the body at the worst drift; negative inside the body."""
         beyond = np.abs(x - self.centre[0]) - self.half[0], np.abs(y - self.centre[1]) - self.half[1]
         outside = np.hypot(np.maximum(beyond[0], 0), np.maximum(beyond[1], 0))
         inside = np.minimum(np.maximum(*beyond), 0)
@@ -66,14 +66,14 @@ class _Still:
 
 
 def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = None) -> Gap | None:
-    """Return the tightest gap on the widest path from start to target; None if every gap on it is wide enough.
+    """Return the tightest gap on the widest path from start to target; None if every gap on this path is wide enough.
 
     Args:
         scenario: the mission with its site and obstacles; moving obstacles are ignored.
-        clearance: half the required width [m]. If the start or the target has less clearance, the search moves it
-            along the grid to a point with enough clearance, or to a local maximum of the clearance.
-        depth: z [m] of the path; default: that of the scenario. Obstacles that are more than `clearance` above or below
-            this depth are ignored.
+        clearance: half the required width [m]. If the start or the target has less clearance than this, the search
+            moves it along the grid to a point with enough clearance, or to a local maximum of the clearance.
+        depth: z [m] of the path; default: the depth of the scenario. Obstacles that are more than `clearance` above or
+            below this depth are ignored.
     """
     length, width, _ = scenario.site
     step = float(np.hypot(length, width)) / _CELLS
@@ -93,7 +93,7 @@ def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = 
 
 
 def _walls(length: float, width: float) -> list[_Still]:
-    """Return the walls as boxes that are much thicker than the site is long."""
+    """Return the walls of the site as boxes that are much thicker than the site is long."""
     far = length + width
     return [
         _Still("the wall x = 0", (-far, 0.0), (far, 4 * far), 0.0, 0.0),
@@ -116,7 +116,7 @@ def _apart(one: _Still, other: _Still) -> float:
 
 
 def _pair(bodies: Sequence[_Still], place: tuple[float, float], step: float) -> tuple[_Still, _Still]:
-    """Return the nearest body, and the nearest body on the other side of the place."""
+    """Return the body nearest to a point, and the nearest body on the opposite side of the point."""
     slope = step / 16
     away = []
     for body in bodies:
@@ -152,7 +152,7 @@ def _at(clear: Field) -> Callable[[Cell], float]:
 
 
 def _widest_path(clear: Field, start: Cell, target: Cell) -> list[Cell]:
-    """Return the cells, from target to start, of the path whose smallest clearance is largest."""
+    """Return the grid cells, from target to start, of the path whose smallest clearance is largest."""
     # one extra row and column on every side, marked as visited, so that each cell has eight neighbours
     around, row = np.pad(clear, 1), clear.shape[1] + 2
     cost, visited = (-around.ravel()).tolist(), bytearray(np.pad(np.zeros(clear.shape, bool), 1, constant_values=True))

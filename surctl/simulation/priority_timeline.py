@@ -1,4 +1,7 @@
-"""Timeline of a run's priority decisions: how much each level was relaxed, and which rows caused it."""
+"""Timeline of a run's priority decisions.
+
+The timeline shows how much each priority level was relaxed, and which constraint rows (n·v ≤ b) caused this.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +20,18 @@ NOTICEABLE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PriorityTimeline:
-    """The priority decisions of a run at each of its n control steps.
+    """The priority decisions of a run at its n control steps.
 
     Attributes:
         time: (n,) time of each control step [s].
-        levels: names of the levels, highest priority first; `units` are the units of their residuals.
-        to_levels: (n, levels) residual without constraint rows: the part that higher levels cause.
-        to_rows: (n, levels) additional residual: the part that constraint rows cause.
-        rows: names of the rows that bind or are violated in some step, in the law's order.
-        binding, missed: (n, rows) whether a row binds, and by how much the velocity violates it [m/s].
-        causes: (n, levels, rows) whether that row caused a residual of that level.
+        levels: names of the priority levels, highest priority first; `units` holds the units of the levels' residuals.
+        to_levels: (n, levels) part of a level's residual that higher levels cause, that is, the residual without
+            constraint rows.
+        to_rows: (n, levels) part of each level's residual that the constraint rows cause in addition.
+        rows: names of the constraint rows that bind or are violated in some control step, in the law's order.
+        binding: (n, rows) whether a constraint row binds; missed: (n, rows) by how much the velocity violates the
+            constraint row [m/s].
+        causes: (n, levels, rows) whether a constraint row caused a residual of a level.
     """
 
     time: NDArray[np.float64]
@@ -41,14 +46,16 @@ class PriorityTimeline:
 
     @property
     def eventful(self) -> bool:
-        """Whether any level has a residual, or any row binds or is violated, in some step."""
+        """Whether, in some control step, a level has a residual or a constraint row binds or is violated."""
         return bool(self.rows) or bool((self.to_levels > NOTICEABLE).any())
 
 
 def priority_timeline(run: Run) -> PriorityTimeline:
-    """Return the priority timeline of a run: solve each control step again with a name for every row.
+    """Return the priority timeline of a run.
 
-    Steps whose input the law rejected are left out. This takes about 1 ms per control step.
+    The function solves the law's problem again at each control step, with a name for every constraint row.
+
+    Control steps whose input the law rejected are left out. The function takes about 1 ms per control step.
 
     Example:
         >>> from surctl.control import build_law, load_gains

@@ -1,4 +1,4 @@
-"""A run as a file for other programs: CSV, MATLAB's .mat or netCDF, with one row per control step."""
+"""Write a run as a file for other programs: CSV, MATLAB's .mat or netCDF, with one line per control step."""
 
 from __future__ import annotations
 
@@ -41,10 +41,12 @@ _MEANING = {
 
 
 def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray[np.float64]]:
-    """Return columns (n,) by name in SI units: time, η, ν, commanded thrust, clearance, status; `from-log` reads them.
+    """Return arrays (n,) by name in SI units: time, η, ν, commanded thrust, clearance, status.
+
+    The command `from-log` reads these columns.
 
     Raises:
-        InputError: the frame is unknown.
+        InputError: the coordinate frame is unknown.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -72,10 +74,10 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
 def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Frame | str = "enu") -> Path:
     """Write the run to `SCENARIO-SEED.KIND` in the folder and return the path of the file.
 
-    Each format holds the same numbers, to the last bit. CSV: all digits that are needed to restore each number, below a
-    comment with the frame and the run. .mat: one column vector per name, the texts `frame` and `about`, and the structs
-    `units` and `meaning` with one field per name. netCDF-4: variables along the dimension `time` with `units` and
-    `long_name`, and the attribute `frame` of the file.
+    All three formats hold the same numbers, to the last bit. CSV: all digits that are needed to restore each number,
+    below a comment line with the frame and the run. .mat: one column vector per name, the texts `frame` and `about`,
+    and the structs `units` and `meaning` with one field per name. netCDF-4: variables along the dimension `time` with
+    the attributes `units` and `long_name`, and the attribute `frame` of the file.
 
     Args:
         run: the run.

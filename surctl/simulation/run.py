@@ -1,4 +1,4 @@
-"""A simulated run, and when and where it changed its depth."""
+"""A simulated run, with the times and positions of its depth changes."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ SENSING: tuple[Sensing, ...] = get_args(Sensing)
 
 @dataclass(frozen=True)
 class DepthChange:
-    """A change of depth in place, which begins at `time_s` [s].
+    """A change of depth at a fixed horizontal position; it begins at `time_s` [s].
 
     Attributes:
         place_m: position (x, y) in {E} [m].
-        from_m, to_m: z of the old and of the new depth [m].
+        from_m, to_m: z of the old depth and z of the new depth [m].
         back: whether the new depth is the path's depth.
     """
 
@@ -38,19 +38,19 @@ class DepthChange:
     back: bool
 
     def __str__(self) -> str:
-        """Return one line of text without a full stop."""
+        """Return the depth change as one line of text without a full stop."""
         what = "back to the path's depth" if self.back else "search for a passage at another depth"
         x, y = self.place_m
         return f"{self.time_s:6.2f} s  at ({x:.2f}, {y:.2f}) m from z {self.from_m:.2f} to {self.to_m:.2f} m: {what}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
+        """Return the depth change as plain data for JSON."""
         return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One closed-loop run: its scenario, vehicle and law, its metrics, and its record."""
+    """One closed-loop run: its scenario, vehicle, law, metrics and record of signals."""
 
     scenario: Scenario
     vehicle: Vehicle
@@ -62,19 +62,19 @@ class Run:
     record: Record = field(repr=False)
 
     def telemetry(self, name: str) -> NDArray[np.float64]:
-        """Return the law's telemetry port of that name over time, (n, size)."""
+        """Return the values (n, size) over time of the law's telemetry port with the given name."""
         return self.record.telemetry[:, self.law.telemetry_slice(name)]
 
     @property
     def attitude(self) -> Attitude | None:
-        """Crab angle, heading error and limit cycle; None for a law that turns the hull to scan with its sonars."""
+        """Crab angle, heading error and sway oscillation; None for a law that turns the hull to scan with sonars."""
         if self.law.perception is not None:
             return None
         record, scenario = self.record, self.scenario
         return attitude_of(scenario.follower(), scenario.cruise, record.time, record.eta, record.nu)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the run as plain data for the command line; the writer converts numbers that are not finite."""
+        """Return the run as plain data for the command line; the JSON writer converts numbers that are not finite."""
         return {
             "scenario": self.scenario.name,
             "vehicle": self.vehicle.name,
@@ -94,7 +94,7 @@ class Run:
 
 
 def depth_changes(run: Run) -> list[DepthChange]:
-    """Return all depth changes of a run in order; the list is empty if the law keeps to the path's depth.
+    """Return all depth changes of a run in order; the list is empty if the law stays at the path's depth.
 
     Example:
         >>> from dataclasses import replace

@@ -29,7 +29,7 @@ __all__ = ["Figure", "SafetyClaim", "safety_claim"]
 
 @dataclass(frozen=True)
 class Figure:
-    """A number with its unit and meaning; inf if there is no bound."""
+    """A number of the safety claim with its unit and meaning; inf if the number is not bounded."""
 
     name: str
     value: float
@@ -39,15 +39,17 @@ class Figure:
 
 @dataclass(frozen=True)
 class SafetyClaim:
-    """The claim that the hull never hits an obstacle if the assumptions hold, and whether range and margin suffice.
+    """The claim that the hull never hits an obstacle if the assumptions hold.
+
+    The claim also states whether detection range and margin are sufficient.
 
     Attributes:
         scenario, vehicle: names of the scenario and the vehicle.
-        barrier, movers: options of the law, see `build_law`.
+        barrier, movers: options of the law, as for `build_law`.
         statement: the claim in words.
-        assumptions: the assumptions, with numbers.
+        assumptions: the assumptions of the claim, with their numbers.
         derived: numbers that follow from the assumptions.
-        holds: whether range and margin are enough at every speed up to the cap.
+        holds: whether detection range and margin are enough at every speed up to the speed cap.
     """
 
     scenario: str
@@ -60,15 +62,15 @@ class SafetyClaim:
     holds: bool
 
     def __getitem__(self, name: str) -> float:
-        """Return the value of an assumption or a derived number; KeyError if the name is unknown."""
+        """Return the value of an assumption or a derived number of the claim; KeyError if the name is unknown."""
         return {f.name: f.value for f in (*self.assumptions, *self.derived)}[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; the writer converts numbers that are not finite."""
+        """Return the claim as plain data for JSON; the writer converts numbers that are not finite."""
         return asdict(self)
 
     def to_toml(self) -> str:
-        """Return the claim as the text of a TOML file; a number without a bound is the text "inf"."""
+        """Return the claim as the text of a TOML file; an unbounded number is written as the text "inf"."""
 
         def rows(figures: tuple[Figure, ...]) -> list[dict[str, Any]]:
             return [{**asdict(f), "value": f.value if isfinite(f.value) else str(f.value)} for f in figures]
@@ -103,27 +105,31 @@ def safety_claim(
 ) -> SafetyClaim:
     """Return the safety claim of the guarded law for a scenario and a vehicle.
 
-    The claim holds if the margin is at least what the vehicle needs beyond the law's bound, at the worst values of its
-    ranges. The vehicle brakes with the least thrust once it exceeds the bound by the excess speed at which the velocity
-    loop commands that thrust. This is step 4 of `guidance.braking`, with the excess as a further speed error and with
-    the help of drag. The claim does not cover the clipping of thrust axis by axis: a large sideways command at the same
-    time may reduce the braking force. The law commands nothing sideways once it is 0.02 m/s too fast.
+    The claim holds if the law's margin is at least the distance that the vehicle needs beyond the law's bound, at the
+    worst values of the vehicle's ranges. The vehicle brakes with the least guaranteed thrust once its speed exceeds the
+    bound by the excess at which the velocity loop commands this thrust. The required margin follows from step 4 of
+    `guidance.braking`, with the excess as an additional speed error and with the help of drag. The claim does not cover
+    thrust limits that act on each axis separately: a large simultaneous sideways command may reduce the braking force.
+    The law commands no sideways velocity once the vehicle is 0.02 m/s too fast.
 
-    A change of depth needs two more assumptions. The echo sounders must detect every obstacle over or under the hull,
-    since the horizontal sonars do not observe that water. The depth error must stay within the sonars' fan.
+    If the vehicle may change its depth, the claim needs two more assumptions. First, the echo sounders detect every
+    obstacle over or under the hull, since the horizontal sonars do not observe that water. Second, the depth error
+    stays within the vertical thickness of the sonars' fan.
 
     Args:
         scenario: the mission, with its speed cap, current and disturbance forces.
-        vehicle: the actual vehicle, and the model of the law.
+        vehicle: the actual vehicle, which is also the model of the law.
         gains: gains of the law.
-        barrier, movers: options of the law, see `build_law`.
+        barrier, movers: options of the law, as for `build_law`.
         watch: timing and errors of the measurements; default: exact measurements every 0.05 s.
-        detection: range at which an obstacle is certainly detected [m].
-        sideways: largest sideways speed when braking begins [m/s]; the drag by axis then causes a force.
-        spread: see `brakes_of`.
+        detection: range at which the sensors certainly detect an obstacle [m].
+        sideways: largest sideways speed when braking begins [m/s]; it causes a force, because drag acts on each axis
+            separately.
+        spread: largest relative error of mass and drag, see `brakes_of`.
         turning: yaw rate of the hull while it brakes [rad/s], see `turn_rate`.
-        difference: largest |m11 - m22| [kg], which causes a force in a turn; the claim states the largest covered
-            difference. None takes that of the vehicle, see `mass_difference`.
+        difference: largest |m11 - m22| [kg], which causes a force in a turn; the claim states the largest difference
+            that the margin covers. With None, the function takes the mass difference of the vehicle, see
+            `mass_difference`.
 
     Example:
         >>> from surctl.control import load_gains

@@ -1,4 +1,4 @@
-"""Scenarios as TOML files: site, path, obstacles, disturbances, sensors and the numbers of the paper."""
+"""Read scenarios from TOML files: site, path, obstacles, disturbances, sensors, numbers from the paper."""
 
 from __future__ import annotations
 
@@ -62,26 +62,26 @@ class _ScenarioFile(Strict):
 
 @dataclass(frozen=True)
 class Scenario:
-    """One mission in one site, as read from a scenario file.
+    """One mission at one site, as read from a scenario file.
 
     Attributes:
         path: horizontal reference path in {E}.
         depth: z of the path [m], negative below the surface.
         cruise: desired cruise speed U_d [m/s].
-        cap: largest commanded horizontal speed [m/s].
-        arrival_radius: distance to the target that counts as arrived [m].
-        site: length along x, width along y, depth [m]; one corner of the floor plan is the origin.
-        vehicle: name or path of the default vehicle of the mission.
+        cap: speed cap, the largest horizontal speed that the law may command [m/s].
+        arrival_radius: distance to the target [m] within which the robot counts as arrived.
+        site: length along x, width along y, and depth of the site [m]; one corner of the floor plan is the origin.
+        vehicle: name or path of the vehicle that is used by default in the mission.
         launch: distance around the hull [m] in which the operator ensures free water at the start. A law with sonars
-            relies on it, and a nearer obstacle is an error. It is 0.5 m in the built-in missions, or less if an
-            obstacle is nearer.
+            relies on this free water, so an obstacle within this distance is an error. The distance is 0.5 m in the
+            built-in missions, or less if an obstacle is nearer.
         sensors: sonars and their faults, base station, and measurement of the own state.
-        uncertainty: ranges of the numbers that a Monte Carlo campaign draws.
-        depths: lowest and highest z [m] that the hull may use if the target can only be reached at another depth;
-            None: the robot keeps to the path's depth. With `depths` it has two echo sounders, one upwards and one
-            downwards.
-        corners: `pass`: a detour may skip corners of the path; `visit`: the robot must come within `arrival_radius`
-            of each corner, in order, before it can arrive.
+        uncertainty: ranges from which a Monte Carlo campaign draws parameters.
+        depths: lowest and highest z [m] that the hull may use if it can reach the target only at another depth than the
+            path's; None: the robot keeps to the path's depth. With `depths` the robot has two echo sounders, one
+            upwards and one downwards.
+        corners: `pass`: the robot may skip corners of the path on a detour; `visit`: the robot must come within
+            `arrival_radius` of every corner, in order, before it can arrive.
     """
 
     name: str
@@ -107,12 +107,12 @@ class Scenario:
 
     @cached_property
     def walls(self) -> tuple[Wall, ...]:
-        """The four walls of the site, cached because a run needs them at every step."""
+        """The four walls of the site, cached because a run needs the walls at every step."""
         return site_walls(self.site[1], self.site[0])
 
     @property
     def start_pose(self) -> NDArray[np.float64]:
-        """η (4,) at the start: x, y, z [m], and ψ [rad] along the path's first leg."""
+        """Pose η (4,) at the start: x, y, z [m], and heading ψ [rad] along the first path segment."""
         first_leg = self.path.waypoints[1] - self.start
         return np.array([*self.start, self.depth, np.arctan2(first_leg[1], first_leg[0])])
 
@@ -122,7 +122,7 @@ class Scenario:
 
     @property
     def visit(self) -> float | None:
-        """Distance [m] to a corner that counts as a visit; None if corners may be skipped."""
+        """Distance [m] to a corner within which the corner counts as visited; None if corners may be skipped."""
         return self.arrival_radius if self.corners == "visit" else None
 
     @property
@@ -194,7 +194,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
 
 
 def _check(scenario: Scenario) -> None:
-    """Raise InputError for a scenario that no vehicle could carry out, such as one with points outside the site."""
+    """Raise InputError for a scenario that no vehicle could carry out, for example with waypoints outside the site."""
     source = scenario.source
     if not -scenario.site[2] < scenario.depth < 0:
         raise InputError(
@@ -242,7 +242,7 @@ def _unique(names: Sequence[str], source: str) -> None:
 
 
 def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
-    """Raise InputError if still obstacles overlap or cover the target, without drift; `findings` checks drift."""
+    """Raise InputError if still obstacles overlap or cover the target at zero drift; `findings` checks the drift."""
     target = scenario.target.tolist()
     for k, obstacle in enumerate(still):
         here = obstacle.heights.crosses(scenario.depth, 0.0)

@@ -16,7 +16,9 @@ _BESIDE = 4  # floating-point neighbours on each side that may convert to the sa
 
 
 def scenario_table(scenario: Scenario) -> dict[str, Any]:
-    """Return the table from which `scenario_from_table` restores the scenario, except for its source.
+    """Return the table of the scenario's file.
+
+    `scenario_from_table` restores the scenario from this table, except for its source.
 
     Raises:
         InputError: a scenario file cannot describe these sonars.
@@ -101,7 +103,7 @@ def _delivery(delivery: Delivery) -> dict[str, Any]:
 
 
 def _degrees(angle: float) -> float:
-    """Return the degrees that a reader of the file converts to exactly this angle [rad], or to the nearest one."""
+    """Return the degrees that a reader of the file converts to exactly this angle [rad], or to the nearest angle."""
     exact = degrees(angle)
     near, low, high = [round(exact, 9), exact], exact, exact
     for _ in range(_BESIDE):

@@ -1,4 +1,4 @@
-"""The sensors of a scenario: equipment, faults, and the firing plan of the sonars in the closed loop."""
+"""The sensors of a scenario: equipment, faults, and the times at which the sonars fire in the closed loop."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Degrees = Annotated[float, Field(gt=0, lt=180)]
 
 
 class SonarTable(Strict):
-    """The table `[sonar]` of a scenario file; missing keys take the defaults of `SonarArray`."""
+    """The table `[sonar]` of a scenario file; missing keys have the defaults of `SonarArray`."""
 
     azimuths_deg: tuple[float, ...] | None = None
     mounts_m: tuple[tuple[float, float], ...] | None = None
@@ -76,20 +76,20 @@ class _DeliveryTable(Strict):
     gaps_s: tuple[tuple[float, float], ...] = ()
 
     def delivery(self) -> Delivery:
-        """Return the table as the `Delivery` of the robot's equipment."""
+        """Return the table's data as the `Delivery` (delay, loss) of the robot's equipment."""
         values = {"period": self.period_s, "latency": self.latency_s, "loss": self.loss}
         return Delivery(gaps=self.gaps_s, **{name: value for name, value in values.items() if value is not None})
 
 
 class StationTable(_DeliveryTable):
-    """The table `[base_station]` of a scenario file: its messages about moving obstacles."""
+    """The table `[base_station]` of a scenario file: messages of the base station about moving obstacles."""
 
     position_sd_m: NotNegative = 0.01
     velocity_sd_m_per_s: NotNegative = 0.01
 
 
 class OwnStateTable(_DeliveryTable):
-    """The table `[own_state]` of a scenario file: fixes of the camera and the IMU, or the true state."""
+    """The table `[own_state]` of a scenario file: position fixes of the camera and the IMU, or the true state."""
 
     truth: bool = False
     position_sd_m: NotNegative = 0.01
@@ -102,9 +102,9 @@ class Sensors:
     """The sensors of a scenario.
 
     Attributes:
-        equipment: the actual equipment, which is also the model of the law; `on` adds the vehicle's hull.
+        equipment: the actual sensors, which are also the law's sensor model; the method `on` adds the vehicle's hull.
         faults: sonar faults that are scheduled in the scenario.
-        chances: probabilities of random sonar faults per firing.
+        chances: probabilities of random sonar faults at each firing.
     """
 
     equipment: Equipment = field(default_factory=Equipment)
@@ -112,17 +112,17 @@ class Sensors:
     chances: FaultChances = field(default_factory=FaultChances)
 
     def on(self, hull_radius: float) -> Equipment:
-        """Return the equipment on a hull of this radius [m]; the hull matters only for sonars with mounts.
+        """Return the equipment on a hull of the given radius [m]; the radius matters only for sonars with mounts.
 
         Raises:
-            InputError: a mount is inside the hull, or the hull hides its beam; the error names table and key.
+            InputError: a mount is inside the hull, or the hull hides the sonar's beam; the error names table and key.
         """
         if self.equipment.array.mounts is None:
             return self.equipment
         return _in_table("sonar", lambda: replace(self.equipment, array=self.array_on(hull_radius)))
 
     def array_on(self, hull_radius: float) -> SonarArray:
-        """Return the sonars on a hull of this radius [m]."""
+        """Return the sonars on a hull of the given radius [m]."""
         return replace(self.equipment.array, hull_radius=hull_radius)
 
     @property
@@ -155,7 +155,7 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
 
     Raises:
         InputError: the sonar array is invalid, cannot have these faults, or does not fit the steps of the closed loop.
-            The error names the table and the key.
+            The InputError names the table and the key of the scenario file.
     """
     array = _in_table("sonar", lambda: _array(sonar))
     base_station = BaseStation(
@@ -210,23 +210,23 @@ def _array(table: SonarTable) -> SonarArray:
 
 @dataclass(frozen=True)
 class FiringPlan:
-    """The sonars that fire at each instant of the closed loop.
+    """The firing plan: which sonars fire at each instant of the closed loop.
 
     Attributes:
-        period: number of instants (`FIRING` s apart) after which the plan repeats.
-        sensors: (period, k) indices of the sonars that fire at an instant; None if no sonar fires.
+        period: number of firing instants (`FIRING` s apart) after which the plan repeats.
+        sensors: (period, k) indices of the k sonars that fire at each instant; None if no sonar fires.
     """
 
     period: int
     sensors: tuple[tuple[int | None, ...], ...]
 
     def at(self, instant: int) -> tuple[int, ...]:
-        """Return the sonars that fire at an instant, in their firing order."""
+        """Return the indices of the sonars that fire at a given instant, in their firing order."""
         return tuple(i for i in self.sensors[instant % self.period] if i is not None)
 
 
 def firing_plan(array: SonarArray) -> FiringPlan:
-    """Return the firing plan of an array: several sonars fire at each instant, or one sonar every few instants.
+    """Return the firing plan of an array: either several sonars fire at every instant, or one sonar every few instants.
 
     Raises:
         InputError: the firing period is neither a multiple nor an integer fraction of `FIRING`.

@@ -1,4 +1,4 @@
-"""Integration of the plant between two firings of the sonars."""
+"""Integrate the plant between two firings of the sonars."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RK4_STEPS = (0.010, 0.010, 0.005)
 
 @cache
 def advance() -> ca.Function:
-    """Return the function (x, tau_command, d, p) → x after 25 ms, by RK4 in steps of 10, 10 and 5 ms."""
+    """Return the function (x, tau_command, d, p) → x after 25 ms; it integrates by RK4 in steps of 10, 10 and 5 ms."""
     ode = build_plant().ode
     x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
     state = x

@@ -1,4 +1,4 @@
-"""The reason in words why a run ended at a standstill."""
+"""Explain in words why a run ended at a standstill."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ __all__ = ["stop_reason"]
 def stop_reason(run: Run) -> str:
     """Return why a run ended as `stopped` or `dead end`, in one sentence without a full stop.
 
-    The sentence names the missing knowledge of the law, or the place where it gave up and the time without progress.
+    The sentence names either the information that the law lacked, or the position where it gave up and the time without
+    progress.
 
     Raises:
-        InputError: the run ended for another reason.
+        InputError: the run ended for a reason other than a standstill.
 
     Example:
         >>> from dataclasses import replace
@@ -46,7 +47,7 @@ def stop_reason(run: Run) -> str:
 
 
 def _dead_end_reason(run: Run) -> str:
-    """Return where the law found no path to the target, and its progress along the path."""
+    """Return where the law found no path to the target, and how far it had come along the path."""
     law, record = run.law, run.record
     first = int(np.argmax(run.telemetry("trapped").ravel() > 0.5))
     x, y = record.eta[first, :2]

@@ -1,4 +1,4 @@
-"""Finished chunks of many runs on disk, so that a killed process can resume without repeating finished chunks."""
+"""Store finished chunks of runs on disk, so that an interrupted process can resume without repeating them."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ _MAGIC = "surctl-chunk-1"
 
 @dataclass(frozen=True)
 class ChunkStore:
-    """A folder with one file per chunk.
+    """A folder with one file per chunk of runs.
 
-    A file holds one line of text (magic word, request, index, rows, columns, SHA-256), then the columns one after
-    another as little-endian doubles. A file gets its name only when it is complete and on the disk.
+    A file holds one line of text (file signature, request, index, number of rows, number of columns, SHA-256), then the
+    columns one after another as little-endian doubles. A file gets its final name only when it is complete and on the
+    disk.
 
     Attributes:
-        folder: folder of the chunks.
-        request: digest of everything that the numbers depend on; chunks with another request are ignored.
+        folder: folder that holds the files of the chunks.
+        request: digest of everything that the results depend on; chunks with another request are ignored.
     """
 
     folder: Path
@@ -39,7 +40,7 @@ class ChunkStore:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Create and lock the folder, and remove incomplete files of a killed process.
+        """Create and lock the folder, and remove incomplete files that an interrupted process left.
 
         Raises:
             InputError: the folder cannot be written, or another process has locked it.
@@ -56,7 +57,7 @@ class ChunkStore:
             yield
 
     def has(self, index: int, shape: tuple[int, int]) -> bool:
-        """Return whether an undamaged chunk with this request and shape exists."""
+        """Return whether an undamaged chunk with the store's request and the given shape exists."""
         try:
             raw = self._path(index).read_bytes()
         except OSError:
@@ -65,10 +66,10 @@ class ChunkStore:
         return len(payload) == 8 * shape[0] * shape[1] and line == self._line(index, shape, payload)
 
     def write(self, index: int, table: NDArray[np.float64]) -> None:
-        """Write one finished chunk (rows, columns).
+        """Write one finished chunk, an array (rows, columns).
 
         Raises:
-            InputError: the disk is full, or the folder cannot be written; earlier chunks remain.
+            InputError: the disk is full, or the folder cannot be written; chunks that were written before remain.
         """
         payload = np.ascontiguousarray(table.T, dtype="<f8").tobytes()
         path = self._path(index)
@@ -87,14 +88,14 @@ class ChunkStore:
             raise cannot_write(self.folder, error) from None
 
     def column(self, index: int, shape: tuple[int, int], column: int) -> NDArray[np.float64]:
-        """Return one column (rows,) of a chunk for which `has` is true."""
+        """Return one column (rows,) of a chunk that exists according to `has`."""
         rows, columns = shape
         path = self._path(index)
         start = path.stat().st_size - 8 * rows * columns
         return np.fromfile(path, dtype="<f8", count=rows, offset=start + 8 * rows * column)
 
     def remove(self) -> None:
-        """Delete the chunks when they are no longer needed, and the parent folder if it is then empty."""
+        """Delete all chunks of the store, and the parent folder if it is then empty."""
         shutil.rmtree(self.folder, ignore_errors=True)
         with suppress(OSError):
             self.folder.parent.rmdir()
@@ -108,7 +109,7 @@ class ChunkStore:
 
 
 def cannot_write(place: Path, error: Exception) -> InputError:
-    """Return the error for a full disk or a folder that cannot be written."""
+    """Return the InputError for a full disk or for a folder in which no file can be written."""
     reason = getattr(error, "strerror", None) or str(error)
     return InputError(
         f"cannot be written ({reason}); finished chunks are kept",
@@ -132,7 +133,7 @@ def _hold(lock: IO[str], folder: Path) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """Write the folder's entries to the disk, if the operating system supports this."""
+    """Write the folder's list of files to the disk (fsync), if the operating system supports this."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -11,10 +11,13 @@ __all__ = ["toml_text"]
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """Return a TOML document, values first, then tables; reading it restores the data, numbers to the last bit.
+    """Return a TOML document with values before tables.
+
+    Reading the document restores the data, numbers to the last bit.
 
     Args:
-        table: texts, numbers, booleans, sequences of these, tables, and sequences of tables, but no None.
+        table: mapping of keys to texts, numbers, booleans, sequences of these types, tables, or sequences of tables;
+            None is not allowed.
     """
     return "\n".join(_lines(table, ())).strip("\n") + "\n"
 

@@ -1,4 +1,4 @@
-"""The simulated world of one run: moving obstacles and waves, determined by the seed."""
+"""The simulated world of one run: moving obstacles and waves, which the seed determines."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Body", "World", "WorldDraw", "build_world", "draw_world"]
 
 @dataclass(frozen=True)
 class Body:
-    """An obstacle at one instant: shape in {E}, velocity (2,) [m/s], and whether the base station tracks it.
+    """An obstacle at one instant: its shape in {E}, its velocity (2,) [m/s], and whether the base station tracks it.
 
     `heights` holds the lowest and the highest z of the obstacle [m].
     """
@@ -36,15 +36,15 @@ class Body:
 
 @dataclass(frozen=True)
 class World:
-    """A scenario with the random choices of one seed.
+    """A scenario together with the random choices that one seed determines.
 
     Attributes:
-        drift_direction: unit vectors (n, 2) of the drift, one per obstacle.
+        drift_direction: (n, 2) unit vector of the drift of each obstacle.
         drift_phase: (n,) phase of the drift of each obstacle [rad].
         wave_direction, wave_phase: direction and phase of the wave force.
         slow_direction, slow_phase: direction and phase of the slow drift force.
-        gain_error, bias: (4,) thrust errors per axis in [-1, 1]; the scenario states their scale.
-        hull: radius of the vehicle [m], also of moving obstacles without a radius of their own.
+        gain_error, bias: (4,) relative thrust errors per axis in [-1, 1]; the scenario states the scale of both errors.
+        hull: radius of the vehicle [m]; moving obstacles without a radius of their own have the same radius.
     """
 
     scenario: Scenario
@@ -66,12 +66,12 @@ class World:
 
     @cached_property
     def _still(self) -> dict[int, Body | None]:
-        """The obstacles that never move, by their index in the scenario."""
+        """The obstacles that never move, by their index in the scenario's list."""
         obstacles = enumerate(self.scenario.obstacles)
         return {k: self._body(k, o, 0.0) for k, o in obstacles if o.shape != "moving" and o.drift_m == 0}
 
     def force(self, time: float) -> NDArray[np.float64]:
-        """Return the disturbance force (4,) in {E} [N, N m]."""
+        """Return the disturbance force and moment (4,) in {E} [N, N m]."""
         d = self.scenario.disturbance
         wave = d.wave_force_n * np.sin(2 * np.pi * time / d.wave_period_s + self.wave_phase)
         slow = d.drift_force_n * np.sin(2 * np.pi * time / d.drift_period_s + self.slow_phase)
@@ -84,7 +84,7 @@ class World:
         return delivered + d.thrust_bias * self.bias * limit
 
     def clearance(self, place: NDArray[np.float64], bodies: Sequence[Body]) -> float:
-        """Return the signed distance [m] from a hull at `place` (3,) [m] to the nearest body; walls do not count."""
+        """Return the signed distance [m] from a hull at `place` (3,) [m] to the nearest obstacle, ignoring walls."""
         x, y, z = place.tolist()
         return min((Prism(b.shape, b.heights).distance(x, y, z) - self.hull for b in bodies), default=float("inf"))
 
@@ -134,7 +134,7 @@ class WorldDraw(NamedTuple):
 
 
 def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
-    """Return the random choices of one seed for this number of obstacles."""
+    """Return the random choices that a seed determines for the given number of obstacles."""
     turns = (2 * np.pi * np.random.default_rng([seed, 1]).random(2 * obstacles + 2)).tolist()
     drifts, wave, phases, wave_phase = turns[:obstacles], turns[obstacles], turns[obstacles + 1 : -1], turns[-1]
     # use math.sin: the last digit of numpy's sine depends on the length of the array
@@ -155,7 +155,7 @@ def draw_world(obstacles: int, *, seed: int) -> WorldDraw:
 
 
 def build_world(scenario: Scenario, vehicle: Vehicle, *, seed: int) -> World:
-    """Return the world of a scenario, with the random choices of one seed.
+    """Return the world of a scenario, with the random choices that a seed determines.
 
     Raises:
         InputError: the hull starts inside an obstacle (walls count only once the hull has been clear of them).

@@ -1,4 +1,4 @@
-"""The main job: from a vehicle or study file to gains, verdicts, runs, exported C and a report."""
+"""The study: from a vehicle file or a study file to gains, verdicts, runs, exported C and a report."""
 
 from surctl.study.conduct import Study, conduct
 from surctl.study.notes import Note

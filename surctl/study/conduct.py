@@ -45,15 +45,17 @@ class Study:
     """A finished study.
 
     Attributes:
-        passed: whether every note that counts towards the result passes.
-        notes: the notes of the summary.
+        passed: whether every summary note that counts towards the result passes.
+        notes: the notes of the study's summary.
         runs: simulated runs with true positions and with sonar, in the plan's order.
-        inapplicable: claims that do not concern the vehicle, with the reason; they fail if the plan names them.
-        deciding: for each run, whether it counts towards the result of the study.
-        replayed: the sonar runs that the exported C replayed: runs of the exported law where the hull fits the site.
-        linear: linear analysis of the nominal vehicle, and the worst one over the corners of its ranges.
-        over: figures of the linear loops at the plan's cruise speeds; None if the plan names no cruise speed.
-        sil: software-in-the-loop (SIL) reports, one for each replayed run.
+        inapplicable: claims that do not concern the vehicle, each with the reason; such a claim fails if the plan names
+            it.
+        deciding: for each run, whether the run counts towards the result of the study.
+        replayed: the sonar runs that the exported C replayed: runs of the exported law in which the hull fits the site.
+        linear: linear analysis of the nominal vehicle, and linear analysis of the worst vehicle over the corners of its
+            parameter ranges.
+        over: metrics of the linear loops at the plan's cruise speeds; None if the plan names no cruise speed.
+        sil: software-in-the-loop (SIL) reports, one report for each replayed run.
     """
 
     plan: Plan
@@ -75,11 +77,11 @@ class Study:
 
     @property
     def passed(self) -> bool:
-        """Whether every note that counts towards the result passes."""
+        """Whether every summary note that counts towards the result passes."""
         return all(note.passed is not False for note in self.notes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; the writer converts numbers that are not finite."""
+        """Return the study as plain data; the writer converts numbers that are not finite."""
         picked = self.sweep.picked
         return {
             "study": self.plan.name,
@@ -123,18 +125,18 @@ class Study:
 def conduct(
     plan: Plan, out: Path, *, workers: int = 2, progress: Progress = lambda _: None, command: str = ""
 ) -> Study:
-    """Conduct all parts of the study in the plan and return the finished study.
+    """Conduct all parts of the study that the plan contains and return the finished study.
 
     Args:
-        plan: the plan of the study.
-        out: output folder for report, gain file, sweep table and exported bundle.
-        workers: number of processes of the sweep.
+        plan: the plan of the study to conduct.
+        out: output folder for report, gain file, sweep table and exported C bundle.
+        workers: number of processes that compute the sweep.
         progress: function that receives one line of text at each step of the work.
-        command: the command line, which the report shows.
+        command: the command line that the report shows.
 
     Raises:
-        InputError: the folder cannot be written, there is no compiler, or the law cannot use the sonars of a
-            scenario. All these errors are raised before the long computations.
+        InputError: the folder cannot be written, there is no compiler, or the law cannot use the sonars of a scenario.
+            All these errors are raised before the long computations start.
 
     Example:
         >>> from pathlib import Path
@@ -286,7 +288,7 @@ def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTabl
 def _simulate_legs(
     plan: Plan, legs: Sequence[Leg], laws: tuple[Law, Sequence[Law]], swept: SweepTable, progress: Progress
 ) -> list[tuple[Leg, Run]]:
-    """Simulate each leg with true positions by `laws[0]`, and with sonar by the leg's law in `laws[1]`."""
+    """Simulate each mission of the plan with true positions by `laws[0]`, and with sonar by its law in `laws[1]`."""
     leg_runs = []
     for leg, sonar_law in zip(legs, laws[1], strict=True):
         for sensing, law in (("truth", laws[0]), ("sonar", sonar_law)):

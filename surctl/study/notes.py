@@ -1,4 +1,4 @@
-"""The summary of a study: notes that pass, notes that fail, and notes that do not count towards the result."""
+"""The summary of a study as notes: a note passes, fails, or does not count towards the result."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ __all__ = ["Note", "left_out", "summary"]
 
 @dataclass(frozen=True)
 class Note:
-    """One line of the study's summary, about one part of the report.
+    """One line of the study's summary, which is about one part of the report.
 
-    `passed` is None if the note does not count towards the result; `about` names the part of the report.
+    `passed` is None if the note does not count towards the result; `about` names the part of the report that the note
+    is about.
     """
 
     passed: bool | None
@@ -35,15 +36,15 @@ def summary(
     runs: Sequence[tuple[Run, bool]],
     sil: Sequence[SilReport],
 ) -> tuple[Note, ...]:
-    """Return the notes that summarise a study.
+    """Return the notes that summarise the results of a study.
 
     Args:
         plan: the plan of the study.
-        swept: the sweep of the study.
-        loops: margins at the largest simulated cruise speed, and figures at the plan's cruise speeds, or None.
+        swept: the parameter sweep of the study.
+        loops: margins at the largest simulated cruise speed, and metrics at the plan's cruise speeds, or None.
         verdicts: verdicts on the claims of the study.
-        runs: runs of the study, each with a flag that says whether it counts towards the result.
-        sil: software-in-the-loop (SIL) reports, one for each run that the exported law replayed.
+        runs: runs of the study, each with a flag that says whether the run counts towards the result.
+        sil: software-in-the-loop (SIL) reports, one report for each run that the exported law replayed.
     """
     notes = []
     feasible = int((swept.column("feasible") > 0.5).sum())
@@ -102,6 +103,6 @@ def summary(
 
 
 def left_out(runs: Sequence[Run]) -> tuple[Note, ...]:
-    """Return notes on the runs that were not replayed, because their sensors differ from the exported law's."""
+    """Return notes on the runs that were not replayed, because their sensors differ from those of the exported law."""
     text = "has other sensors than the exported law and is not replayed"
     return tuple(Note(None, f"{run.scenario.name} by {run.vehicle.name}, sonar, {text}", "export") for run in runs)

@@ -58,11 +58,11 @@ class _StudyFile(Strict):
 
 @dataclass(frozen=True)
 class Leg:
-    """One scenario with its vehicle.
+    """One mission of a study: a scenario with its vehicle.
 
     Attributes:
-        exclusion: reason why the scenario cannot be simulated at all, or None.
-        misfit: reason why the hull does not fit the site, or None; such a run is shown but does not count.
+        exclusion: reason why the scenario cannot be simulated with this vehicle, or None.
+        misfit: reason why the hull does not fit the site, or None; a run with a misfit is shown but does not count.
     """
 
     scenario: Scenario
@@ -73,7 +73,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Plan:
-    """A checked and loaded study; its goals are the built-in goals unless it defines goals or names a goals file.
+    """A loaded and checked study; it has the built-in goals unless its file defines goals or names a goals file.
 
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
     the scenarios is used.
@@ -96,12 +96,12 @@ class Plan:
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
-        """The legs whose runs with true positions count towards the result of the study."""
+        """The missions whose runs with true positions count towards the result of the study."""
         return tuple(leg for leg in self.legs if leg.exclusion is None and leg.misfit is None)
 
     @property
     def sweep_cases(self) -> tuple[Case, ...]:
-        """The cases that the sweep simulates at every point."""
+        """The setups (scenario, vehicle, law) that the sweep simulates at every point of its grid."""
         return tuple(
             Case(leg.scenario, leg.vehicle, self.gains, self.law, guidance=self.guidance) for leg in self.deciding
         )
@@ -110,7 +110,7 @@ class Plan:
 def load_plan(file: str | None = None) -> Plan:
     """Load the built-in study, a study file, or the built-in study with the vehicle of a vehicle file.
 
-    Names inside a study file may be built-in names or paths relative to the file.
+    A name inside a study file is a built-in name or a path relative to the study file.
 
     Raises:
         InputError: a file, a key or a value is wrong, or the vehicle fits no scenario of the study.
@@ -152,7 +152,7 @@ def _study(table: dict[str, Any], path: Path) -> _StudyFile:
 
 
 def _own_goals(study: _StudyFile, path: Path, named: str | None) -> tuple[Goal, ...]:
-    """Return the goals of the named file, those of the study's own tables, or the built-in goals."""
+    """Return the goals of the named goals file, the goals in the study's own tables, or the built-in goals."""
     if named is None:
         return goals_from_tables(study.goals, file=path) if study.goals else load_goals()
     try:
@@ -209,7 +209,10 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
 
 
 def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
-    """Return a sweep axis; InputError if it is not a gain, because a study chooses only gains."""
+    """Return an axis of the parameter sweep.
+
+    InputError if the parameter is not a gain, because a study chooses only gains.
+    """
     for value in axis.values:
         gains.with_values({axis.gain: value})
     return Axis(axis.gain, axis.values)

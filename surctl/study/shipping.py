@@ -1,4 +1,4 @@
-"""Export of a study: the law with perception as C, compiled during the study and replayed over its runs."""
+"""Export of a study: the law with perception as C, compiled during the study and replayed over the study's runs."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ __all__ = ["Shipment", "shipping", "with_perception"]
 
 
 def with_perception(plan: Plan, leg: Leg) -> Law:
-    """Return the plan's law with perception, for the sensors of the leg's scenario on the leg's hull.
+    """Return the plan's law with perception, for the sensors of the mission's scenario on the mission's hull.
 
     Raises:
-        InputError: the law cannot use these sonars.
+        InputError: the law cannot use the sonars of the scenario.
     """
     mission = leg.scenario
     equipment = mission.sensors.on(leg.vehicle["radius"])
@@ -47,9 +47,9 @@ class Shipment:
 
     Attributes:
         law: the exported law.
-        bundle: the exported C, with the gains and the mission of one leg.
-        files: the files as written.
-        compiling: future that holds the compiled bundle.
+        bundle: the exported C, with the gains and the mission that are its defaults.
+        files: paths of the written files.
+        compiling: future whose result is the compiled bundle.
     """
 
     law: Law
@@ -58,14 +58,14 @@ class Shipment:
     compiling: Future[Controller]
 
     def carries(self, run: Run) -> bool:
-        """Return whether the run used this law, with any gains and any mission."""
+        """Return whether a run used the exported law, with any gains and any mission."""
         return run.law is self.law or run.law.block.digest() == self.law.block.digest()
 
     def replayed(self, runs: Sequence[Run]) -> tuple[SilReport, ...]:
-        """Replay runs of this law and return one report per run; wait for the compiler if necessary.
+        """Replay the given runs of the exported law and return one report per run; wait for the compiler if necessary.
 
         Raises:
-            SurctlError: the compiler rejects the bundle, or the compiled program crashes.
+            SurctlError: the compiler rejects the bundle, or the compiled program crashes during a replay.
         """
         records = [Records(r.law_state, r.law_input, r.law_parameters) for r in (run.record for run in runs)]
         return compare_runs(self.compiling.result(), records)
@@ -73,12 +73,12 @@ class Shipment:
 
 @contextmanager
 def shipping(law: Law, gains: Gains, leg: Leg, out: Path) -> Iterator[Shipment]:
-    """Write the law's C to `out` and compile it in parallel with the body of the `with` statement.
+    """Write the C code of the law to `out` and compile it in parallel with the body of the `with` statement.
 
     Args:
         law: the law to export.
         gains: complete gain set.
-        leg: the leg whose mission and vehicle become the defaults of the export.
+        leg: the study's mission whose scenario and vehicle become the defaults of the export.
         out: folder of the exported bundle.
 
     Raises:

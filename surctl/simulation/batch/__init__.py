@@ -1,4 +1,4 @@
-"""The closed loop as one compiled block that simulates many runs at once."""
+"""The closed loop as one compiled function that simulates many runs at once."""
 
 from surctl.simulation.batch.case import Case, CaseParameter, case_parameters, check_speeds
 from surctl.simulation.batch.engines import ENGINES, BatchResult, Engine, SlowerEngine, simulate_batch

@@ -1,4 +1,4 @@
-"""The obstacles of a scenario as CasADi expressions, and their numbers for many runs at once."""
+"""The obstacles of a scenario as CasADi expressions, and their parameter values for many runs at once."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Body:
         velocity: (2, 1) velocity of the obstacle in {E} [m/s].
         present: 1 if the obstacle is in the water, 0 after its removal.
         moving: whether the base station tracks the obstacle.
-        heights: (2, 1) z of its bottom and top [m]; None if it fills the whole water column.
+        heights: (2, 1) z of the obstacle's bottom and top [m]; None if it fills the whole water column.
     """
 
     centre: ca.SX
@@ -49,7 +49,7 @@ class Body:
         return bool(self.size.numel() == 2)
 
     def clearance(self, position: ca.SX) -> ca.SX:
-        """Return the signed distance [m] from a point to the obstacle's surface; `ABSENT` if it is not in the water.
+        """Return the signed distance [m] from a point to the obstacle's surface; `ABSENT` if the obstacle is absent.
 
         A point (2, 1) gives the planar distance; a point (3, 1) gives the distance in 3D if the obstacle has `heights`.
         """
@@ -61,7 +61,7 @@ class Body:
         return ca.if_else(self.present, distance, ABSENT)
 
     def beside(self, z: ca.SX, hull: ca.SX) -> Body:
-        """Return the obstacle, present only if a hull of this radius [m] at z can touch it, see `simulation.column`."""
+        """Return the obstacle, marked as present only if a hull of this radius [m] at z can touch it."""
         if self.heights is None:
             return self
         return replace(self, present=ca.logic_and(self.present, self._gap(z) < hull + BAND))
@@ -91,7 +91,7 @@ class Body:
         return distance
 
     def contact(self, position: ca.SX) -> ca.SX:
-        """Return the contact row (1, 6): x, y, radius, vx, vy, valid; for a box, its point nearest to `position`."""
+        """Return the contact (1, 6): x, y, radius, vx, vy, valid; a box is given by its point nearest to `position`."""
         if self.boxed:
             half = 0.5 * self.size
             point = self.centre + ca.fmin(ca.fmax(position - self.centre, -half), half)
@@ -103,14 +103,14 @@ class Body:
 
     @property
     def solid(self) -> Solid:
-        """The obstacle as a reflector of the sonars."""
+        """The obstacle as a surface that reflects the sonar pulses."""
         if self.boxed:
             return SolidBox(self.centre, self.size, present=self.present)
         return SolidDisc(self.centre, self.size, present=self.present)
 
 
 def kind_of(obstacle: Obstacle, *, drifting: bool) -> BodyKind:
-    """Return the kind of the obstacle, which is fixed in the compiled loop."""
+    """Return the kind of the obstacle (shape, motion), which is fixed in the compiled loop."""
     if obstacle.shape == "moving":
         return "mover"
     if obstacle.shape == "box":
@@ -124,7 +124,7 @@ def body_size(kind: BodyKind) -> int:
 
 
 def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
-    """Return the obstacle at a time [s], from the numbers of `body_columns`."""
+    """Return the obstacle at a time [s], computed from the parameter values of `body_columns`."""
     start = numbers[:2]
     if kind == "mover":
         direction, distance, speed, stays = numbers[3:5], numbers[5], numbers[6], numbers[7]
@@ -150,14 +150,16 @@ def body_columns(
     direction: Columns,
     phase: Columns,
 ) -> list[Columns]:
-    """Return the numbers that `body_at` needs for n runs, one column (n,) or () per number.
+    """Return the obstacle parameters that `body_at` needs for n runs: one array (n,) per parameter, or a scalar.
 
     Args:
         obstacle: the obstacle of the scenario.
         kind: kind of the obstacle, from `kind_of`.
-        number: function that returns the values of one of the obstacle's parameters by the last part of its name.
-        values: changed parameter values by full name; they show whether the radius was changed.
-        hull: (n,) hull radius [m], used for a moving obstacle without a radius of its own.
+        number: function that returns the values of an obstacle parameter; its argument is the last part of the
+            parameter's name.
+        values: changed parameter values by full name; from these names the function sees whether the radius was
+            changed.
+        hull: (n,) hull radius [m]; a moving obstacle without a stated radius takes this radius.
         direction: (n, 2) unit vector of the drift.
         phase: (n,) phase of the drift [rad].
     """

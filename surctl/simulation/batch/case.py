@@ -1,4 +1,4 @@
-"""The case that a batch simulates, and its parameters, which a batch can change by name."""
+"""The scenario, vehicle and law that a batch simulates, and the parameters that a batch can change by name."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Case:
-    """One scenario with one vehicle and one law.
+    """One simulation setup: a scenario with one vehicle and one law.
 
     Attributes:
         scenario: the mission.
         vehicle: the simulated vehicle.
         gains: the law's gains.
         law, avoidance, mode, guidance, barrier, movers: options of the law, as for `build_law`.
-        sensing: `truth` or `sonar`, as for `simulate`.
+        sensing: kind of sensing: `truth` (exact positions) or `sonar`, as for `simulate`.
         model: vehicle model of the controller; None: the simulated vehicle.
     """
 
@@ -51,11 +51,11 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Name of the case: scenario, vehicle and sensing."""
+        """Name of the simulation setup: scenario, vehicle and sensing."""
         return f"{self.scenario.name}/{self.vehicle.name}/{self.sensing}"
 
     def build(self) -> Law:
-        """Build the law of the case."""
+        """Build the law of the simulation setup."""
         sonar = self.sensing == "sonar"
         return build_law(
             self.law,
@@ -72,16 +72,16 @@ class Case:
 
 @dataclass(frozen=True)
 class CaseParameter:
-    """A number of a case that a batch can change.
+    """A parameter (number) of the simulation setup that a batch can change.
 
     Attributes:
-        name: for instance `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only), `scenario.cruise` or
-            `obstacle.NAME.speed`.
-        unit: SI unit of the number.
-        meaning: description of the number.
-        value: value in the unchanged case.
-        low, high: bounds of the number; `low` itself is not allowed if `open_below` is true.
-        range: range of the number that the vehicle file states, or None.
+        name: name of the parameter, for instance `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only),
+            `scenario.cruise` or `obstacle.NAME.speed`.
+        unit: SI unit of the parameter.
+        meaning: description of the parameter.
+        value: value of the parameter before any change.
+        low, high: bounds of the parameter; `low` itself is not allowed if `open_below` is true.
+        range: range of the parameter that the vehicle file states, or None.
     """
 
     name: str
@@ -94,7 +94,7 @@ class CaseParameter:
     range: tuple[float, float] | None = None
 
     def check(self, values: Vector) -> None:
-        """Raise InputError unless every value is finite and within the bounds."""
+        """Raise InputError unless every value is finite and within the parameter's bounds."""
         good = np.isfinite(values) & (values <= self.high)
         good &= (values > self.low) if self.open_below else (values >= self.low)
         if not good.all():
@@ -110,7 +110,7 @@ class CaseParameter:
 
 
 def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
-    """Return every number of the case that a batch can change, by name.
+    """Return every parameter of the simulation setup that a batch can change, by name.
 
     Example:
         >>> from surctl.control import load_gains

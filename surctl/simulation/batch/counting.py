@@ -36,7 +36,7 @@ def counted(
     gap: ca.SX,
     leg: ca.SX,
 ) -> dict[str, ca.SX]:
-    """Return the state variables of the metrics after this control step, see `metrics.METRICS`."""
+    """Return the state variables of the metrics after the present control step, see `metrics.METRICS`."""
     place, depth = old["plant"][:2], old["plant"][2]
     square = _path_square(w["waypoints"], leg, place)
     away = ca.sqrt(square)
@@ -62,7 +62,10 @@ def counted(
 
 
 def _path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
-    """Return the squared distance [m²] to the leg or to its two neighbours; repeated waypoints count as points."""
+    """Return the squared distance [m²] to the nearest of the current path segment and its two neighbours.
+
+    Segments between repeated waypoints count as points.
+    """
     best = ca.SX(1e30)
     for k in range(MAX_WAYPOINTS - 1):
         a, b = waypoints[k, :].T, waypoints[k + 1, :].T

@@ -37,8 +37,8 @@ class BatchResult:
     """Metrics of n runs.
 
     Attributes:
-        table: (n, len(METRICS)) metrics of each run, in the order of `METRICS`.
-        engine: the engine that was used, `c` or `vm`.
+        table: (n, len(METRICS)) metrics of the runs, one row per run, columns in the order of `METRICS`.
+        engine: the engine that simulated the runs, `c` or `vm`.
     """
 
     table: Columns = field(repr=False)
@@ -50,7 +50,7 @@ class BatchResult:
         return len(self.table)
 
     def column(self, name: str) -> Columns:
-        """Return one metric (n,); InputError names the nearest metric if the name is unknown."""
+        """Return the values (n,) of one metric; if the name is unknown, InputError suggests the most similar name."""
         if name not in METRICS:
             raise InputError("no such metric", key="metric", value=name, remedy=nearest(name, METRICS))
         return self.table[:, list(METRICS).index(name)]
@@ -64,19 +64,19 @@ def simulate_batch(
     threads: int = 1,
     engine: Engine = "auto",
 ) -> BatchResult:
-    """Simulate the case once for each set of values and seed; values and seeds are broadcast against each other.
+    """Simulate one run for each pair of parameter values and seed; values and seeds are broadcast against each other.
 
-    A run depends only on its own numbers, not on `threads`, the other runs or their order. It equals `simulate` of the
-    same case and seed, except for the last digits. A run that starts inside an obstacle counts as a collision at its
-    start.
+    The result of a run depends only on its own parameter values and seed, not on `threads` or the other runs. The
+    metrics equal those of `simulate` with the same setup and seed, except for the last digits. A run that starts inside
+    an obstacle counts as a collision at its start.
 
     Args:
-        case: the simulated case.
-        values: (n,) values or one number by parameter name, see `parameters`.
-        seeds: (n,) seeds or one seed, at least 0.
+        case: the simulated setup (scenario, vehicle, law).
+        values: parameter values by name, see `parameters`: an array (n,) or one number for all runs.
+        seeds: (n,) seeds, or one seed for all runs; a seed is at least 0.
         threads: number of threads of the compiled loop.
-        engine: `c`: code from the system's C compiler; `vm`: CasADi's virtual machine; `auto`: `c`, or `vm` with a
-            warning `SlowerEngine` if there is no compiler.
+        engine: `c` compiles with the system's C compiler; `vm` uses CasADi's virtual machine; `auto` takes `c`, or `vm`
+            with a warning `SlowerEngine` if there is no compiler.
 
     Raises:
         InputError: a parameter or the engine is unknown, a value is out of bounds, a seed is negative, or the shapes
@@ -126,7 +126,7 @@ def simulate_batch(
 
 @cache
 def compiled_loop(structure: Structure) -> Batch:
-    """Return the compiled loop of a structure, newly compiled or from the cache.
+    """Return the compiled loop of a loop structure, newly compiled or from the cache.
 
     Raises:
         ToolMissing: there is no C compiler.
@@ -140,7 +140,7 @@ def _machine(structure: Structure) -> Any:
 
 
 def _through_machine(loop: Loop, packed: Packed) -> Columns:
-    """Return the final states (n, …); all runs advance side by side, one control step at a time."""
+    """Return the final states (n, …) of n runs; all runs advance together, one control step at a time."""
     step = _machine(loop.structure)
     state, left = packed.state.copy(), np.arange(len(packed.state))
     for _ in range(packed.steps):
@@ -174,7 +174,7 @@ def _broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[
 
 
 def _metrics(loop: Loop, final: Columns) -> Columns:
-    """Return the metrics (n, len(METRICS)) from the final states."""
+    """Return the metrics (n, len(METRICS)) that the final states of the runs contain."""
     s = {port.name: final[:, loop.state.slice(port.name)][:, 0] for port in loop.state}
     rows, dt = s["step"] + 1, loop.law.dt
     error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)

@@ -1,6 +1,6 @@
-"""Sensing in a closed loop as CasADi expressions: sonar echoes at each instant, and delayed fixes and messages.
+"""Sensing in a closed loop as CasADi expressions: sonar echoes, delayed position fixes and messages.
 
-The counterpart of `_listen` and `_measurements` of `simulation.loop.Loop`.
+The module is the counterpart of the methods `_listen` and `_measurements` of `simulation.loop.Loop`.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ __all__ = ["Listening", "flat", "slots"]
 
 
 class Listening:
-    """Sonars, base station and own-state measurement of a structure whose law uses them."""
+    """Sonars, base station and own-state measurement of a loop structure whose law uses these sensors."""
 
     def __init__(self, structure: Structure, law: Law) -> None:
         self.structure, self.law = structure, law
 
     def ports(self) -> tuple[Port, ...]:
-        """Return the state ports of a run that sensing needs."""
+        """Return the state variables of a run that sensing needs, as named ports."""
         array = self.structure.equipment.array
         return (
             *self.echoes.ports,
@@ -53,13 +53,13 @@ class Listening:
 
     @cached_property
     def echoes(self) -> Layout:
-        """The layout of the last echoes of each sonar and of its fault state."""
+        """The state layout for the last echoes of each sonar and for its fault state."""
         array = self.structure.equipment.array
         return Layout(fault_ports(array, delays=self.structure.delays, prefix="sonar_"))
 
     @cached_property
     def late(self) -> Layout:
-        """The layout of measurements that have not been delivered yet."""
+        """The state layout for measurements that have not been delivered yet."""
         if self.law.perception is None:
             return Layout(())
         own, station = self.structure.equipment.own, self.structure.equipment.station
@@ -77,7 +77,7 @@ class Listening:
 
     @property
     def normals(self) -> int:
-        """Number of normal random numbers for the firings of one control step, which is even."""
+        """Number of normally distributed random numbers for the sonar firings of one control step (an even number)."""
         count = self._instants * self._wide * self.structure.equipment.array.samples
         return count + count % 2
 
@@ -101,8 +101,9 @@ class Listening:
     def draw(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Draw the noise of one control step, see `simulation.loop._StepNoise`.
 
-        The result is the noise of own state, of the message and of its loss; the noise of the firings goes into `out`.
-        `movers` is the number of moving obstacles of the run, if runs differ in it; absent ones take no numbers.
+        The result is the noise of the own-state measurement, of the message and of its loss; the firing noise goes into
+        `out`. `movers` is the number of moving obstacles, if it differs between runs; absent obstacles use no random
+        numbers.
         """
         count = self.normals
         if movers is None:
@@ -130,7 +131,7 @@ class Listening:
         loss: ca.SX,
         out: dict[str, ca.SX],
     ) -> dict[str, ca.SX]:
-        """Return the measurements of camera, IMU and base station, as `simulation.loop.Loop._measurements`."""
+        """Return the measurements of camera, IMU and base station, as `_measurements` of `simulation.loop.Loop`."""
         equipment, dt, step = self.structure.equipment, self.law.dt, state["step"]
         own, station = equipment.own, equipment.station
         if self.law.perception is None:
@@ -172,7 +173,7 @@ class Listening:
         *,
         instant: int,
     ) -> tuple[dict[str, ca.SX], ca.SX]:
-        """Return the echo state after one firing instant, and (sensors, 1) flags of the sonars whose echo arrived."""
+        """Return the echo state after one firing instant, and flags (sensors, 1) of the sonars whose echo arrived."""
         structure, plan, wide = self.structure, self._plan, self._wide
         array, samples = structure.equipment.array, structure.equipment.array.samples
         after = {name: value for name, value in echoes.items() if name.startswith("sonar_")}
@@ -218,7 +219,7 @@ class Listening:
 
 
 def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOTS) -> ca.SX:
-    """Return the law's contacts (k, 6): all rows, or the `most` nearest rows in their order."""
+    """Return the law's contacts (k, 6): all contacts, or the `most` nearest ones in unchanged order."""
     if len(rows) <= most:
         return ca.vertcat(ca.SX(0, 6), *rows)
     slots, filled = [ca.SX.zeros(1, 6) for _ in range(most)], ca.SX(0)
@@ -231,11 +232,11 @@ def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOT
 
 
 def _observed(station: BaseStation, row: ca.SX, noise: ca.SX) -> ca.SX:
-    """Return a contact (1, 6) as the base station measures it, without delay."""
+    """Return a contact (1, 6) as the base station measures it: with noise, but without delay."""
     spread = ca.horzcat(station.position_sd * noise[:2], 0, station.velocity_sd * noise[2:], 0)
     return ca.if_else(row[5], row + spread, ca.SX.zeros(1, 6))
 
 
 def flat(matrix: ca.SX) -> ca.SX:
-    """Return a matrix as a column vector, row by row."""
+    """Return a matrix as a column vector in row-major order."""
     return ca.reshape(matrix.T, -1, 1)

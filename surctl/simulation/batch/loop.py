@@ -1,7 +1,8 @@
-"""One control period of the closed loop as a block: world, sensing, law, plant and metrics in one state.
+"""One control period of the closed loop as a CasADi function: world, sensing, law, plant and metrics in one state.
 
-The module states the loop of `simulation.loop.simulate` as CasADi expressions, so that a whole run can be compiled,
-differentiated or run in CasADi's virtual machine. The two loops are written independently, and the tests compare them.
+The module writes the loop of `simulation.loop.simulate` as CasADi expressions, so that a whole run can be compiled,
+differentiated or run in CasADi's virtual machine. The compiled loop and the reference loop are written independently,
+and the tests compare their results.
 """
 
 from __future__ import annotations
@@ -47,13 +48,13 @@ _FINITE = 1e300
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """The closed loop of a structure.
+    """The closed loop for one loop structure (the part of a setup that is fixed at compilation).
 
     Attributes:
         law: the law of the loop.
-        state: layout of a run's state; the run ends when its first entry `done` is 1.
-        parameters: layout of a run's parameters.
-        step: (state, parameters) → next state; one control period.
+        state: layout of a run's state vector; the run ends when the first entry `done` is 1.
+        parameters: layout of a run's parameter vector.
+        step: function (state, parameters) → next state that simulates one control period.
     """
 
     structure: Structure
@@ -65,7 +66,7 @@ class Loop:
 
 @cache
 def build_loop(structure: Structure) -> Loop:
-    """Assemble the loop of a structure; the result is cached."""
+    """Return the closed loop of a loop structure; the result is cached."""
     law = build_law(  # no more slots than obstacles, and no filter without input
         structure.law,
         avoidance=structure.avoidance,
@@ -154,14 +155,14 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
 
 
 class _Builder:
-    """Builds the parts of the loop around the law and the plant."""
+    """Builder of the parts of the closed loop around the law and the plant."""
 
     def __init__(self, structure: Structure, law: Law, state: Layout, parameters: Layout) -> None:
         self.structure, self.law, self.state, self.parameters = structure, law, state, parameters
         self.sonar, self.listening = structure.sensing == "sonar", Listening(structure, law)
 
     def sense(self) -> Program:
-        """Build the world and the first firing of a control step, and the inputs of the law and the plant."""
+        """Build the first part of a control step: world, first sonar firing, inputs of the law and the plant."""
         s, state = self.state.symbols("s")
         w, parameters = self.parameters.symbols("w")
         step, dt = state["step"], self.law.dt
@@ -202,14 +203,14 @@ class _Builder:
         return self.listening.late if self.sonar else Layout(())
 
     def drive(self) -> Program:
-        """Build the thrust that the thrusters deliver for a command."""
+        """Build the expression for the thrust that the thrusters deliver for a command."""
         w, parameters = self.parameters.symbols("w")
         tau = ca.SX.sym("tau", 4)
         thrust = tau * parameters["thrust_gain"] + parameters["thrust_bias"]
         return lower_named("drive", {"w": w, "tau": tau}, {"thrust": thrust})
 
     def between(self) -> Program:
-        """Build the second firing and the clearances, 25 ms after the beginning of the control step."""
+        """Build the second sonar firing and the clearances, 25 ms after the beginning of the control step."""
         w, parameters = self.parameters.symbols("w")
         sizes = {"plant_between": PLANT_STATE.size, "step": 1, "normals": 1, "uniforms": 1, "echoes": 1}
         if self.sonar:
@@ -230,7 +231,7 @@ class _Builder:
         )
 
     def close(self) -> Block:
-        """Build the end of a control step: reason to stop, metrics, and the next state of the run."""
+        """Build the end of a control step: the reason if the run ends, the metrics, and the next state."""
         s, old = self.state.symbols("s")
         w, parameters = self.parameters.symbols("w")
         law, sonar = self.law, self.sonar
@@ -313,7 +314,7 @@ class _Builder:
         return [body.beside(plant[2], w["world_hull"]) for body in bodies]
 
     def _movers(self, w: Mapping[str, ca.SX]) -> ca.SX | None:
-        """Return the number of moving obstacles of a run; None if it is the same in all runs."""
+        """Return the number of moving obstacles of a run as an expression; None if it is fixed for all runs."""
         if not self.structure.optional:
             return None
         kinds = enumerate(self.structure.bodies)
@@ -350,7 +351,7 @@ def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.
 
 
 def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return whether the hull has been clear of the walls, and the clearance; walls count from then on."""
+    """Return whether the hull has been clear of the walls so far, and its clearance; walls count only from then on."""
     now = ca.logic_or(clear, clearances[1] > 0)
     return now, ca.if_else(now, ca.fmin(clearances[0], clearances[1]), clearances[0])
 

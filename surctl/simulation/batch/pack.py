@@ -1,4 +1,4 @@
-"""Convert a case, parameter values and seeds to the numbers of every run."""
+"""Convert a simulation setup, parameter values and seeds to the state and parameter vectors of every run."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _VECTORS = {
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """The initial states and the parameters of n runs.
+    """The initial states and the parameters of n runs, as arrays.
 
     Attributes:
-        state: (n, …) states at the start.
-        parameters: (n, …) parameters of each run.
-        steps: largest number of control periods of any run.
+        state: (n, …) initial state of each run.
+        parameters: (n, …) parameter vector of each run.
+        steps: largest number of control periods that any of the runs may take.
     """
 
     state: Columns
@@ -47,7 +47,7 @@ class Packed:
 
 
 def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
-    """Return the structure that is compiled; an obstacle may drift if its drift is positive in any run."""
+    """Return the loop structure to compile; an obstacle may drift if its drift amplitude is positive in any run."""
     kinds = []
     for obstacle in case.scenario.obstacles:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
@@ -88,7 +88,7 @@ def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[n
     """Return the initial states and the parameters of every run.
 
     Args:
-        case: the simulated case.
+        case: the simulated setup (scenario, vehicle, law).
         loop: loop of `structure_of(case, values)`.
         values: (n,) values by parameter name, already checked by `check_values`.
         seeds: (n,) seed of each run.
@@ -106,7 +106,7 @@ class _Filler:
         self.steps = int(np.max(self.step_limits))
 
     def number(self, name: str) -> Columns:
-        """Return the values of a parameter: those of the runs (n,), or that of the case ()."""
+        """Return the values of a parameter: (n,) if runs differ in it, or a scalar if all runs share one value."""
         return np.asarray(self.values.get(name, self.known[name].value), dtype=float)
 
     def actual(self, name: str) -> Columns:
@@ -121,7 +121,7 @@ class _Filler:
         return np.asarray(self.values.get(f"vehicle.{name}", model[name]), dtype=float)
 
     def states(self) -> Columns:
-        """Return the initial states (n, state)."""
+        """Return the initial states of all runs, (n, state)."""
         layout, case = self.loop.state, self.case
         first = layout.pack({"plant": [*case.scenario.start_pose, *[0.0] * 8], "law": self.loop.law.initial_state()})
         out = np.tile(first, (len(self.seeds), 1))
@@ -131,7 +131,7 @@ class _Filler:
         return out
 
     def parameters(self) -> Columns:
-        """Return the parameters (n, parameters)."""
+        """Return the parameter vectors of all runs, (n, parameters)."""
         layout = self.loop.parameters
         out = np.empty((len(self.seeds), layout.size))
         self._law(out[:, : self.loop.law.gains.size])
@@ -217,7 +217,7 @@ class _Filler:
         return columns
 
     def _draws(self) -> WorldDraw:
-        """Return the random choices of every run, stacked."""
+        """Return the random choices of every run, stacked into arrays."""
         unique, back = np.unique(self.seeds, return_inverse=True)
         draws = [draw_world(len(self.case.scenario.obstacles), seed=int(seed)) for seed in unique]
         return WorldDraw(*(np.array(part)[back] for part in zip(*draws, strict=True)))  # type: ignore[arg-type]

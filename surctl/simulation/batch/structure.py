@@ -1,4 +1,4 @@
-"""The structure of a case, which is compiled into its loop."""
+"""The loop structure: the part of a simulation setup that is fixed in the compiled loop."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ __all__ = ["Structure"]
 
 @dataclass(frozen=True)
 class Structure:
-    """The part of a case that is fixed in the compiled loop; everything else is a number of each run.
+    """The part of a simulation setup that is fixed in the compiled loop; every other number is a parameter of each run.
 
     Attributes:
-        equipment: the sensors; the hull of the sonars matters only if they have mounts.
-        faults: number of slots for scheduled sonar faults.
+        equipment: the sensors; the hull radius of the sonars matters only if the sonars have mounts.
+        faults: number of scheduled sonar faults that a run can hold.
         chances: whether random sonar faults may occur.
         delays: whether one of the scheduled faults is a delay.
         optional: whether a run may leave obstacles out.
         heights: whether some obstacle ends above the floor or below the surface.
-        depths: whether the mission allows depths other than that of the path.
-        barrier, treats: options `barrier` and `movers` of `build_law`.
+        depths: whether the mission allows other depths than the depth of the path.
+        barrier, treats: the options `barrier` and `movers` of `build_law`.
     """
 
     law: LawName
@@ -62,7 +62,7 @@ class Structure:
 
     @property
     def slots(self) -> int:
-        """Number of moving obstacles in a message of the base station."""
+        """Number of moving obstacles that a message of the base station contains."""
         return min(CONTACT_SLOTS, self.movers)
 
     @property

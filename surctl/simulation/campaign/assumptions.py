@@ -1,4 +1,4 @@
-"""The assumptions of the safety claim that a random run violates."""
+"""The assumptions of the safety claim, and a check which of them a random run violates."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ __all__ = ["assumptions"]
 
 
 def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fastest: float) -> tuple[str, ...]:
-    """Return the names of the violated assumptions in a fixed order; empty if all assumptions that are checked hold.
+    """Return the names of the violated assumptions in a fixed order; empty if every checked assumption holds.
 
-    `obstacle speed`: an obstacle moves or drifts faster than `fastest`. `detection`: to stop from the speed cap before
-    the fastest obstacle, the vehicle needs more than the detection range, at the worst values of its ranges. `thrust`:
-    a drawn thrust limit is less than 85 % of the stated limit. `range`: a drawn number is outside its stated range.
+    `obstacle speed`: an obstacle moves or drifts faster than `fastest`. `detection`: at the worst values of its ranges,
+    the vehicle needs more than the detection range to stop from the speed cap before the fastest obstacle. `thrust`: a
+    drawn thrust limit is less than 85 % of the stated limit. `range`: a drawn number is outside its stated range.
     `margin` (guarded law only): to brake before an obstacle at rest, the simulated vehicle needs more than the law's
-    margin, including the force of its mass difference in a turn, see `margin_needed`. `hull`: by `end_findings` the
-    hull does not fit at the start or at the target; gaps between them are not checked.
+    margin, including the force of its mass difference in a turn (`margin_needed`). `hull`: `end_findings` reports that
+    the hull does not fit at the start or at the target; gaps between start and target are not checked.
 
     Args:
-        case: the simulated case; the law's model is `case.model`, or `case.vehicle` if there is none.
-        draw: drawn vehicle parameters by name, in the units of the vehicle file.
+        case: the simulated setup; the law's model is `case.model`, or `case.vehicle` if there is no model.
+        draw: randomly drawn vehicle parameters by name, in the units of the vehicle file.
         detection: range from the hull at which an obstacle is certainly detected [m].
         fastest: largest obstacle speed that the safety claim covers [m/s].
 
     Raises:
-        InputError: the draw contains an unknown vehicle parameter.
+        InputError: the drawn parameters contain an unknown vehicle parameter.
     """
     scenario, believed = case.scenario, case.model or case.vehicle
     speeds = [
@@ -59,7 +59,10 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
 
 
 def _stops(case: Case, draw: Mapping[str, float]) -> bool:
-    """Return whether the law's margin is enough for the simulated vehicle; `range` reports impossible numbers."""
+    """Return whether the law's margin is enough for the simulated vehicle.
+
+    Impossible parameter values return True, because the assumption `range` reports them.
+    """
     believed = case.model or case.vehicle
     try:
         actual = case.vehicle.with_values(draw)

@@ -31,14 +31,14 @@ FASTEST = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """A finished campaign: its plan, the table of its runs, and their summary."""
+    """A finished campaign: its plan of runs, the table of results, and the summary."""
 
     plan: Plan
     table: RunTable
     summary: Summary
 
     def worst(self, count: int) -> list[Replay]:
-        """Return the worst runs, the worst first, ready to be saved to files, see `RunTable.worst`."""
+        """Return the worst runs, the worst first, in a form that can be saved to files, see `RunTable.worst`."""
         return [
             replay_of(self.plan.run(k), self.table.row(k), campaign=self.plan.name) for k in self.table.worst(count)
         ]
@@ -53,20 +53,21 @@ def run_campaign(
     store: ChunkStore | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Campaign:
-    """Simulate the first runs of a plan.
+    """Simulate the first `runs` runs of a plan.
 
-    The result does not depend on the threads, the chunk size, or the chunks that the store already has.
+    The result does not depend on the number of threads, the chunk size, or the chunks that the store already holds.
 
     Args:
         plan: the plan of the runs.
         runs: number of runs, at least 1.
         threads: number of threads of the compiled loop.
         chunk: number of runs that are simulated together.
-        store: open store with chunks of this size; finished chunks are read from it, new ones are written to it.
+        store: open store with chunks of this size; the campaign reads finished chunks from it and writes new chunks to
+            it.
         progress: function that receives one line of text after each chunk.
 
     Raises:
-        InputError: the number of runs is 0, a drawn number is out of its bounds, or a chunk cannot be written.
+        InputError: the number of runs is 0, a drawn number is out of its bounds, or a chunk of runs cannot be written.
     """
     for key, value in (("runs", runs), ("chunk", chunk)):
         if value < 1:
@@ -95,7 +96,7 @@ def _cut(runs: int, chunk: int) -> Iterator[tuple[int, int]]:
 
 
 def _simulate_chunk(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float64]:
-    """Return the table (count, …) of a chunk: seed, metrics, drawn values."""
+    """Return the results (count, …) of a chunk of runs, one line per run: seed, metrics, drawn values."""
     seeds, values = plan.seeds(first, count), plan.values(first, count)
     batch = simulate_batch(plan.case, values, seeds=seeds, threads=threads)
     return np.column_stack([seeds, batch.table, *(values[name] for name in plan.names)])
@@ -110,7 +111,7 @@ def _table(plan: Plan, whole: NDArray[np.float64]) -> RunTable:
 
 
 def _broken(run: SampledRun) -> tuple[str, ...]:
-    """Return the violated assumptions; with true positions the detection range is infinite."""
+    """Return the violated assumptions of a run; with true positions the detection range is infinite."""
     case = run.case
     sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
     return assumptions(case, run.draw, detection=sees, fastest=FASTEST)

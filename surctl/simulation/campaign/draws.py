@@ -18,7 +18,7 @@ __all__ = ["MonteCarlo", "draw_plant", "obstacle_values"]
 
 
 def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
-    """Draw vehicle parameters uniformly within their stated ranges; parameters without a range are left out."""
+    """Draw vehicle parameters uniformly within their stated ranges; other parameters keep their values."""
     rng = np.random.default_rng([seed, 3])
     ranges = {name: p.range for name, p in vehicle.parameters.items() if p.range is not None}
     return {name: float(rng.uniform(*ends)) for name, ends in ranges.items()}
@@ -33,7 +33,7 @@ class MonteCarlo(SeededPlan):
     """
 
     def __post_init__(self) -> None:
-        """Check that every draw can be simulated."""
+        """Check that every possible draw can be simulated."""
         u = self.case.scenario.uncertainty
         grown = [_scaled(o, self.case.vehicle, 1 + u.obstacle_size, 1.0) for o in self.case.scenario.obstacles]
         try:
@@ -58,12 +58,12 @@ class MonteCarlo(SeededPlan):
         return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
 
     def run(self, k: int) -> SampledRun:
-        """Return run k, see `Plan.run`."""
+        """Return run number k, see `Plan.run`."""
         scenario = replace(self.case.scenario, obstacles=tuple(self._obstacles(k)))
         return SampledRun(replace(self.case, scenario=scenario), self.first + k, self._plant(k))
 
     def settings(self) -> Mapping[str, object]:
-        """Return the settings of the draws, see `Plan.settings`."""
+        """Return the settings of the random draws, see `Plan.settings`."""
         return {"first seed": self.first, "draws": "plant and obstacles"}
 
     def _plant(self, k: int) -> dict[str, float]:
@@ -72,7 +72,7 @@ class MonteCarlo(SeededPlan):
         return draw_plant(self.case.vehicle, seed=self.first + k)
 
     def _obstacles(self, k: int) -> list[Obstacle]:
-        """Return the obstacles of run k; each obstacle uses two random numbers, whatever its shape."""
+        """Return the obstacles of run number k; every obstacle uses two random numbers, whatever its shape."""
         scenario, rng = self.case.scenario, np.random.default_rng([self.first + k, 4])
         u, shares = scenario.uncertainty, rng.uniform(-1, 1, (len(scenario.obstacles), 2)).tolist()
         if not (u.obstacle_size or u.obstacle_speed):
@@ -100,7 +100,7 @@ def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> 
 
 
 def obstacle_values(obstacles: Sequence[Obstacle]) -> dict[str, float]:
-    """Return size and speed of obstacles by parameter name."""
+    """Return the drawn sizes and speeds of the obstacles by parameter name."""
     values: dict[str, float] = {}
     for o in obstacles:
         if o.size_m is not None:

@@ -1,4 +1,4 @@
-"""The folder of a campaign: its request, its finished chunks, its table, and its worst runs as files."""
+"""The folder of a campaign: requested runs, finished chunks, table of runs, files of the worst runs."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ __all__ = ["CampaignFolder"]
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """The folder of campaigns, from which an interrupted campaign resumes and a finished one need not run again.
+    """A folder of campaigns; an interrupted campaign resumes from it, and a finished campaign does not run again.
 
     `campaign.json` describes the request, `campaign.chunks` holds finished runs, `NAME.csv` holds all runs, and `worst`
-    holds files of the worst runs for `load_replay`. The number of runs is not part of the request, so that a later
-    command may add runs.
+    holds files of the worst runs for `load_replay`. The number of runs is not part of the request in `campaign.json`,
+    so that a later command may add runs.
 
     Attributes:
         path: the folder.
@@ -44,13 +44,14 @@ class CampaignFolder:
     plans: tuple[Plan, ...]
 
     def prepare(self, *, fresh: bool = False) -> None:
-        """Create the folder and write the request to `campaign.json`.
+        """Create the folder and write the description of the requested runs to `campaign.json`.
 
         Args:
             fresh: whether to delete all earlier campaigns in the folder first.
 
         Raises:
-            InputError: the folder cannot be written, or it belongs to another campaign; the error names the difference.
+            InputError: the folder cannot be written, or it belongs to a different campaign; the error names the
+                difference.
         """
         prepare_folder(self.path)
         note, requests = self.path / "campaign.json", [_request(plan) for plan in self.plans]
@@ -89,7 +90,7 @@ class CampaignFolder:
             yield store
 
     def write(self, campaign: Campaign, *, worst: int) -> list[Path]:
-        """Write the table and the worst runs; return the paths of the worst runs.
+        """Write the table of runs and the files of the worst runs; return the paths of the worst runs.
 
         Raises:
             InputError: a file cannot be written, for instance because the disk is full.
@@ -106,7 +107,7 @@ class CampaignFolder:
 
 
 def _file_name(name: str) -> str:
-    """Return a scenario's name without special characters of paths; a changed name gets a digest to stay unique."""
+    """Return a scenario's name without special path characters; a changed name gets a digest, which keeps it unique."""
     plain = re.sub(r"[^A-Za-z0-9_-]", "-", name)
     return plain if plain == name else f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
@@ -139,7 +140,7 @@ def _numbers(vehicle: Vehicle) -> str:
 
 
 def _compare(note: Path, requests: Sequence[Mapping[str, Any]]) -> None:
-    """Raise InputError that names the first difference between the folder's campaigns and the requested ones."""
+    """Raise InputError with the first difference between the folder's campaigns and the requested campaigns."""
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
         stored = [dict(one) for one in table["campaigns"]]

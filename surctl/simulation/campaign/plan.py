@@ -1,4 +1,4 @@
-"""One run of a campaign for the reference loop, and plans of many runs."""
+"""One run of a campaign for the reference loop, and plans that generate many runs."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ class SampledRun:
     """One random run of a campaign.
 
     Attributes:
-        case: the case with the scenario of this run; its vehicle is the law's model unless `case.model` is set.
+        case: the setup with the scenario of this run; its vehicle is the law's model unless `case.model` is set.
         seed: seed of all remaining random choices.
-        draw: parameters of the simulated vehicle that differ from the case's vehicle, by name, in the file's units.
+        draw: parameters in which the simulated vehicle differs from the vehicle of `case`, by name, in the file's
+            units.
     """
 
     case: Case
@@ -53,10 +54,10 @@ class SampledRun:
 
 @dataclass(frozen=True)
 class SeededPlan:
-    """Base of all plans that draw each run from a seed; run k has the seed `first` + k.
+    """Base class of all plans that draw every run from a seed; run k has the seed `first` + k.
 
     Attributes:
-        case: the compiled case; every run is this case except for its draws.
+        case: the compiled setup; every run is this setup, except for the values that are drawn.
         first: seed of the first run, at least 0.
     """
 
@@ -74,7 +75,7 @@ class SeededPlan:
 
 
 class Plan(Protocol):
-    """The runs of a campaign; run k depends only on k."""
+    """The generator of the runs of a campaign; run k depends only on k."""
 
     @property
     def name(self) -> str:
@@ -82,20 +83,20 @@ class Plan(Protocol):
 
     @property
     def case(self) -> Case:
-        """The compiled case; every run is this case with its own values."""
+        """The compiled setup; every run is this setup with its own parameter values."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters that the plan draws."""
+        """Names of the parameters that the plan draws at random."""
 
     def seeds(self, first: int, count: int) -> NDArray[np.int64]:
         """Return the seeds (count,) of the runs from number `first` on."""
 
     def values(self, first: int, count: int) -> Columns:
-        """Return the drawn values (count,) of these runs by parameter name."""
+        """Return the drawn values (count,) of the runs from number `first` on, by parameter name."""
 
     def run(self, k: int) -> SampledRun:
-        """Return run k as a single run for the reference loop."""
+        """Return run number k as a single run for the reference loop."""
 
     def settings(self) -> Mapping[str, object]:
-        """Return the settings that the runs depend on besides the case, as plain data."""
+        """Return the settings, besides the setup, that the runs depend on, as plain data."""

@@ -1,4 +1,4 @@
-"""One run as a file: all data to repeat the run, and its results."""
+"""One run as a file: all data that are needed to repeat the run, and its results."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class _RunFile(Strict):
 
 @dataclass(frozen=True)
 class Replay:
-    """A run of a campaign that can be repeated, with its results.
+    """A run of a campaign, with its results, that can be simulated again.
 
     Attributes:
-        run: the random run, with its case, seed and draw.
+        run: the random run, with its setup (scenario, vehicle, law), seed and drawn values.
         stopped_because: reason why the run ended, one of `STOPS`.
-        figures: values of the finite metrics by name.
+        figures: values of the finite metrics of the run, by name.
         campaign: name of the campaign.
-        broken: names of the violated assumptions.
+        broken: names of the violated assumptions of the safety claim.
         version: version of the toolkit that simulated the run.
     """
 
@@ -80,7 +80,7 @@ class Replay:
     version: str = __version__
 
     def to_toml(self) -> str:
-        """Return the text of the file.
+        """Return the text of the replay file.
 
         Raises:
             InputError: a file cannot describe the sonars of the scenario.
@@ -115,10 +115,10 @@ class Replay:
         return toml_text(table)
 
     def difference(self, run: Run) -> float:
-        """Return the largest difference of any metric between this replay and a run.
+        """Return the largest difference of any metric between this replay and another run.
 
-        The difference is absolute in the metric's unit for values up to 1, and relative for larger values. It is inf if
-        the run ended for another reason, or if other metrics are finite.
+        The difference is absolute in the metric's unit for values up to 1, and relative for larger values. The
+        difference is inf if the two runs ended for different reasons, or if different metrics are finite.
         """
         m = run.metrics
         if m.stopped_because != self.stopped_because:
@@ -132,7 +132,7 @@ class Replay:
 
 
 def replay_of(run: SampledRun, row: Mapping[str, Any], *, campaign: str) -> Replay:
-    """Return the replay of a run of a campaign from the run and its row, see `RunTable.row`."""
+    """Return the replay data of a run of a campaign, from the run and its results (`RunTable.row`)."""
     figures = {name: row[name] for name in _FIGURES if isfinite(row[name])}
     return Replay(run, row["stopped_because"], figures, campaign, tuple(row["broken_assumptions"]))
 

@@ -1,4 +1,4 @@
-"""The share of random runs with some event, and an upper bound of its true rate."""
+"""The share of random runs in which an event happens, and an upper bound of the event's true rate."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ __all__ = ["Share"]
 
 @dataclass(frozen=True)
 class Share:
-    """The number of independent runs with some event, out of all runs.
+    """The number of independent runs in which an event happens, out of all runs.
 
     Attributes:
-        count: number of runs with the event.
+        count: number of runs with the event, between 0 and `runs`.
         runs: number of all runs, at least 1.
 
     Raises:
@@ -25,7 +25,7 @@ class Share:
     runs: int
 
     def __post_init__(self) -> None:
-        """Check the two numbers."""
+        """Check `runs` and `count`."""
         if self.runs < 1:
             raise InputError("must be at least 1", key="runs", value=self.runs, remedy="simulate at least one run")
         if not 0 <= self.count <= self.runs:

@@ -26,9 +26,9 @@ class Summary:
         stopped: share of the runs that ended for each reason of `STOPS`, by reason.
         time_s: percentiles of the arrival time of the runs that arrived [s]; empty if no run arrived.
         clearance_m: percentiles of the smallest clearance of all runs [m]; empty without obstacles and walls.
-        broken: number of collided runs that violate an assumption, by assumption; `none` counts collided runs that
-            violate no assumption.
-        inside: share of collisions among the runs that violate no assumption; None if there is no such run.
+        broken: number of collided runs that violate an assumption, by assumption; the entry `none` counts collided runs
+            that violate no assumption.
+        inside: share of collisions among the runs that violate no assumption; None if every run violates an assumption.
     """
 
     stopped: Mapping[str, Share]
@@ -38,7 +38,7 @@ class Summary:
     inside: Share | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
+        """Return the summary as plain data for JSON."""
         return {
             "stopped": {reason: _share_dict(share) for reason, share in self.stopped.items()},
             "collisions_within_assumptions": None if self.inside is None else _share_dict(self.inside),
@@ -76,7 +76,7 @@ class Summary:
 
 
 def summarise(table: RunTable) -> Summary:
-    """Return the summary of a table of runs.
+    """Return the summary of a table of campaign runs.
 
     Raises:
         InputError: the table has no runs.

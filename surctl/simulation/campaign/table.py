@@ -1,4 +1,4 @@
-"""The table of all runs of a campaign."""
+"""The table with the results of all runs of a campaign."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _FIRST = ("collided", "reached")  # true or false
 
 @dataclass(frozen=True, eq=False)
 class RunTable:
-    """The results of n runs.
+    """The results of n runs of a campaign.
 
     Attributes:
         seeds: (n,) seed of each run.
-        figures: (n, len(METRICS)) metrics of each run, in the order of `METRICS`.
+        figures: (n, len(METRICS)) metrics of the runs, columns in the order of `METRICS`.
         values: (n,) drawn values by parameter name.
         broken: (n,) names of the violated assumptions of each run.
     """
@@ -43,7 +43,7 @@ class RunTable:
         return self.figures[:, list(METRICS).index(name)]
 
     def stopped(self, k: int) -> str:
-        """Return the reason why run k ended, one of `STOPS`."""
+        """Return the reason why run number k ended, one of `STOPS`."""
         return STOPS[round(float(self.column("stopped")[k]))]
 
     def worst(self, count: int) -> list[int]:
@@ -53,7 +53,7 @@ class RunTable:
         return [int(k) for k in order[:count]]
 
     def row(self, k: int) -> dict[str, Any]:
-        """Return run k as plain data: seed, reason of its end, metrics, violated assumptions, drawn values."""
+        """Return run k as plain data: seed, reason for its end, metrics, violated assumptions, drawn values."""
         figures = {name: float(self.figures[k, j]) for j, name in enumerate(METRICS) if name != "stopped"}
         for name in _FIRST:
             figures[name] = bool(figures[name])

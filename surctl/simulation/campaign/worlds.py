@@ -44,20 +44,22 @@ _TRIES = 100_000
 
 
 def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
-    """Return a random world with 1 to 8 obstacles, half of them moving; an odd obstacle is still or moving.
+    """Return a random world with 1 to 8 obstacles, half of them moving.
+
+    If the number of obstacles is odd, chance decides whether there is one more still or one more moving obstacle.
 
     The path goes straight through the 10 x 5 m tank, as in the paper. Still obstacles lie inside the tank and do not
-    overlap. A moving obstacle goes in a straight line clear of the still ones, starts away from the robot, ends away
-    from the target, and is removed at its end. Two moving obstacles always leave a gap that is 0.1 m wider than the
-    hull. A moving obstacle may press the hull against a wall or a still obstacle. `findings` reports no error: the hull
-    fits at both ends and in the tightest gap of its path.
+    overlap. A moving obstacle goes in a straight line clear of the still obstacles, starts away from the robot, ends
+    away from the target, and is removed at its end. Two moving obstacles always leave a gap that is 0.1 m wider than
+    the hull. A moving obstacle may press the hull against a wall or a still obstacle. `findings` reports no error for
+    such a world: the hull fits at both ends and in the tightest gap of its path.
 
     Args:
         vehicle: the vehicle that must fit into the world.
         seed: seed of all random choices.
 
     Raises:
-        SurctlError: no world fits this vehicle.
+        SurctlError: no random world fits this vehicle.
     """
     rng = np.random.default_rng([seed, 5])
     count = int(rng.integers(1, 9))
@@ -79,7 +81,7 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
 
 
 def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the tank with these obstacles, as the table of a scenario file."""
+    """Return the tank with the given obstacles, as the table of a scenario file."""
     return {
         "kind": "scenario",
         "name": name,
@@ -98,7 +100,7 @@ def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, An
 
 
 def world_template(vehicle: Vehicle) -> Scenario:
-    """Return a scenario with every possible obstacle of a random world; its loop is compiled once for all worlds."""
+    """Return a scenario with every possible obstacle of a random world; one compiled loop simulates all worlds."""
     bodies: list[dict[str, Any]] = [
         {"name": f"box-{k + 1}", "shape": "box", "size_m": (1.0, 1.0)} for k in range(_BOXES)
     ]
@@ -113,12 +115,13 @@ def world_template(vehicle: Vehicle) -> Scenario:
 
 @dataclass(frozen=True)
 class RandomWorlds(SeededPlan):
-    """Random worlds for one compiled loop; run k takes place in the world of its seed.
+    """Plan of runs in random worlds for one compiled loop; run k takes place in the world of its seed.
 
-    The case has the scenario of `world_template`, with sensors, time limit and other settings that all worlds share.
+    The simulation setup has the scenario of `world_template`, with sensors, time limit and other settings that all
+    worlds share.
 
     Attributes:
-        plant: whether the simulated vehicle is drawn too, see `draw_plant`.
+        plant: whether the parameters of the simulated vehicle are drawn too, see `draw_plant`.
 
     Raises:
         InputError: the scenario has waves, whose random numbers depend on the number of obstacles.
@@ -149,15 +152,15 @@ class RandomWorlds(SeededPlan):
         return {name: np.array([row[name] for row in rows]) for name in self.names}
 
     def run(self, k: int) -> SampledRun:
-        """Return run k, see `Plan.run`."""
+        """Return run number k, see `Plan.run`."""
         return SampledRun(replace(self.case, scenario=self.world(k)), self.first + k, self._draw(k))
 
     def settings(self) -> Mapping[str, object]:
-        """Return the settings of the draws, see `Plan.settings`."""
+        """Return the settings of the random draws, see `Plan.settings`."""
         return {"first seed": self.first, "draws": "worlds and plant" if self.plant else "worlds"}
 
     def world(self, k: int) -> Scenario:
-        """Return the scenario of run k, which is drawn once and cached."""
+        """Return the scenario of run number k, which is drawn once and cached."""
         if k not in self._known:
             world = random_world(self.case.vehicle, seed=self.first + k)
             self._known[k] = replace(self.case.scenario, name=world.name, obstacles=world.obstacles)
@@ -175,7 +178,7 @@ class RandomWorlds(SeededPlan):
 
 
 def _values(obstacle: Obstacle, *, there: bool) -> dict[str, float]:
-    """Return all numbers of an obstacle by parameter name, including whether it is in the water."""
+    """Return all parameters of an obstacle by name, including whether it is in the water."""
     values = {"there": float(there), "x": obstacle.centre_m[0], "y": obstacle.centre_m[1]}
     if obstacle.size_m is not None:
         values |= {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
@@ -203,7 +206,7 @@ def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
 
 
 def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
-    """Draw `count` moving obstacles clear of the still ones; None if one of them does not fit."""
+    """Draw `count` moving obstacles clear of the still ones; None if one of the obstacles does not fit."""
     obstacles: list[Obstacle] = []
     for k in range(count):
         for _ in range(200):
