@@ -1,10 +1,10 @@
 """The cascaded controller, linearised about cruise: an outer guidance loop, inner velocity loops and one loop delay.
 
-In the deviations from a straight cruise along x (path and heading along x) the controller is
-ν_c = (−k1 x, −(U/Δ_h) y − U ψ, −k2 z, −k_psi ψ), F = m̂ (k (ν_c − ν) + ξ) + D'(ν_0) ν_c, ξ̇ = k_i (ν_c − ν),
-with k = (k_v, k_v, k_v, k_r). Guidance commands a velocity in {E}; its rotation into {B} gives the term −U ψ. D' is
-the slope of the drag that the controller feeds forward at the desired speed. The controller cancels neither Coriolis
-forces nor the measured drag.
+In the deviations from a straight cruise along x (path and heading along x) the controller is ν_c = (−k1 x, −(U/Δ_h) y −
+U ψ, −k2 z, −k_psi ψ), F = m̂ (k (ν_c − ν) + ξ) + D'(ν_0) ν_c, ξ̇ = k_i (ν_c − ν), with k = (k_v, k_v, k_v, k_r).
+Guidance commands a velocity in {E}; the rotation of this velocity into {B} gives the term −U ψ. D' is the slope of the
+drag that the controller feeds forward at the desired speed. The controller cancels neither Coriolis forces nor the
+measured drag.
 """
 
 from __future__ import annotations
@@ -29,21 +29,22 @@ _PADE_ORDER = 3
 
 
 def has_cascade(law: str, guidance: str) -> bool:
-    """Whether this cascade describes the linear loop about straight cruise, far from obstacles.
+    """Whether this cascade describes the linear loop of a law and a guidance about straight cruise, far from obstacles.
 
-    The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with memory has one more state.
+    The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with an internal state adds a state
+    that the cascade does not contain.
     """
     return guidance == "los" and law != "dwa"
 
 
 @dataclass(frozen=True, eq=False)
 class Cascade:
-    """The delayed plant and the controller: ẋ = A x + B f, y = C x, f = −K y; a leading axis holds several cascades.
+    """Delayed plant and controller, ẋ = A x + B f, y = C x, f = −K y; a leading array axis holds several cascades.
 
     With integral action, ξ (4,) is appended to the states and to y, and ξ̇ is appended to f.
 
     Attributes:
-        A: (…, n, n) dynamics of the plant with thrust lag, of the delay states and of ξ, in this order.
+        A: (…, n, n) state matrix; the states are those of the plant with thrust lag, then the delay states, then ξ.
         B: (…, n, 4 or 8) input matrix; the inputs are the commanded thrust [N, N m], then ξ̇.
         C: (…, 8 or 12, n) output matrix; the outputs are (x, y, z, ψ, u, v, w, r), then ξ.
         K: (…, 4 or 8, 8 or 12) controller gain.
@@ -72,14 +73,14 @@ class Cascade:
         return bool(np.all(self.poles[..., 0].real < -1e-9))
 
     def at_thrust(self, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The loop (A, b, c) opened at one thrust command; all other loops are closed."""
+        """The system (A, b, c) of the loop opened at one thrust command; all other loops are closed."""
         rest = self.K.copy()
         rest[..., axis, :] = 0
         closed = self.A - self.B @ rest @ self.C
         return closed, self.B[..., [axis]], self.K[..., [axis], :] @ self.C
 
     def at_output(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The loop (A, b, c) opened at one measured output; all other loops are closed."""
+        """The system (A, b, c) of the loop opened at one measured output; all other loops are closed."""
         rest = self.K.copy()
         rest[..., index] = 0
         closed = self.A - self.B @ rest @ self.C
@@ -99,11 +100,11 @@ def build_cascade(
 
     Args:
         vehicle: the plant.
-        gains: `CASCADE_GAINS` by name, and k_i [1/s²] for integral action; other gains are ignored.
+        gains: the gains `CASCADE_GAINS` by name, and k_i [1/s²] for integral action; other gains are ignored.
         cruise: cruise speed U [m/s], > 0.
-        dt: control period [s], > 0. The loop delay is 1.5 dt: dt for the computation and dt/2 for the hold.
+        dt: control period [s], > 0. The loop delay is 1.5 dt: dt for the computation and dt/2 for the zero-order hold.
         model: the controller's model of the vehicle; default the vehicle itself.
-        delay: loop delay [s] in place of 1.5 dt; 0 omits the delay, for callers that sample the loop themselves.
+        delay: loop delay [s] in place of 1.5 dt; 0 omits the delay, for callers that model sampling exactly.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
@@ -138,21 +139,21 @@ def build_cascades(
     model: NDArray[np.float64],
     delay: float | None = None,
 ) -> Cascade:
-    """Build the cascades of n points at once; see `build_cascade`.
+    """Build the cascades of n parameter points at once; see `build_cascade`.
 
-    All points have the same order: all or none have thrust lag, and all or none have integral action.
+    All n cascades must have the same order: all or none have thrust lag, and all or none have integral action.
 
     Args:
         plant: (n, 17) plant parameters in the order of `plant_parameters`; the caller checks that each plant can
             hold the cruise speed.
-        gains: `CASCADE_GAINS` by name, and k_i for integral action, each (n,).
+        gains: the gains `CASCADE_GAINS` by name, and k_i for integral action, each an array (n,).
         cruise: cruise speed U (n,) [m/s].
         dt: control period [s].
         model: (n, 17) parameters of the controller's model, in the order of `plant`.
         delay: as in `build_cascade`.
 
     Raises:
-        InputError: a gain is missing or not positive, or the points have different orders.
+        InputError: a gain is missing or not positive, or the cascades have different orders.
     """
     for name in CASCADE_GAINS:
         if name not in gains:
@@ -256,7 +257,7 @@ def _delayed(
 def _pade(delay: float) -> tuple[NDArray[np.float64], ...]:
     """The matrices A, B, C, D of the Padé approximation of order 3 (Golub and Van Loan, algorithm 11.3.1).
 
-    They are in controller canonical form.
+    The matrices are in controller canonical form.
     """
     n, down = _PADE_ORDER, [1.0]
     for k in range(1, n + 1):
