@@ -207,7 +207,7 @@ def v2_clockwise(setting: Setting) -> Claim:
 
 
 def clearance_printed(setting: Setting) -> Claim:
-    """The claim that the printed law keeps the clearance; refuted: the robot hits a static obstacle at some bearings."""
+    """The claim that the printed law keeps the clearance; refuted: the robot hits static obstacles at some bearings."""
     e = _encounter(setting)
     return Claim(
         name="clearance-printed",

@@ -142,7 +142,7 @@ def linear_table(
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Data of n operating points: plant and model (n, 17) as in `plant_parameters`; gains (n,) each; cruise speed (n,)."""
+    """Data of n operating points: plant and model (n, 17) as in `plant_parameters`; each gain (n,); cruise (n,)."""
 
     plant: NDArray[np.float64]
     model: NDArray[np.float64]

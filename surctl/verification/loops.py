@@ -100,7 +100,7 @@ def broken_loops(cascade: Cascade) -> list[Loop]:
     places = [cascade.at_thrust(k) for k in range(4)] + [cascade.at_output(k) for k in range(4)]
     loops = []
     for A, b, _ in places:
-        # the block on which this loop acts
+        # the set of states on which this loop acts
         where = next(k for k, block in enumerate(blocks) if np.any(b[:, block] != 0))
         block = blocks[where]
         loops.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
@@ -187,7 +187,7 @@ def shape_of(loop: Loop, *, highest: float) -> Shape:
 
 
 def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the points at which the loop has the phase −180° at ω = 0, and the gain factor that puts a pole at s = 0."""
+    """Return the points with loop phase −180° at ω = 0, and the gain factor that puts a closed-loop pole at s = 0."""
     points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
     value = loop.response(np.zeros(1), points).real
     return points[value < 0], -1 / value[value < 0]

@@ -18,7 +18,9 @@ _FEASIBLE = 1e-9  # tolerance of bounds and constraints in their own unit; in fl
 
 @dataclass(frozen=True, eq=False)
 class Oracle:
-    """A compiled claim. The compiled functions of a claim; points are columns of the unit box, which `place` converts to the variables' units.
+    """The compiled functions of a claim.
+
+    Points are columns of the unit box; `place` converts them to the variables' units.
 
     Attributes:
         claim: the claim.
@@ -51,13 +53,16 @@ class Oracle:
         return left - right, np.maximum(abs(left), abs(right)), in_box & np.all(g <= _FEASIBLE, axis=0)
 
     def margin(self, unit: NDArray[np.float64]) -> float:
-        """Return the margin at a point (n,) of the unit box, or −inf where the margin is not finite, so that searches avoid it."""
+        """Return the margin at a point (n,) of the unit box; −inf where it is not finite, so that searches avoid it."""
         left, right, _ = self.sides(self.place(unit))
         value = float(left) - float(right)
         return value if np.isfinite(value) else -np.inf
 
     def gradient(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the gradient ∂margin/∂unit (n,), exact or, where that is not finite (saturated arccos), by differences."""
+        """Return the exact gradient ∂margin/∂unit (n,).
+
+        Where the exact gradient is not finite (a saturated arccos), finite differences replace it.
+        """
         exact = np.asarray(self.slopes(self.place(unit))[0]).reshape(-1) * (self.claim.upper - self.claim.lower)
         return exact if np.all(np.isfinite(exact)) else self._differences(unit)
 

@@ -32,10 +32,10 @@ Array = NDArray[np.float64]
 
 _AXES = 4
 _SHORTEST, _LONGEST = 1e-3, 20.0  # [s]
-_GROWTH = 1.06  # ratio of one tried period to the one before
+_GROWTH = 1.06  # ratio of a tried period to the previous period
 _HALVINGS = 24
 _MOST = 400  # largest delay that is tried, in periods
-_EDGE = 1e-9  # a pole this close to the unit circle counts as on it
+_EDGE = 1e-9  # a pole this close to the unit circle counts as lying on the circle
 DELAYS = (0, 1, 2)
 
 _Held = tuple[Array, Array]

@@ -61,7 +61,10 @@ class LinearSide:
 
     @property
     def stable(self) -> bool:
-        """Whether the loop is stable for all vehicles, both with approximated delay and sampled with one period of delay."""
+        """Whether the loop is stable for all vehicles.
+
+        It must be stable both with approximated delay and sampled with one period of delay.
+        """
         return all(d.stable for d in self.disks) and self.sampled.radius < 1
 
     def to_dict(self) -> dict[str, Any]:
