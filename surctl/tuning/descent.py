@@ -1,6 +1,6 @@
 """Descent from the best gain sets towards the least score, a minimax problem, by sequential linear programming.
 
-The score and the constraint are maxima over goals and runs (Madsen 1975; Conn, Gould and Toint 2000 for the trust
+The score and the constraints are maxima over goals and runs (Madsen 1975; Conn, Gould and Toint 2000 for the trust
 region). Every function that enters one of these maxima is linearised by finite differences, in gains scaled to the unit
 cube. A linear program then minimises the maximum of the linearised functions within several trust-region radii. The
 proposed gain sets are simulated, and the descent continues from the best set so far. The metrics of a run jump where

@@ -75,7 +75,8 @@ class Evaluation:
         normalised: (n, m): normalised value of each goal for each gain set; at most 1 if the goal is met.
         figure: (n, m): value of the goal's metric, in its unit: the worst of the runs or their mean; NaN if a run did
             not arrive. For a goal at several cruise speeds, the value of a run is that at the worst speed.
-        speed: (n, m): worst cruise speed [m/s] of the worst run; NaN for a goal at the scenario's own speed.
+        speed: (n, m): cruise speed [m/s] at which the goal is worst in its worst run; NaN for a goal at the scenario's
+            own speed.
         excess: (n, m): mean over the goal's runs of max(0, normalised value - 1), limited to 1 in each run; 0 if the
             goal is met.
         effort: (n,): mean of |horizontal thrust| over all runs [N].
@@ -99,8 +100,8 @@ class Evaluation:
 def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
     """Return the plant parameters of the nominal vehicle, and those of the corners of the ranges in its vehicle file.
 
-    All masses move to one end of their ranges together, and so do all drag coefficients and all thrust limits. This
-    gives up to eight corners. A parameter without a range keeps its value.
+    All masses move to one end of their ranges together, and so do all drag coefficients and all thrust limits. These
+    three choices give up to eight corners. A parameter without a range keeps its value.
 
     Example:
         >>> from surctl.tuning import corners

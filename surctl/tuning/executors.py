@@ -38,7 +38,7 @@ class Executor(Protocol):
     """Interface of an executor; results must depend neither on the executor nor on the order of the chunks."""
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """Yield (index, result) of every chunk, in any order."""
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, in any order."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class LocalExecutor:
             raise InputError("must be at least 1", key="workers", value=self.workers, remedy="write 1")
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """Yield (index, result) of every chunk; see `Executor`."""
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
         chunks = list(chunks)
         if self.workers == 1 or len(chunks) <= 1:
             for index, points in chunks:
@@ -109,7 +109,7 @@ class DaskExecutor:
     address: str
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """Yield (index, result) of every chunk; see `Executor`."""
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
         chunks = list(chunks)
         if not chunks:
             return

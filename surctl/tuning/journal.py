@@ -33,8 +33,8 @@ def quiet_optuna() -> Any:
 class Journal:
     """File of finished trials, by name of the optuna study.
 
-    Only one process at a time can lock the file; the lock ends with the process. An incomplete last line, which a
-    killed process leaves, is removed.
+    Only one process at a time can lock the file; the lock ends with the process. An incomplete last line, which an
+    interrupted process may leave, is removed.
 
     Args:
         path: path of the file; None stores the trials in memory.

@@ -228,7 +228,7 @@ def _set_aside(target: Path, progress: Progress) -> None:
 def _size(count: int, most: int) -> int:
     """Return the number of points per chunk.
 
-    It does not depend on the executor, so that any executor can resume a sweep.
+    The number does not depend on the executor, so that any executor can resume a sweep.
     """
     return max(1, min(most, -(-count // _MOST_CHUNKS)))
 

@@ -111,7 +111,7 @@ def _rate_bound(e: _Encounter) -> ca.SX:
 
 
 def v2_printed(setting: Setting) -> Claim:
-    """The claim (24) for a static obstacle and δ ≥ 0. It is refuted, because the robot comes as near as R_OB − δ."""
+    """The claim (24) for a static obstacle and δ ≥ 0; the claim is refuted: the robot comes as near as R_OB − δ."""
     e = _encounter(setting)
     return Claim(
         name="v2-printed",

@@ -150,7 +150,7 @@ def build_cascades(
         cruise: cruise speed U (n,) [m/s].
         dt: control period [s].
         model: (n, 17) parameters of the controller's model, in the order of `plant`.
-        delay: as in `build_cascade`.
+        delay: loop delay [s], as in `build_cascade`.
 
     Raises:
         InputError: a gain is missing or not positive, or the cascades have different orders.
@@ -198,7 +198,7 @@ def _columns(flat: NDArray[np.float64], layout: Layout, name: str) -> NDArray[np
 
 
 def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """The guidance gain G (n, 4, 4) in ν_c = −G (x, y, z, ψ)."""
+    """Return the guidance gain G (n, 4, 4), defined by ν_c = −G (x, y, z, ψ)."""
     outer = np.zeros((len(k["cruise"]), 4, 4))
     for axis, slope in enumerate((k["k1"], k["cruise"] / k["lookahead"], k["k2"], k["k_psi"])):
         outer[:, axis, axis] = slope
@@ -209,7 +209,7 @@ def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
 def _controller(
     model: Mapping[str, NDArray[np.float64]], k: Mapping[str, NDArray[np.float64]], nu: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The controller gain K (n, 4, 8) from the deviations (x, y, z, ψ, u, v, w, r) to −F."""
+    """Return the controller gain K (n, 4, 8), which maps the deviations (x, y, z, ψ, u, v, w, r) to −F."""
     inner = model["mass"] * np.stack([k["k_v"], k["k_v"], k["k_v"], k["k_r"]], axis=-1)
     slope = model["linear_drag"] + 2 * model["quadratic_drag"] * np.abs(nu)  # D'(ν_0)
     return np.concatenate([(inner + slope)[..., None] * _guidance(k), inner[..., None] * np.eye(4)], axis=-1)
@@ -221,7 +221,7 @@ def _with_integral(
     k: Mapping[str, NDArray[np.float64]],
     k_i: NDArray[np.float64],
 ) -> Cascade:
-    """The cascade with integral action: ξ̇ = k_i (ν_c − ν), and m̂ ξ is added to the thrust."""
+    """Add integral action to a cascade: ξ̇ = k_i (ν_c − ν), and m̂ ξ is added to the thrust command."""
     eye = np.broadcast_to(np.eye(4), (len(k_i), 4, 4))
     drive = k_i[:, None, None] * np.concatenate([_guidance(k), eye], axis=-1)
     return Cascade(
@@ -233,7 +233,7 @@ def _with_integral(
 
 
 def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The block-diagonal matrix of two matrices, each (n, …, …)."""
+    """Return the block-diagonal matrices of two stacks of matrices (n, …, …)."""
     (n, rows, columns), (_, more, further) = first.shape, second.shape
     joined = np.zeros((n, rows + more, columns + further))
     joined[:, :rows, :columns], joined[:, rows:, columns:] = first, second
@@ -243,7 +243,7 @@ def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 def _delayed(
     A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64], delay: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The plants with a Padé approximation of the delay [s] at each input."""
+    """Add a Padé approximation of the delay [s] at every input of the plants."""
     eye = np.eye(B.shape[-1])
     a, b, c, d = (np.kron(eye, m) for m in _pade(delay))
     n, order, lags = len(A), A.shape[-1], len(a)
@@ -255,7 +255,7 @@ def _delayed(
 
 @cache
 def _pade(delay: float) -> tuple[NDArray[np.float64], ...]:
-    """The matrices A, B, C, D of the Padé approximation of order 3 (Golub and Van Loan, algorithm 11.3.1).
+    """Return A, B, C, D of the third-order Padé approximation of a delay (Golub and Van Loan, algorithm 11.3.1).
 
     The matrices are in controller canonical form.
     """

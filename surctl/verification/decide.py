@@ -49,7 +49,7 @@ def decide(
         progress: function that receives a line of progress from time to time.
 
     Raises:
-        InputError: as in `falsify`.
+        InputError: `falsify` finds an error.
 
     Example:
         >>> from surctl.verification import claims, decide

@@ -39,9 +39,9 @@ class Search:
 def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 0) -> Verdict:
     """Search for a point of the domain where the claim fails.
 
-    The falsifier evaluates scrambled Sobol samples, whose number is rounded up to a power of two. It then starts from
-    the worst samples that are far enough apart, and maximises the margin in the unit box with L-BFGS-B, or with SLSQP
-    if the domain has constraints.
+    The falsifier evaluates scrambled Sobol samples, whose number is rounded up to a power of two. The falsifier then
+    starts from the worst samples that are far enough apart, and maximises the margin in the unit box with L-BFGS-B, or
+    with SLSQP if the domain has constraints.
 
     Args:
         claim: the claim.

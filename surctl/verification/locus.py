@@ -66,8 +66,8 @@ def sweep_locus(
         dt: control period [s].
         model: the controller's model of the vehicle; default the vehicle itself.
         smooth: largest allowed step of a pole between two neighbouring values, as a share of the pole's modulus. If a
-            pole moves further, for example where two poles separate, values are inserted between the two; their
-            smallest spacing is 2⁻⁸ of the given spacing.
+            pole moves further, for example where two poles separate, values are inserted between two given values, down
+            to a spacing of 2⁻⁸ of the given spacing.
         about: fixed values of other parameters by name; parameters that move no pole are ignored.
 
     Raises:

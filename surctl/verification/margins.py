@@ -99,7 +99,7 @@ def worst_margins(
 
     Args:
         vehicle: the nominal vehicle.
-        gains: as in `loop_margins`.
+        gains: the gains by name, as in `loop_margins`.
         uncertainty: relative uncertainty of mass and drag, 0 ≤ uncertainty < 1.
         cruise: cruise speed U [m/s].
         dt: control period [s].

@@ -47,7 +47,7 @@ def loop_system(
 
     Args:
         vehicle: the plant.
-        gains: as in `build_cascade`.
+        gains: the gains by name, as in `build_cascade`.
         loop: one of `LOOP_NAMES`. The loops surge, sway, heave and yaw are opened at the thrust command; along_track,
             cross_track, depth and heading at the measured x_e, y_e, z_e [m], ψ [rad].
         cruise: cruise speed U [m/s].
@@ -84,7 +84,7 @@ def open_system(
     The feedback sign is negative; `disk_margin` computes the disk margin of this L.
 
     Args:
-        vehicle, gains, cruise, dt, model, delay: as in `loop_system`.
+        vehicle, gains, cruise, dt, model, delay: see the arguments of `loop_system`.
         place: where the loops are opened, one of `DISK_PLACES`: thrust (4 channels), measurement (4 channels), both (8
             channels).
 
@@ -150,7 +150,7 @@ def sampled_loop_system(
     closed.
 
     Args:
-        vehicle, gains, loop, cruise, model: as in `loop_system`.
+        vehicle, gains, loop, cruise, model: see the arguments of `loop_system`.
         period: control period T [s], which becomes the system's `dt`.
         delay: delay in whole periods, at least 0.
 

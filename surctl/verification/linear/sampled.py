@@ -78,7 +78,7 @@ def sampled_poles(
 
     Args:
         vehicle: the plant.
-        gains: as in `build_cascade`.
+        gains: the gains by name, as in `build_cascade`.
         cruise: cruise speed U [m/s].
         period: control period T [s], > 0.
         delay: delay from measurement to thrust in whole periods, at least 0.

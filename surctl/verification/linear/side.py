@@ -63,7 +63,7 @@ class LinearSide:
     def stable(self) -> bool:
         """Whether the loop is stable for all vehicles.
 
-        It must be stable both with approximated delay and sampled with one period of delay.
+        The loop must be stable both with approximated delay and sampled with one period of delay.
         """
         return all(d.stable for d in self.disks) and self.sampled.radius < 1
 

@@ -37,7 +37,7 @@ class Proof:
         slack: amount by which the certificate lets the left side exceed the right side, in the claim's unit; 0 if the
             proof is exact.
         remaining: description of the part of the domain that the proof does not cover; empty if the proof is complete.
-        open_boxes: the largest unproved boxes, as mappings from variable names to (lower, upper).
+        open_boxes: the largest unproved boxes; a box is a mapping from variable names to (lower, upper).
         boxes: number of boxes of the proof; if the proof is incomplete, number of boxes in all attempts at the case
             that failed.
         seconds: duration of the attempt [s].
