@@ -1,4 +1,4 @@
-"""Choice of gains by simulation: parameter sweeps, sensitivity indices, goals, exact gradients, and tuning to goals."""
+"""Choice of gains by simulation: parameter sweeps, sensitivity indices, goals, exact gradients, automatic tuning."""
 
 from surctl.tuning.axes import SEED, Axis, Span, parse_axis
 from surctl.tuning.cegis import Tuning, tune

@@ -21,7 +21,7 @@ SEED = "seed"
 
 @dataclass(frozen=True)
 class Axis:
-    """One swept parameter and its values in ascending order.
+    """One parameter of a parameter sweep, with its values in ascending order.
 
     Raises:
         InputError: there is no value, a value is not finite, the values do not ascend, or a seed is not a whole
@@ -44,7 +44,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Span:
-    """One swept parameter and its range low … high; a design fills it evenly or, if `log`, evenly in the logarithm.
+    """One parameter of a sweep and its range low … high; points are evenly spaced, in the logarithm if `log` is set.
 
     Raises:
         InputError: a bound is not finite, the range is empty or reversed, or a logarithmic range does not start above
@@ -68,7 +68,7 @@ class Span:
         _check_seeds(self.name, (self.low, self.high))
 
     def axis(self, count: int) -> Axis:
-        """Return an axis with `count` ≥ 2 values over the range; its first and last values are exactly low and high."""
+        """Return an axis with `count` ≥ 2 values over the range; the first is exactly low, the last exactly high."""
         if count < 2:
             raise InputError(
                 "a range needs at least two points", key=f"axis {self.name}", value=count, remedy="write :2 or more"
@@ -81,7 +81,7 @@ class Span:
         return Axis(self.name, tuple(values.tolist()))
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """Return the values at shares 0 ≤ share < 1 of the range, any shape; all whole seeds are equally likely."""
+        """Convert shares of the range (0 ≤ share < 1, any shape) to values; all whole seeds are equally likely."""
         if self.name == SEED:
             return np.floor(self.low + share * (self.high + 1.0 - self.low))
         if self.log:
@@ -92,13 +92,13 @@ class Span:
 
 
 def parse_axis(text: str) -> Axis | Span:
-    """Return the axis that a text of the command line describes.
+    """Parse the axis of a sweep from its command-line text.
 
     `k_v=1,1.5,2` lists values. `k_v=0.5..3:9` gives nine values from 0.5 to 3, and `k_v=0.5..3:9:log` spaces them
     evenly in the logarithm. `k_v=0.5..3` and `k_v=0.5..3:log` are ranges that a design fills.
 
     Raises:
-        InputError: the text has none of these forms, or its values are not valid.
+        InputError: the text has none of the forms above, or its values are not valid.
 
     Example:
         >>> from surctl.tuning import parse_axis

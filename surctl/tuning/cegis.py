@@ -1,4 +1,4 @@
-"""Tuning by counterexamples: tune, search for runs that refute a goal, add these runs to the goal, and tune again."""
+"""Tuning by counterexamples: tune, search for runs that miss a goal, add these runs to the tuning, and tune again."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Tuning:
     Attributes:
         request: the request of the last search, extended by the training runs that refuted gain sets of that search.
         requested: number of conditions in the original request; all further conditions are counterexamples.
-        hand: pool of one gain set, the start gains, simulated under all conditions.
-        tuned: pool of one gain set, the tuned gains, simulated under the same conditions.
-        front: gain sets of the last round that no other set beats in both score and thrust.
-        rounds: the rounds in order.
-        chosen: index of the round that supplies the tuned gains: the best round over all runs known at the end.
-            Refuted or infeasible rounds are considered only if there is no other round.
-        conflict: demands that no gain set was found to meet together; empty if the chosen round is feasible and not
-            refuted.
+        hand: pool that holds one gain set: the start gains, simulated under all conditions.
+        tuned: pool of one gain set, the tuned gains, simulated under all conditions.
+        front: Pareto front of the last round: the gain sets that no other set beats in both score and thrust.
+        rounds: the rounds of the tuning, in order.
+        chosen: index of the round that supplies the tuned gains: the best round over all runs known at the end. A round
+            that is refuted or infeasible is chosen only if all rounds are.
+        conflict: minimal set of demands for which no gain set was found that meets all of them; empty if the chosen
+            round is feasible and not refuted.
     """
 
     request: Request
@@ -94,18 +94,19 @@ def tune(
 
     Args:
         request: goals, runs, start gains and search space.
-        trials: number of trials of each search. If a round misses a hard goal but adds no counterexample, its search
-            continues once for as many trials again.
+        trials: number of trials of each search. If a round misses a hard goal but adds no counterexample, the search of
+            this round continues once, for another `trials` trials.
         rounds: largest number of rounds, at least 1.
-        runs: number of fresh runs that verify each round; ten times as many training runs screen its gain sets first.
-            0 omits both.
+        runs: number of fresh runs that verify the gains of each round. Before them, ten times as many training runs
+            screen the gain sets of the round. 0 omits both kinds of runs.
         descend: whether the first search also starts from a descent along exact gradients (`starting_sets`).
-        folder: folder that stores trials and rounds; a killed tuning of the same request resumes from it.
+        folder: folder that stores trials and rounds; an interrupted tuning with an identical request resumes from this
+            folder.
         progress: function that receives one line of text at each step of the work.
 
     Raises:
-        InputError: a number is too small or too large, two cases have the same name, a value is out of bounds, the
-            folder cannot be used, or `check_goals` finds an error.
+        InputError: a number of trials, rounds or runs is too small or too large, two cases have the same name, a gain
+            is out of bounds, the folder cannot be used, or `check_goals` finds an error.
 
     Example:
         >>> from surctl.control import load_gains
@@ -159,12 +160,15 @@ def tune(
 
 
 def _candidates(request: Request, done: Sequence[Round]) -> Pool:
-    """Return the gains of each round as one pool, simulated under all conditions."""
+    """Simulate the gains of every round under all conditions; return them as one pool."""
     return request.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
 
 
 def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64]) -> int:
-    """Return the index `Tuning.chosen`; runs of a later round may refute the gains of an earlier round."""
+    """Return the index of the best round, `Tuning.chosen`.
+
+    Every round is judged over all runs, because runs of a later round may refute the gains of an earlier round.
+    """
     merit = candidates.merit(start)
     sound = [k for k, one in enumerate(done) if candidates.feasible[k] and not one.refuted]
     return min(sound or range(len(done)), key=lambda k: float(merit[k]))
@@ -205,7 +209,7 @@ def _barren(one: Round) -> bool:
 
 
 def _longer(trials: int, done: Sequence[Round]) -> int:
-    """Number of trials of the next search: doubled if the last round added no counterexample to it."""
+    """Number of trials of the next search; it is doubled if the last round added no counterexample."""
     return 2 * trials if done and _barren(done[-1]) else trials
 
 
@@ -214,7 +218,8 @@ def _searched(
 ) -> Pool:
     """Search once and, if no gain set meets all hard goals, search again for the hard goals alone.
 
-    The first round starts from `starting_sets`, a later round from the best gain sets of the round before it.
+    The search of the first round starts from `starting_sets`, that of a later round from the best sets of the previous
+    round.
     """
     first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
     if not done and len(journal.trials(request.digest)) < BATCH:
@@ -234,14 +239,14 @@ def _searched(
 
 
 def _leading(pool: Pool) -> list[dict[str, float]]:
-    """The best gain sets of a pool, as many as one round passes to the next."""
+    """The best gain sets of a pool, as many as a round passes to the next round."""
     return [pool.gains(k) for k in pool.ranked(pool.evaluation.normalised[0])[: 1 + _OTHERS]]
 
 
 def _round(
     request: Request, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
 ) -> tuple[Round, Pool]:
-    """Return the round that a search completes, and its best gain sets over all known runs, the chosen set last."""
+    """Complete a round after its search; return it, and its best gain sets over all known runs, the chosen set last."""
     left, verified = Screened(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
     if runs:
         left = screen(request, pool, runs=TRAINING * runs, progress=progress)

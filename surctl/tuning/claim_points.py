@@ -1,4 +1,4 @@
-"""Points at which a claim failed for some gains; the next search takes them as constraints."""
+"""Points at which a claim failed for some gains; at these points the claim is a constraint of the next search."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ClaimPoint:
 
 @cache
 def expected_to_hold() -> tuple[str, ...]:
-    """Names of the paper's claims that should not be refuted; claims about braking need a vehicle and are left out."""
+    """Names of the paper's claims that should not be refuted; claims about braking need a vehicle and are omitted."""
     return tuple(claim.name for claim in claims() if claim.paper and claim.expected != "refuted")
 
 
@@ -36,7 +36,7 @@ def refuted_claims(gains: Mapping[str, float], *, seed: int = 0) -> tuple[Verdic
 
 @lru_cache(maxsize=16)
 def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, ...]:
-    """Cached, because several rounds may end at the same gains and the falsifier takes seconds."""
+    """The verdicts are cached, because several rounds may end at the same gains and the falsifier takes seconds."""
     verdicts = (falsify(claim, seed=seed) for claim in claims(dict(gains), expected_to_hold()))
     return tuple(v for v in verdicts if v.verdict == "refuted")
 
@@ -44,7 +44,7 @@ def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, 
 def excess(
     points: Sequence[ClaimPoint], base: Mapping[str, float], sets: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return (n, points): excess over the threshold for each of n gain sets; -1 if the point is outside the domain."""
+    """Return (n, points): the excess of the claim over its threshold for n gain sets; -1 outside the claim's domain."""
     count = len(next(iter(sets.values())))
     table = np.full((count, len(points)), -1.0)
     for k in range(count if points else 0):

@@ -17,12 +17,12 @@ _KNOWN_SETS = 64  # gain sets of the pool that are tried before a search
 
 @dataclass(frozen=True)
 class Demand:
-    """A goal over some runs that the gains must meet.
+    """A demand on the gains: one goal that they must meet in some runs.
 
     Attributes:
-        label: name of the demand in the result.
-        goal: the goal as a hard goal with its own name.
-        conditions: the runs of the demand.
+        label: name of the demand, as `find_conflict` returns it.
+        goal: the goal, made a hard goal, with a name unique to the demand.
+        conditions: the runs in which the goal must be met.
     """
 
     label: str
@@ -31,7 +31,7 @@ class Demand:
 
 
 def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
-    """Return a subset of 0 … count - 1 that cannot be met together, although every smaller part of it can.
+    """Return a minimal subset of the demands 0 … count - 1 that cannot be met together; every proper part of it can.
 
     QuickXplain (Junker 2004) calls `together` at most 2 k (1 + log₂(n / k)) times for n demands and a subset of size k.
 
@@ -41,7 +41,10 @@ def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> t
     """
 
     def explained(beside: tuple[int, ...], added: bool, candidates: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the candidates in the subset, given the demands `beside`; `added`: whether `beside` has just grown."""
+        """Return the candidates that belong to the minimal subset if `beside` does.
+
+        If `added` is true, `beside` has just grown.
+        """
         if added and not together(tuple(sorted(beside))):
             return ()
         if len(candidates) == 1:
@@ -54,7 +57,7 @@ def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> t
 
 
 def demands(goals: Sequence[Goal], conditions: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
-    """Return demands for the hard goals and the refuted soft goals: over requested runs, and over counterexamples."""
+    """Return demands for hard goals and refuted soft goals, separately over requested runs and over counterexamples."""
     requested = [c for c in conditions if c.goals is None]
     result: list[Demand] = []
     for goal in goals:
@@ -82,14 +85,14 @@ def _demand(goal: Goal, conditions: Sequence[Condition], k: int, label: str) -> 
 def conflict(
     request: Request, pool: Pool, refuted: Sequence[str], *, trials: int, progress: Progress = lambda _: None
 ) -> tuple[str, ...]:
-    """Return labels of demands that no known gain set meets together, although some set meets every smaller part.
+    """Return the labels of a minimal set of demands that no known gain set meets together.
 
-    The result rests on searches and is not a proof. It is empty if some gain set meets all demands.
+    The result rests on searches and is not a proof. The result is empty if some gain set meets all demands.
 
     Args:
         request: the request, with all runs and claim points that refuted a gain set.
         pool: gain sets to try first.
-        refuted: names of the refuted goals; the soft ones among them become demands too.
+        refuted: names of the refuted goals; the soft goals among them become demands too.
         trials: number of trials of the search for each subset of demands.
         progress: function that receives one line of text for each search.
     """

@@ -1,10 +1,10 @@
-"""Descent from the best gain sets to the least score: a minimax problem, solved by sequential linear programming.
+"""Descent from the best gain sets towards the least score, a minimax problem, by sequential linear programming.
 
-The score and the constraint are maxima over goals and runs (Madsen 1975; Conn, Gould and Toint 2000 for the trust
-region). Each function under a maximum is linearised by finite differences in the unit cube of the gain ranges. A linear
-program then minimises the maximum of the linearised functions within several trust-region radii. The proposed gain sets
-are simulated, and the descent continues from the best set so far. The figures of a run jump where the law switches;
-there the steps become shorter until the descent continues from another start.
+The score and the constraints are maxima over goals and runs (Madsen 1975; Conn, Gould and Toint 2000 for the trust
+region). Every function that enters one of these maxima is linearised by finite differences, in gains scaled to the unit
+cube. A linear program then minimises the maximum of the linearised functions within several trust-region radii. The
+proposed gain sets are simulated, and the descent continues from the best set so far. The metrics of a run jump where
+the law switches; there the steps become shorter until the descent continues from another start.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _SLACK = 10.0  # weight of the largest missed constraint relative to the score
 
 @dataclass(eq=False)
 class _At:
-    """State of a descent: its place (d,) in the unit cube, its merit, and the step length."""
+    """State of a descent: its point (d,) in the unit cube, the merit of this point, and the step length."""
 
     place: Array
     merit: float
@@ -42,13 +42,14 @@ class _At:
 
 
 def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progress: Progress = lambda _: None) -> Pool:
-    """Return the pool, extended by the gain sets that a descent from its best sets simulates.
+    """Run a descent from the best sets of the pool; return the pool with all gain sets that the descent simulates.
 
     Args:
         request: the request of the search.
         pool: simulated gain sets, the start gains first.
         trials: approximate number of trials; each iteration takes 2 d + 6 trials for d gains.
-        shelf: journal of the trials; a descent of the same request and pool resumes from it.
+        shelf: journal of the trials; an interrupted descent with an identical request and pool resumes from this
+            journal.
         progress: function that receives one line of text at the end.
     """
     start, size = pool.evaluation.normalised[0], 2 * len(request.space) + len(_STEP_FACTORS)
@@ -63,7 +64,7 @@ def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progre
             batch = remembered(request, known)
         else:
             batch = _iteration(request, pool, at)
-            # after a kill the journal may hold the first trials of this iteration, and they are the same
+            # after an interruption the journal may hold the first trials of this iteration; they are identical
             shelf.append(name, frozen(request, batch, start)[len(known) :])
         pools.append(batch)
         _move(request, at, batch, start)
@@ -88,7 +89,7 @@ def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _
 
 
 def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
-    """Simulate the neighbours for the linearisation, then the proposals; return all of them as one pool."""
+    """Simulate the neighbours for the linearisation, then the proposed gain sets; return all these sets as one pool."""
     beside = _beside(at)
     near, table = request.simulate(_sets(request, np.vstack([beside, at.place])))
     objective, constraint = _functions(request, near, table, pool.evaluation.normalised[0])
@@ -116,25 +117,25 @@ def _sets(request: Request, places: Array) -> dict[str, Array]:
 
 
 def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tuple[Array, Array]:
-    """Return (n, f) soft goals as in the score, and (n, g) hard goals and claims, at most 0 if met."""
+    """Return two arrays: (n, f) soft goals, scaled as in the score; (n, g) hard goals and claims, at most 0 if met."""
     soft, hard = [np.zeros((len(pool.claims), 1))], [np.minimum(pool.claims, CAP)]
     for goal, first in zip(request.goals, start, strict=True):
         own = scope(goal, request.conditions)
         if goal.over == "mean":
             figure = goal.worst(table)[0][:, own].mean(axis=1, keepdims=True)
-        else:  # one column a speed: the worst over speeds has no slope where the worst speed changes
+        else:  # one column per speed: the worst over speeds has no slope where the worst speed changes
             figure = np.hstack([table[name][:, own] for name in goal.columns])
         if goal.kind == "soft":
             soft.append(np.minimum(goal.normalised(figure), CAP) / np.clip(first, 1e-3, 1.0))
         else:
-            # the figure has a slope even where the normalised value has none: at a clearance of 0 and below
+            # the metric has a slope even where the normalised value has none: at a clearance of 0 and below
             over = (figure - goal.limit) / abs(goal.limit) * (1.0 if goal.sense == "at most" else -1.0)
             hard.append(np.clip(np.where(np.isnan(over), CAP, over), -CAP, CAP))
     return np.hstack(soft), np.hstack(hard)
 
 
 def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array, Array], far: float) -> Array:
-    """Return the place within `far` of `place` that minimises the linearised maximum; pairs are (values, slopes)."""
+    """Return the point within `far` of `place` that minimises the linearised maximum; pairs are (values, slopes)."""
     from scipy.optimize import linprog
 
     d = len(place)
@@ -152,7 +153,7 @@ def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array
 
 
 def _move(request: Request, at: _At, batch: Pool, start: Array) -> None:
-    """Move to the best simulated set if it is better and adapt the step to its proposal; otherwise shorten the step."""
+    """Move to the best simulated set if it improves the merit and adapt the step length; otherwise shorten the step."""
     merit = batch.merit(start)
     best = int(merit.argmin())
     if not merit[best] < at.merit:

@@ -1,4 +1,4 @@
-"""Points that a sweep evaluates: a full grid, a Latin hypercube, Sobol' points, or Saltelli's for sensitivity."""
+"""Points of a parameter sweep: a full grid, a Latin hypercube, Sobol' points, or Saltelli's design for sensitivity."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ DESIGNS: tuple[DesignName, ...] = get_args(DesignName)
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The points of a sweep.
+    """The points of a parameter sweep, with the axes and the design that they come from.
 
     Attributes:
         kind: `grid`, `lhs`, `sobol` or `saltelli`.
         axes: the swept axes; all are `Axis` for a grid, otherwise all are `Span`.
-        points: (n, len(axes)); those of a grid are in C order.
-        description: text with everything that determines the points.
+        points: (n, len(axes)) values of the parameters at the n points; the points of a grid are in C order.
+        description: text that determines the points completely; equal texts mean equal points.
     """
 
     kind: str
@@ -42,7 +42,7 @@ class Design:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of a column: one entry for each axis of a grid, otherwise (n,)."""
+        """Shape of a column of results: for a grid, the number of values of each axis; otherwise (n,)."""
         lengths = tuple(len(axis.values) for axis in self.axes if isinstance(axis, Axis))
         return lengths if self.kind == "grid" else (len(self.points),)
 
@@ -112,7 +112,7 @@ def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design
 
     Args:
         axes: d ranges.
-        base: number of points of A, and of B: a power of two, at least 4.
+        base: number of points in A, which is also the number in B; a power of two, at least 4.
         seed: seed of the points.
 
     Raises:
@@ -149,11 +149,11 @@ def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design
 def make_design(
     kind: DesignName | str, axes: Sequence[Axis | Span], *, count: int | None = None, seed: int = 0
 ) -> Design:
-    """Return the design with the name `kind` from axes as a user writes them.
+    """Build the design that `kind` names, from axes in the command-line notation.
 
     Raises:
-        InputError: the design raises it, an axis has values where a range is needed or the reverse, or the number of
-            points is missing.
+        InputError: the design is not valid, an axis lists values where a range is needed or has a range where values
+            are needed, or the number of points is missing.
 
     Example:
         >>> from surctl.tuning import make_design, parse_axis

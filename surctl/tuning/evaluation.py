@@ -38,14 +38,15 @@ _GROUPS = (("m11", "m22", "m33", "m44"), _DRAG, ("Fu_max", "Fv_max", "Fw_max", "
 
 @dataclass(frozen=True)
 class Condition:
-    """One run by which a gain set is judged.
+    """Condition of one closed-loop run that evaluates a gain set: simulation case, seed and plant.
 
     Attributes:
-        case: the simulated case.
+        case: the simulation case: scenario, vehicle, law and gains.
         seed: seed of the world and of the noise.
-        plant: `plant.` parameters that differ from the case's vehicle; the controller keeps the case's model.
-        goals: names of the goals for which the run counts; None for all goals. A counterexample counts for the goal it
-            refutes.
+        plant: parameters of the simulated plant (`plant.…`) that differ from the vehicle of the case; the controller's
+            model stays that of the case.
+        goals: names of the goals for which the run counts; None for all goals. A counterexample counts only for the
+            goal that it refutes.
     """
 
     case: Case
@@ -55,7 +56,7 @@ class Condition:
 
     @property
     def run(self) -> tuple[str, int, tuple[tuple[str, float], ...]]:
-        """Case, seed and plant: what identifies the simulated run, whatever its goals."""
+        """Case, seed and plant: the key that identifies a simulated run, independent of its goals."""
         return self.case.name, self.seed, tuple(sorted(self.plant.items()))
 
     @property
@@ -71,11 +72,13 @@ class Evaluation:
 
     Attributes:
         goals: the m goals.
-        normalised: (n, m): normalised value of each goal; at most 1 if the goal is met.
-        figure: (n, m): worst or mean figure in the metric's unit; NaN if a run did not arrive. For a goal at several
-            cruise speeds, each run counts with its worst speed.
-        speed: (n, m): worst cruise speed [m/s] of the worst run; NaN for a goal at the scenario's own speed.
-        excess: (n, m): mean over the goal's runs of the normalised value above 1, limited to 1 in each run; 0 if met.
+        normalised: (n, m): normalised value of each goal for each gain set; at most 1 if the goal is met.
+        figure: (n, m): value of the goal's metric, in its unit: the worst of the runs or their mean; NaN if a run did
+            not arrive. For a goal at several cruise speeds, the value of a run is that at the worst speed.
+        speed: (n, m): cruise speed [m/s] at which the goal is worst in its worst run; NaN for a goal at the scenario's
+            own speed.
+        excess: (n, m): mean over the goal's runs of max(0, normalised value - 1), limited to 1 in each run; 0 if the
+            goal is met.
         effort: (n,): mean of |horizontal thrust| over all runs [N].
     """
 
@@ -95,10 +98,10 @@ class Evaluation:
 
 
 def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
-    """Return the plant parameters of the nominal vehicle and of the corners of its stated ranges.
+    """Return the plant parameters of the nominal vehicle, and those of the corners of the ranges in its vehicle file.
 
-    All masses move to one end of their ranges together, and so do all drag coefficients and all thrust limits. This
-    gives up to eight corners. A parameter without a range keeps its value.
+    All masses move to one end of their ranges together, and so do all drag coefficients and all thrust limits. These
+    three choices give up to eight corners. A parameter without a range keeps its value.
 
     Example:
         >>> from surctl.tuning import corners
@@ -118,7 +121,7 @@ def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
 
 
 def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: bool = True) -> tuple[Condition, ...]:
-    """Return runs of every case: with each seed for the nominal plant, and with the first seed for each corner.
+    """Return the conditions of every case: nominal plant with each seed, and each corner plant with the first seed.
 
     A case that does not depend on the seed is simulated with the first seed only.
 
@@ -141,7 +144,7 @@ def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: boo
 
 
 def merged(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
-    """Merge conditions that name goals: each run occurs once, with all its goals."""
+    """Merge conditions of the same run (case, seed and plant) into one condition that names all their goals."""
     counted: dict[object, tuple[Condition, dict[str, None]]] = {}
     for one in conditions:
         counted.setdefault(one.run, (one, {}))[1].update(dict.fromkeys(one.goals or ()))
@@ -232,7 +235,7 @@ def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets,
 
 
 def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figures) -> Evaluation:
-    """Evaluate the goals from the figures of runs."""
+    """Evaluate the goals from the metrics of the runs."""
     count = len(table["effort_n"])
     shape = (count, len(goals))
     normalised, figure, excess = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape)
@@ -258,7 +261,7 @@ def figures(
 ) -> dict[str, NDArray[np.float64]]:
     """Return metric → (n, conditions) for the goals' metrics and the effort; see `Goal.columns` for goals with speeds.
 
-    A value is NaN if the run did not arrive, or if no goal needs the linear metric under that condition.
+    A value is NaN if the run did not arrive, or if it is a linear metric that no goal needs under this condition.
 
     Example:
         >>> from surctl.control import load_gains
@@ -272,7 +275,7 @@ def figures(
     count = len(next(iter(sets.values())))
     looped = {"effort_n", *(g.metric for g in goals if not g.linear)}
     linear = [g for g in goals if g.linear]
-    needed: dict[float | None, set[int]] = {}  # only these: a linear figure costs more than a run
+    needed: dict[float | None, set[int]] = {}  # compute only these, because a linear metric costs more than a run
     for goal in linear:
         for speed in goal.columns.values():
             needed.setdefault(speed, set()).update(scope(goal, conditions))
@@ -299,7 +302,7 @@ def row(sets: Sets, k: int) -> dict[str, float]:
 
 
 def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
-    """Return the cases in order with the indices of their conditions; each case becomes one batch."""
+    """Return the cases in order, each with the indices of its conditions; each case is simulated as one batch."""
     groups: list[tuple[Case, list[int]]] = []
     for k, condition in enumerate(conditions):
         for case, own in groups:
@@ -325,7 +328,7 @@ def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str
 def _linear(
     case: Case, speed: float | None, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return linear figures (n, conditions) at a cruise speed, once for each plant because seeds do not matter."""
+    """Return linear metrics (n, conditions) at a cruise speed, computed once for each plant: seeds have no effect."""
     keys = [tuple(sorted(c.plant.items())) for c in conditions]
     plants = dict(zip(keys, conditions, strict=True))
     place = {key: k for k, key in enumerate(plants)}

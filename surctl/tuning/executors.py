@@ -1,4 +1,4 @@
-"""Executors that evaluate the chunks of a sweep: this process, processes on this machine, or a Dask cluster."""
+"""Executors evaluate the points of a sweep in chunks: in this process, in local processes, or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ _RETRIES = 2
 
 
 class Executor(Protocol):
-    """Evaluates chunks; the numbers must depend neither on the executor nor on the order of the chunks."""
+    """Interface of an executor; results must depend neither on the executor nor on the order of the chunks."""
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """Yield (index, result) of every chunk, in any order."""
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, in any order."""
 
 
 @dataclass(frozen=True)
 class LocalExecutor:
-    """Executor on this machine: it uses this process for one worker, and spawned processes for several.
+    """Executor on this machine: one worker runs in the calling process, several workers run in spawned processes.
 
     Raises:
         InputError: `workers` is less than 1.
@@ -57,7 +57,7 @@ class LocalExecutor:
             raise InputError("must be at least 1", key="workers", value=self.workers, remedy="write 1")
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """Yield (index, result) of every chunk; see `Executor`."""
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
         chunks = list(chunks)
         if self.workers == 1 or len(chunks) <= 1:
             for index, points in chunks:
@@ -82,7 +82,7 @@ class LocalExecutor:
 
 
 def _begin() -> None:
-    """Prepare a worker: it ignores Ctrl-C, prints a warning as one line, and ends when the parent process ends."""
+    """Make a worker process ignore Ctrl-C, print each warning as one line, and end when the parent process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
@@ -97,7 +97,7 @@ def _end_with(sentinel: int) -> None:
 
 @dataclass(frozen=True)
 class DaskExecutor:
-    """Executor on the workers of a Dask scheduler; surctl must be installed there, and each worker compiles for itself.
+    """Executor on the workers of a Dask scheduler; every worker needs surctl, and compiles the simulated loops itself.
 
     The scheduler gives the chunks of a lost worker to another worker. A failed chunk is tried again, at most twice.
 
@@ -109,7 +109,7 @@ class DaskExecutor:
     address: str
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
-        """Yield (index, result) of every chunk; see `Executor`."""
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
         chunks = list(chunks)
         if not chunks:
             return

@@ -1,4 +1,4 @@
-"""Goals: bounds on figures of the closed loop, each with its unit, as control engineers state them.
+"""Goals of a tuning: bounds on metrics of the closed loop, with units, as control engineers state them.
 
 The normalised value of a goal is defined as in MATLAB's Control System Tuner (systune, viewGoal): the goal is met if
 the value is at most 1.
@@ -45,18 +45,20 @@ _SIGNED = ("slowest_pole_per_s",)  # the bound on the real part of a pole is neg
 
 @dataclass(frozen=True)
 class Goal:
-    """One bound on one figure of the closed loop.
+    """A goal: a bound on one metric of the closed loop.
 
     Attributes:
         name: name of the goal in tables and pictures.
-        metric: figure of a run (METRICS of `surctl.simulation`) or of the linear loop (LINEAR_METRICS).
+        metric: name of a metric, either of a run (METRICS of `surctl.simulation`) or of the linear loop
+            (LINEAR_METRICS).
         unit: unit of `limit`; it must be the unit of the metric.
         limit: the bound.
-        sense: whether the figure must be at most or at least the limit.
+        sense: "at most" or "at least": on which side of the limit the metric must lie.
         kind: a hard goal must be met; the normalised value of a soft goal is minimised.
-        over: whether the worst run counts or the mean of the runs.
-        cases: names of the scenarios or cases to which the goal applies; empty for all.
-        plants: "nominal" excludes the runs whose plant differs from the case's vehicle (property Models of systune).
+        over: "worst" if every run must meet the limit, "mean" if the mean of the runs must meet it.
+        cases: names of the scenarios or simulation cases to which the goal applies; if empty, it applies to all.
+        plants: "all", or "nominal" to exclude runs whose plant differs from the vehicle of the case (property Models of
+            systune).
         cruise: cruise speeds [m/s], slowest first, at each of which the linear loop must meet the goal; empty: the
             scenario's own speed.
 
@@ -102,7 +104,7 @@ class Goal:
 
     @property
     def linear(self) -> bool:
-        """Whether the figure belongs to the linear loop; such a figure does not depend on the seed."""
+        """Whether the metric describes the linear loop; a linear metric does not depend on the seed."""
         return self.metric in LINEAR_METRICS
 
     @property
@@ -112,32 +114,35 @@ class Goal:
 
     @property
     def columns(self) -> Mapping[str, float | None]:
-        """Columns of figures that the goal bounds, each with its speed [m/s]; None means the scenario's own speed."""
+        """Columns of metrics that the goal bounds: column → speed [m/s], where None means the scenario's own speed."""
         return {f"{self.metric} at {u!r} m/s": u for u in self.cruise} or {self.metric: None}
 
     def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the figures, same shape, with the sign for which larger is worse; NaN becomes inf."""
+        """Return the metric values with the sign for which larger is worse (shape unchanged); NaN becomes inf."""
         figure = np.asarray(values, dtype=float)
         return np.where(np.isnan(figure), np.inf, figure if self.sense == "at most" else -figure)
 
     def worst(self, table: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the worst figure over the speeds and its speed [m/s] (NaN: scenario's own), shaped like a column."""
+        """Return two arrays, each shaped like a column: the worst value over the speeds, and its speed [m/s].
+
+        The speed is NaN for a goal at the scenario's own speed.
+        """
         each = np.stack([table[name] for name in self.columns])
         ill = self.badness(each)
         speed = np.array([np.nan if u is None else u for u in self.columns.values()])
         return np.take_along_axis(each, ill.argmax(axis=0)[None], axis=0)[0], speed[worst_place(ill)]
 
     def normalised(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the normalised value of each figure, same shape: at most 1 if the goal is met, larger if worse.
+        """Return the normalised metric values (shape unchanged): at most 1 if the goal is met, larger if worse.
 
-        The value is figure / limit for `at most` a positive limit, and otherwise limit / figure. The latter is inf for
-        a figure of 0 or on the wrong side of 0. NaN gives inf.
+        The normalised value is metric / limit for `at most` a positive limit, and otherwise limit / metric. The
+        quotient limit / metric is inf for a metric that is 0 or on the wrong side of 0. NaN gives inf.
         """
         figure, limit = np.asarray(values, dtype=float), self.limit
         if self.sense == "at most" and limit > 0:
             out = figure / limit
         else:
-            # a figure below a negative limit corresponds to one above a positive limit
+            # a metric below a negative limit corresponds to a metric above a positive limit
             size, bound = (figure, limit) if limit > 0 else (-figure, -limit)
             out = np.full(figure.shape, np.inf)
             np.divide(bound, size, out=out, where=size > 0)
@@ -148,14 +153,14 @@ class Goal:
         return "above" if self.sense == "at most" else "below"
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """The goal as plain data for JSON."""
         bound = {"metric": self.metric, "unit": self.unit, "limit": self.limit, "sense": self.sense}
         over = {"over": self.over, "cases": list(self.cases), "plants": self.plants}
         return {"name": self.name, **bound, "kind": self.kind, **over, "cruise_m_per_s": list(self.cruise)}
 
 
 class GoalTable(Strict):
-    """A `[[goals]]` table of a goals file or a study file."""
+    """Content of a `[[goals]]` table in a goals file or a study file."""
 
     name: str = Field(min_length=1)
     metric: str
@@ -191,7 +196,7 @@ def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
 
 
 def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
-    """Return the goals of the tables of a file; an InputError names the file.
+    """Build the goals that the `[[goals]]` tables of a file describe; an InputError names the file.
 
     Example:
         >>> from surctl.tuning import GoalTable, goals_from_tables
@@ -235,7 +240,7 @@ def _goal(table: GoalTable) -> Goal:
 
 
 def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]:
-    """Return the goals; a goal about the linear loop without speeds of its own gets these cruise speeds [m/s].
+    """Return the goals; every goal about the linear loop that names no speed gets the given cruise speeds [m/s].
 
     Example:
         >>> from surctl.tuning import Goal, goals_at

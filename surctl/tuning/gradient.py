@@ -1,10 +1,11 @@
-"""Exact gradients of a whole closed-loop run with respect to gains, by reverse differentiation.
+"""Exact gradients of a whole closed-loop run with respect to gains, by reverse-mode automatic differentiation.
 
 A run is a fixed number of control steps of the closed-form law and the plant, with true positions (`simulate` with
-sensing `truth`). The positions of the obstacles at each step are data. The run is judged by surrogates (`SURROGATES`),
-which are smooth, unlike the metrics. The law itself is piecewise smooth. Between two switches (a latched side, a limit,
-a nearest contact) the gradient is exact; at a switch it is the gradient of one side. `DifferentiableRun.branches` shows
-whether two runs take the same branches.
+sensing `truth`). The positions of the obstacles at each step are fixed in advance and do not depend on the gains. The
+differentiated outputs are smooth surrogates (`SURROGATES`) of the metrics, which themselves are not smooth. The law
+itself is piecewise smooth. Between two switches (of the latched passing side, of an active limit, of the nearest
+contact) the gradient is exact; at a switch it is the one-sided gradient. `DifferentiableRun.branches` shows whether two
+runs switch in the same way.
 """
 
 from __future__ import annotations
@@ -49,10 +50,10 @@ _HALVES = 2  # plant intervals of 25 ms in one control step
 
 @dataclass(frozen=True, eq=False)
 class DifferentiableRun:
-    """A prepared case: the surrogates of its run and their gradient, as functions of a few gains.
+    """A simulation case prepared for differentiation: surrogates of its run, and their gradient with respect to gains.
 
     Attributes:
-        case: the simulated case; it supplies all other gains.
+        case: the simulated case; it supplies the gains that are not in `names`.
         names: names of the variable gains, in the order of every vector of gains.
         steps: number of control steps of the run.
     """
@@ -78,7 +79,7 @@ class DifferentiableRun:
         return np.asarray(self._run(values, *self._fixed)[1]).T[:, : PLANT_STATE.size]
 
     def branches(self, values: Array) -> Array:
-        """Return one number for each control step (steps,); equal numbers mean equal outcomes of all comparisons."""
+        """Return one number per control step (steps,); equal numbers mean equal outcomes of the step's comparisons."""
         run = np.asarray(self._run(values, *self._fixed)[1])
         start, data, p, plant = self._fixed
         before = np.column_stack([start, run[:, :-1]])
@@ -91,7 +92,7 @@ class DifferentiableRun:
 
 
 def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> DifferentiableRun:
-    """Prepare a case for gradients.
+    """Prepare a simulation case for the computation of gradients.
 
     Args:
         case: case with mode nsb (closed form), true positions, and any law except `closed_form`: the law must have
@@ -143,7 +144,7 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
 
 
 def _data(world: World, *, steps: int, dt: float) -> Array:
-    """Return (steps, 8 · slots + 4): the obstacles, and the wave force in both halves of each control step."""
+    """Return (steps, 8 · slots + 4): for each control step, the obstacles and the wave force in its two halves."""
     rows = np.zeros((steps, CONTACT_SLOTS, _ROW))
     rows[:, :, :2] = _FAR
     forces = np.zeros((steps, 2 * _HALVES))
@@ -160,7 +161,7 @@ def _data(world: World, *, steps: int, dt: float) -> Array:
 
 @cache
 def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Function, ca.Function]:
-    """Return functions (gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient."""
+    """Return two functions: (gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient."""
     step, _ = _step(law)
     gains, weights = ca.MX.sym("gains", len(names)), ca.MX.sym("weights", len(SURROGATES))
     start, p, plant = (ca.MX.sym(n, step.size1_in(i)) for n, i in (("start", 0), ("p", 2), ("plant", 3)))
@@ -183,9 +184,10 @@ def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Functio
 
 @cache
 def _step(law: Law) -> tuple[ca.Function, ca.Function]:
-    """Return one control step (state, data, p, plant) → (next state, terms), and the tally of its comparisons.
+    """Return two functions of one control step: (state, data, p, plant) → (next state, terms), and → its branch number.
 
-    The terms are y_e², thrust², the distance to the target, and the clearances.
+    The terms are y_e², thrust², the distance to the target, and the clearances. The branch number is defined by
+    `_tally`.
     """
     state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
     data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
@@ -233,7 +235,7 @@ def _disturbance(current: ca.SX, force: ca.SX) -> dict[str, ca.SX]:
 
 
 def _with_slopes(program: Program) -> Program:
-    """Return the program with √max(x, tiny) for √x: equal results to 1e-12, and no branch with an infinite slope."""
+    """Replace √x by √max(x, tiny): results of the program stay equal to 1e-12, and no branch has an infinite slope."""
     instructions: list[Instruction] = [Instruction("const", (), _TINY)]
     new: list[int] = []
     for instruction in program.instructions:
@@ -262,7 +264,7 @@ def _compared(program: Program) -> Program:
 
 
 def _tally(compared: ca.Function) -> ca.Function:
-    """Return a function that sums the outcomes of a step with random weights: different outcomes rarely share a sum."""
+    """Return a function that sums the comparisons of a step with random weights: sums rarely agree by coincidence."""
     inputs = [ca.SX.sym(f"i{k}", compared.size1_in(k)) for k in range(compared.n_in())]
     outcomes = compared(*inputs)
     weights = np.random.default_rng(0).uniform(1, 2, outcomes.numel())

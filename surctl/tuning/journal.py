@@ -1,4 +1,4 @@
-"""Storage of trials in optuna's journal, written one batch at a time, so that a killed tuning resumes."""
+"""Storage of trials in optuna's journal; it is written batch by batch, so that an interrupted tuning can resume."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HARMED = (ValueError, KeyError, TypeError, AttributeError)  # possible errors w
 
 
 def quiet_optuna() -> Any:
-    """Import optuna on first use, limit its log to warnings, and return the module."""
+    """Import the module optuna on first use, limit its log to warnings, and return it."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -31,13 +31,13 @@ def quiet_optuna() -> Any:
 
 
 class Journal:
-    """Finished trials by study name, in one file.
+    """File of finished trials, by name of the optuna study.
 
-    Only one process at a time can lock the file; the lock ends with the process. An incomplete last line, which a
-    killed process leaves, is removed.
+    Only one process at a time can lock the file; the lock ends with the process. An incomplete last line, which an
+    interrupted process may leave, is removed.
 
     Args:
-        path: the file; None stores the trials in memory.
+        path: path of the file; None stores the trials in memory.
 
     Raises:
         InputError: the file is in use, cannot be used, or is not a journal.
@@ -116,12 +116,12 @@ def _hold(path: Path) -> BinaryIO:
 
 
 def _open(path: Path) -> tuple[JournalStorage, Any]:
-    """Return the storage, and a context that collects all entries and writes them together at its end."""
+    """Return the storage, and a context manager that collects all entries and writes them together at its exit."""
     from optuna.storages import JournalStorage
     from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 
     class Alone(JournalFileOpenLock):  # type: ignore[misc]
-        """Lock without effect, because this process has locked the file already."""
+        """Lock for optuna that does nothing, because this process has already locked the file."""
 
         def acquire(self) -> bool:
             return True
@@ -130,7 +130,7 @@ def _open(path: Path) -> tuple[JournalStorage, Any]:
             return None
 
     class Batched(JournalFileBackend):  # type: ignore[misc]
-        """Backend that writes a batch of trials in one disk access, instead of one access for each entry."""
+        """Journal backend that writes a batch of trials in one disk access, instead of one access per entry."""
 
         def __init__(self, file: str) -> None:
             super().__init__(file, Alone(file))

@@ -1,4 +1,4 @@
-"""Quantities that a sweep computes at its points: closed-loop metrics over cases and seeds, and linear metrics."""
+"""Metrics that a parameter sweep computes at its points: metrics of closed-loop runs, and of the linear loops."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _OFTEN_ABSENT = ("path_error_m",)  # NaN here means that the run has no path err
 
 @dataclass(frozen=True)
 class Quantity:
-    """Unit and meaning of a column."""
+    """Unit and meaning of a column of results."""
 
     unit: str
     meaning: str
@@ -83,14 +83,15 @@ WORST_SPEED = {"disk_margin_at_m_per_s": Quantity("m/s", "cruise speed at which 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Evaluator of chunks of points; it can be pickled and is small compared with the chunks.
+    """Function object that evaluates chunks of points; it can be pickled, so that other processes can run it.
 
     Attributes:
         cases: cases that are simulated at every point.
-        names: names of the points' columns.
+        names: names of the parameters, in the order of the columns of the points.
         seeds: seeds of every case that depends on the seed; the other cases are simulated once, with the first seed.
-        linear_chunks: number of leading chunks for which linear metrics are computed instead of runs.
-        cruise: cruise speeds [m/s] of the linear metrics, of which the worst counts; empty: see `LINEAR_COLUMNS`.
+        linear_chunks: number of chunks, the first ones, for which linear metrics are computed instead of runs.
+        cruise: cruise speeds [m/s] at which the linear metrics are computed, and the worst value is taken; if empty,
+            the speed is that of `LINEAR_COLUMNS`.
     """
 
     cases: tuple[Case, ...]
@@ -100,23 +101,26 @@ class Evaluation:
     cruise: tuple[float, ...] = ()
 
     def __call__(self, index: int, points: Floats) -> Floats:
-        """Return (rows, columns) for points (rows, axes): `linear_columns`, or `RUN_COLUMNS` and those of each case."""
+        """Evaluate points (n, axes); return the columns (n, columns).
+
+        The columns are the `linear_columns`, or else the `RUN_COLUMNS` and then the columns of every case.
+        """
         values = {name: points[:, k] for k, name in enumerate(self.names)}
         return self._linear(values, len(points)) if index < self.linear_chunks else self._simulated(values, len(points))
 
     @property
     def linear_columns(self) -> Mapping[str, Quantity]:
-        """Columns of the linearised loops."""
+        """Columns of results that describe the linearised loops."""
         return {**LINEAR_COLUMNS, **(WORST_SPEED if self.cruise else {})}
 
     @property
     def has_margins(self) -> bool:
-        """Whether the loop of every case has a linear model; otherwise the linear figures are NaN and not judged."""
+        """Whether the loop of every case has a linear model; if not, margins are NaN and are not checked."""
         return all(has_cascade(case.law, case.guidance) for case in self.cases)
 
     @property
     def runs_per_point(self) -> int:
-        """Closed-loop runs at each point."""
+        """Number of closed-loop runs at each point of the sweep."""
         return sum(len(self.seeds_of(case)) for case in self.cases)
 
     def seeds_of(self, case: Case) -> tuple[int, ...]:
@@ -151,7 +155,7 @@ class Evaluation:
         return np.stack([*_summary(together), *of_all, *(c for one in by_case for c in _summary(one))], axis=1)
 
     def _linear(self, values: Mapping[str, Floats], count: int) -> Floats:
-        if not self.has_margins:  # figures of another law would mislead
+        if not self.has_margins:  # the linear metrics of another law would mislead
             return np.full((count, len(self.linear_columns)), np.nan)
         best = [-np.inf if spec.better == "low" else np.inf for spec in LINEAR_METRICS.values()]
         table = np.tile(best, (count, 1))
@@ -215,7 +219,7 @@ def build_cases(
 
 
 def check_column(name: str) -> None:
-    """Raise InputError, with the nearest known name, unless a sweep with linear metrics has this column.
+    """Raise InputError, with the nearest known name, if a sweep with linear metrics has no column of this name.
 
     Example:
         >>> from surctl.tuning import check_column
@@ -239,9 +243,10 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], c
     """Check the request of a sweep before any run.
 
     Raises:
-        InputError: there is no case, a case occurs twice, the cases have different gains, or seeds are missing,
-            negative, repeated or also an axis; no case has the parameter of an axis, or a value is out of its bounds;
-            cruise speeds of the linear loops are also an axis, exceed a speed cap, or need too much thrust.
+        InputError: there is no case, a case occurs twice, or the cases have different gains; seeds are missing,
+            negative or repeated, or several seeds are given although the seed is an axis; no case has the parameter of
+            an axis, or a value is out of its bounds; cruise speeds are given although the cruise speed is an axis,
+            exceed a speed cap, or need too much thrust.
     """
     if not cases:
         raise InputError("has nothing to simulate", key="sweep", remedy="name at least one scenario")
@@ -276,7 +281,7 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], c
 
 
 def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chunk: int) -> str:
-    """SHA-256 of everything on which the numbers and their division into chunks depend."""
+    """SHA-256 of all inputs that determine the results of a sweep and their division into chunks."""
     lines = [f"surctl {__version__}", f"columns {tuple(METRICS)} {tuple(LINEAR_METRICS) if linear else ()}"]
     lines += [] if evaluation.has_margins or not linear else ["margins are not judged"]
     lines += [f"cruise {evaluation.cruise}"] if evaluation.cruise and linear else []
@@ -288,7 +293,7 @@ def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chun
 
 
 def law_digest(case: Case) -> str:
-    """Digest of the law's instruction list, without the solver of the priority mode."""
+    """Digest of the instruction list of the control law, without the solver of the priority mode."""
     return _law_digest(case.law, case.avoidance, case.guidance, case.barrier, case.movers)
 
 
@@ -311,7 +316,10 @@ def _nearest_parameter(name: str, known: set[str]) -> str:
 
 
 def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> Floats:
-    """Return (points, 1) values of the first of these parameters that is swept, otherwise (1, 1) the nominal value."""
+    """Return the values (points, 1) of the first of these parameters that the sweep varies.
+
+    If the sweep varies none of them, return the nominal value (1, 1).
+    """
     for name in names:
         if name in values:
             return values[name][:, None]
@@ -319,7 +327,7 @@ def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> 
 
 
 def _summary(metrics: Mapping[str, Floats]) -> list[Floats]:
-    """Return columns in the order of `CASE_COLUMNS` from metrics (points, runs)."""
+    """Compute the columns of `CASE_COLUMNS`, in this order, from metrics (points, runs)."""
     means, worst = [], []
     for name, spec in _AVERAGED.items():
         runs = metrics[name]

@@ -1,4 +1,4 @@
-"""Fresh runs of one gain set: new seeds, and plants sampled from the ranges while the controller keeps its model."""
+"""Verify one gain set by fresh runs, with new seeds and with plants sampled from the vehicle's parameter ranges."""
 
 from __future__ import annotations
 
@@ -24,15 +24,17 @@ MOST_SEED = 2**62 // APART
 
 @dataclass(frozen=True)
 class Counterexample:
-    """A run that misses a goal; for a goal over a mean, one of several runs whose mean misses the goal.
+    """A run that misses a goal.
+
+    If the goal bounds a mean, the counterexample is one of several runs whose mean misses the goal.
 
     Attributes:
         goal: name of the goal.
         case: name of the case.
         seed: seed of the run.
         plant: `plant.` parameters of the simulated vehicle.
-        figure: value of the metric, in its unit; NaN if the run did not arrive.
-        normalised: normalised value of the run; above 1, except for a goal over a mean.
+        figure: value of the goal's metric, in its unit; NaN if the run did not arrive.
+        normalised: normalised value of the goal for this run; greater than 1, except for a goal that bounds a mean.
     """
 
     goal: str
@@ -43,7 +45,7 @@ class Counterexample:
     normalised: float
 
     def condition(self, cases: Sequence[Case]) -> Condition:
-        """Return the run as a condition of its goal."""
+        """Return the run as a condition that counts only for the refuted goal."""
         case = next(c for c in cases if c.name == self.case)
         return Condition(case, self.seed, dict(self.plant), (self.goal,))
 
@@ -59,11 +61,13 @@ class MonteCarlo:
 
     Attributes:
         runs: number of runs.
-        seeds: first and last seed; no seed of this range was used before.
-        missed: goal → share of its runs that individually miss the goal; a goal without a fresh run is omitted.
-        normalised: goal → worst (or mean) normalised value.
-        counterexamples: for each refuted goal, a few of the worst runs in each case, the worst first. For a goal over a
-            mean, a few runs that are evenly spread over all ranks.
+        seeds: first and last seed of the fresh runs; no seed in this range was used before.
+        missed: name of a goal → share of the goal's runs that miss its limit, run by run; a goal without a fresh run is
+            omitted.
+        normalised: name of a goal → its normalised value: of the worst run, or of the mean for a goal that bounds a
+            mean.
+        counterexamples: for each refuted goal, a few of the worst runs in every case, the worst first. For a goal that
+            bounds a mean, they are a few runs spread evenly from the worst run to the best.
     """
 
     runs: int
@@ -85,10 +89,10 @@ class MonteCarlo:
 
 
 def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[Condition, ...]:
-    """Return the conditions of fresh runs, which are assigned to the cases in turn.
+    """Return the conditions of fresh runs; the runs are assigned to the cases in turn.
 
-    Every other run of a case has the nominal plant, for goals that apply to the nominal plant only. A case that does
-    not depend on the seed has no such runs, because all of them would be equal.
+    Every second run of a case has the nominal plant, because some goals apply to the nominal plant only. A case that
+    does not depend on the seed has no runs with the nominal plant, because all of them would be equal.
 
     Args:
         cases: the simulated cases.
@@ -143,13 +147,13 @@ def monte_carlo(
 def _chosen(
     goal: Goal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
 ) -> list[int]:
-    """Return runs that refute a goal: the worst of each case or, for a mean, runs with about the same mean."""
-    # several normalised values may be inf: the figure then decides which run is worse, NaN first
+    """Return the runs that refute a goal: the worst of each case or, if it bounds a mean, runs with about that mean."""
+    # several normalised values may be inf: the metric then decides which run is worse, NaN first
     order = [int(k) for k in np.lexsort((-goal.badness(figure), -normalised))]
     by_case = {case: [k for k in order if cases[k] == case] for case in dict.fromkeys(cases[k] for k in order)}
     chosen = []
     for own in by_case.values():
-        if goal.over == "mean":  # evenly spread over their ranks: the worst runs alone would have another mean
+        if goal.over == "mean":  # spread evenly over the ranks, because the worst runs alone would have another mean
             count = min(most, len(own))
             chosen += [own[(2 * j + 1) * len(own) // (2 * count)] for j in range(count)]
         else:

@@ -1,4 +1,4 @@
-"""Write a sweep's columns to one netCDF-4 file, column by column, so that memory holds one column at a time."""
+"""Write the columns of a sweep to a netCDF-4 file one after another, so that memory holds only one column at a time."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ Column = tuple[str, Quantity, list[Callable[[], NDArray[np.float64]]], bool]
 def write_netcdf(
     path: Path, design: Design, columns: Iterable[Column], *, evaluation: Evaluation, attributes: Mapping[str, str]
 ) -> None:
-    """Write the table; the file gets its name only when it is complete and on the disk.
+    """Write the columns of a sweep as a file; the file gets its final name only when it is complete and on the disk.
 
     Args:
         path: the file.
-        design: the design, whose axes become coordinates.
-        columns: the data variables, with values (points,).
-        evaluation: the evaluation, which names the cases and their parameters.
+        design: the design of the sweep; its axes become the coordinates of the dataset.
+        columns: the data variables of the file, each with values (points,).
+        evaluation: the evaluation of the sweep, which supplies the names of the cases and of their parameters.
         attributes: global attributes of the file.
 
     Raises:
@@ -111,7 +111,7 @@ def _quantity(name: str, cases: tuple[Case, ...]) -> Quantity:
 
 
 def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[str, str]:
-    """Return attributes with the origin of the numbers, but without a time: equal requests must give equal files."""
+    """Return attributes with the origin of the results, without date and time: equal requests must give equal files."""
     gains = evaluation.cases[0].gains
     cases = [
         {"name": c.name, "law": c.law, "priority_mode": c.mode, "seeds": list(evaluation.seeds_of(c))}
@@ -139,7 +139,7 @@ def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[
 
 
 def request_of(path: Path) -> str | None:
-    """Return the digest of the request of a finished table; None if the file is damaged or is not such a table."""
+    """Return the request digest stored in a finished sweep file; None if the file is damaged or is no sweep file."""
     import netCDF4
 
     try:

@@ -1,4 +1,4 @@
-"""The request of a search, and the pool of gain sets that the search simulated."""
+"""The request of a search for gains, and the pool of gain sets that the search has simulated."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ _PENALTY = 10.0  # penalty of one unit of violation, relative to the score
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """Everything on which a search depends.
+    """The request of a search: all inputs on which the search depends.
 
     Attributes:
         goals: the goals.
         conditions: the runs for which the goals are evaluated.
-        base: the start gains; they also supply every gain that is not searched.
+        base: the start gains; every gain outside the search space keeps its value from them.
         space: the searched gains with their ranges.
         seed: seed of the search.
-        claims: points at which claims must hold.
+        claims: points of claims' domains at which the claims must hold, as constraints of the search.
         threads: number of threads of the compiled loop; no result depends on it.
-        begun: text that names the start of the search if it has further starts besides the start gains.
+        begun: text that names the kind of further starts, besides the start gains; empty if there are none.
     """
 
     goals: tuple[Goal, ...]
@@ -53,12 +53,12 @@ class Request:
 
     @property
     def cases(self) -> tuple[Case, ...]:
-        """The simulated cases, each once, in order."""
+        """The simulation cases without duplicates, in order."""
         return tuple({id(c.case): c.case for c in self.conditions}.values())
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the request without `threads`; it names the study in the journal."""
+        """SHA-256 of the request without `threads`; the digest is the name of the optuna study in the journal."""
         lines = [f"surctl {__version__}", f"goals {self.goals!r}", f"space {self.space!r}", f"seed {self.seed}"]
         lines += [
             f"base {dict(self.base.values)!r}",
@@ -75,7 +75,7 @@ class Request:
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def simulate(self, sets: Sets) -> tuple[Pool, Figures]:
-        """Simulate gain sets; return them as a pool with evaluated goals, and the figures of every run."""
+        """Simulate gain sets; return them as a pool with evaluated goals, and the metrics of every run."""
         table = figures(self.goals, self.conditions, sets, threads=self.threads)
         values = {span.name: np.asarray(sets[span.name], dtype=float) for span in self.space}
         pool = Pool(values, judged(self.goals, self.conditions, table), excess(self.claims, self.base.values, sets))
@@ -88,12 +88,13 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Gain sets that were simulated.
+    """Pool of simulated gain sets, with their goals and claims evaluated.
 
     Attributes:
         sets: gain → (n,).
         evaluation: the evaluated goals.
-        claims: (n, c): excess of each claim point over its threshold; at most 0 if the claim holds there.
+        claims: (n, c): excess of the claim at each of c points over its threshold; at most 0 if the claim holds at the
+            point.
     """
 
     sets: Sets
@@ -108,14 +109,20 @@ class Pool:
 
     @property
     def constraints(self) -> NDArray[np.float64]:
-        """(n, hard + c): at most 0 if met; a missed goal counts by the number of runs that miss it and by how far."""
+        """Constraints (n, hard goals + c): at most 0 if met.
+
+        The value of a missed goal grows with the number of runs that miss it and with the distance by which they miss
+        it.
+        """
         e = self.evaluation
         hard = [g.kind == "hard" for g in e.goals]
         graded = np.where(e.excess[:, hard] > 0, e.excess[:, hard], np.minimum(e.normalised[:, hard] - 1, 0.0))
         return np.hstack([graded, np.minimum(self.claims, CAP)])
 
     def score(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n,): the largest soft goal, relative to its start value or, if the start gains miss it, to its limit.
+        """Return the score (n,) of the gain sets: the largest soft goal, relative to its value with the start gains.
+
+        A goal that the start gains miss is taken relative to its limit instead.
 
         If the score is below 1, every soft goal is met and better than with the start gains. `start` (m,): normalised
         values with the start gains.
@@ -128,7 +135,7 @@ class Pool:
         return worst
 
     def merit(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n,): score plus a penalty on every unmet constraint."""
+        """Return the merit (n,) of the gain sets: score plus a penalty on every unmet constraint."""
         broken = np.maximum(self.constraints, 0).sum(axis=1)
         # even a barely missed constraint costs at least as much as a score can gain
         merit: NDArray[np.float64] = self.score(start) + _PENALTY * (broken + (broken > 0))
@@ -140,11 +147,11 @@ class Pool:
         return order
 
     def best(self, start: NDArray[np.float64]) -> int:
-        """Return the index of the feasible set with the least score; if there is none, of the set that misses least."""
+        """Return the index of the feasible set with the least score, otherwise of the set with the least violation."""
         return int(np.argmin(self.merit(start)))
 
     def front(self, start: NDArray[np.float64]) -> list[int]:
-        """Return indices of the feasible sets that no set beats in both score and thrust, least score first."""
+        """Return the indices of the feasible sets that no set beats in both score and thrust, least score first."""
         score, effort = self.score(start), self.evaluation.effort
         indices: list[int] = []
         for k in np.lexsort((effort, score)):
@@ -153,13 +160,13 @@ class Pool:
         return indices
 
     def subset(self, which: Sequence[int]) -> Pool:
-        """Return a pool of some of the sets."""
+        """Return a pool that holds only the gain sets with the given indices."""
         e, k = self.evaluation, list(which)
         part = Evaluation(e.goals, e.normalised[k], e.figure[k], e.speed[k], e.excess[k], e.effort[k])
         return Pool({name: values[k] for name, values in self.sets.items()}, part, self.claims[k])
 
     def gains(self, k: int) -> dict[str, float]:
-        """Return the k-th set as gain → value."""
+        """Return the k-th gain set as gain name → value."""
         return row(self.sets, k)
 
 
@@ -179,5 +186,5 @@ def joined(pools: Sequence[Pool]) -> Pool:
 
 
 def _kind(case: Case) -> tuple[str, ...]:
-    """Return the options that determine the law of a case, without its perception."""
+    """Return the options of a case that determine its control law, without those of its perception."""
     return case.law, case.avoidance, case.mode, case.guidance, case.barrier, case.movers

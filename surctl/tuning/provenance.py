@@ -14,7 +14,7 @@ __all__ = ["goal_rows", "summary", "tuned_gains", "tuning_dict"]
 
 
 def tuned_gains(tuning: Tuning) -> Gains:
-    """Return the start gains with the tuned values; the provenance names goals, seeds, version, rounds and result.
+    """Return the tuned gains and, as provenance, the goals, seeds, version, rounds and result of the tuning.
 
     Example:
         >>> from surctl.control import load_gains
@@ -65,9 +65,10 @@ def _outcome(tuning: Tuning) -> str:
 
 
 def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
-    """Return one row for each goal: its bound, figure and normalised value with the start gains and the tuned gains.
+    """Return one table row per goal: its bound, and its metric and normalised value with start gains and tuned gains.
 
-    `worst_cruise_m_per_s` is the speed at which the tuned gains are worst, NaN for a goal at the scenario's speed.
+    `worst_cruise_m_per_s` is the cruise speed at which the goal is worst with the tuned gains; NaN for a goal at the
+    scenario's own speed.
 
     Example:
         >>> from surctl.control import load_gains
@@ -98,7 +99,7 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
 
 
 def summary(tuning: Tuning) -> list[str]:
-    """Return lines of text: the table of the goals, and the outcome of the tuning.
+    """Return the result of a tuning as lines of text: the table of the goals, then the outcome.
 
     Example:
         >>> from surctl.control import load_gains
@@ -131,7 +132,7 @@ def summary(tuning: Tuning) -> list[str]:
 
 
 def tuning_dict(tuning: Tuning) -> dict[str, Any]:
-    """Return plain data for `tuning.json`; the writer converts numbers that are not finite.
+    """Return the result as plain data for `tuning.json`; numbers that are not finite are converted when it is written.
 
     Example:
         >>> from surctl.control import load_gains

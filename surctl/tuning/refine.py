@@ -1,8 +1,8 @@
-"""Local refinement of gains by exact gradients: projected quasi-Newton steps on smooth surrogates of the metrics.
+"""Local refinement of gains by exact gradients: a quasi-Newton method reduces smooth surrogates of the metrics.
 
-The method is L-BFGS-B in the logarithms of the gains: the cost is piecewise smooth, the bounds are simple, and a step
-needs one value and one gradient. The surrogates only guide the descent; other modules judge the refined gains by the
-true metrics.
+The method is L-BFGS-B in the logarithms of the gains, because the cost is piecewise smooth, the bounds are intervals,
+and a step needs one cost value and one gradient. The surrogates only guide the descent; other modules evaluate the true
+metrics of the refined gains.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Refinement:
     """Result of a refinement.
 
     Attributes:
-        gains: the gains with the least cost, or the original gains if no other gains were better.
-        cost: cost of these gains.
-        history: cost after each iteration, one tuple for each start; the first entry is the cost of the start itself.
+        gains: the gains with the least cost found; they are the original gains if no lower cost was found.
+        cost: cost of the refined gains.
+        history: one tuple for each start: the cost of the start, then the cost after each iteration.
     """
 
     gains: Gains
@@ -62,16 +62,16 @@ def refine(
 
     Args:
         cases: cases that `prepare` accepts; their own gains are replaced.
-        gains: the first start; it also supplies every gain that is not in `ranges`.
-        ranges: gain → (low, high), 0 < low < high; a start outside its range moves to the nearest bound.
+        gains: gains of the first start; every gain that is not in `ranges` keeps its value from them.
+        ranges: gain name → (low, high) with 0 < low < high; a start value outside the range moves to the nearest bound.
         weights: weights by the names of `SURROGATES`; a missing weight is 0.
         floor: clearance [m] below which a case adds cost; the soft minimum is up to about 0.1 m below the least
             clearance.
         steps: number of control steps of every run.
-        starts: number of starts.
+        starts: number of starting points of the descent.
         iterations: largest number of quasi-Newton iterations for each start; cost and gradient are evaluated up to
             about three times as often.
-        seed: seed of the further starts, and of drift and waves.
+        seed: seed of the random starts after the first, and of drift and waves.
 
     Raises:
         InputError: there is no case, a range is not valid, a gain or weight is unknown, or a case has no gradient.
@@ -126,7 +126,7 @@ def _keep(values: list[float]) -> Callable[..., None]:
 def _cost_of(
     runs: Sequence[DifferentiableRun], weights: Mapping[str, float], floor: float
 ) -> Callable[[Array], tuple[float, Array]]:
-    """Return the function log gains (k,) → cost and its gradient."""
+    """Return a function that maps the logarithms of the gains (k,) to the cost and its gradient."""
 
     def cost(logs: Array) -> tuple[float, Array]:
         values, total, slope = np.exp(logs), 0.0, np.zeros(len(logs))

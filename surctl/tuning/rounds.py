@@ -18,17 +18,18 @@ __all__ = ["Record", "Round"]
 
 @dataclass(frozen=True)
 class Round:
-    """One round: a search, training runs that screen its best gain sets, and fresh runs that verify the remaining set.
+    """One round of a tuning: a search, training runs that screen its gain sets, and fresh runs that verify one set.
 
     Attributes:
-        gains: the tuned gains by name.
-        score: score of the tuned gains; see `Pool.score`.
-        feasible: whether the tuned gains meet every hard goal over the runs known at the end of the round.
-        missed: goals that the tuned gains miss over these runs.
+        gains: the gains that the round chose, by name.
+        score: score of the chosen gains; see `Pool.score`.
+        feasible: whether the chosen gains meet every hard goal over the runs known at the end of the round.
+        missed: names of the goals that the chosen gains miss over the runs known at the end of the round.
         training: training runs that refuted gain sets with a better rank in the search.
-        verified: result of the fresh runs; None if there were none.
-        claims: points at which a claim fails although it should hold.
-        others: the next best gain sets over the known runs, best first; the next search also starts from them.
+        verified: result of the fresh runs; None if no fresh runs were made.
+        claims: points at which a claim that should hold fails with the chosen gains.
+        others: the next best gain sets after the chosen one over the known runs, best first; the next search also
+            starts from them.
     """
 
     gains: Mapping[str, float]
@@ -53,7 +54,7 @@ class Round:
         return tuple(c for c in counterexamples if c.goal not in self.missed)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """The round as plain data for JSON."""
         return {
             "gains": dict(self.gains),
             "score": self.score,
@@ -67,11 +68,11 @@ class Round:
 
 
 class Record:
-    """Finished rounds of one request in a JSON file; each new round replaces the whole file.
+    """JSON file of the finished rounds of one request; it is written anew after each round.
 
     Args:
         folder: folder of `rounds.json`; None stores nothing.
-        request: text with everything that determines the rounds; a file of another request is ignored.
+        request: text that determines the rounds completely; a file that belongs to another request is ignored.
     """
 
     def __init__(self, folder: Path | None, request: str) -> None:
@@ -92,7 +93,7 @@ class Record:
         write_file(self.path, text)
 
     def _load(self) -> list[Round]:
-        """Load the rounds of the same request; a file with other content is ignored."""
+        """Load the rounds from the file if it belongs to this request; any other file is ignored."""
         if self.path is None or not self.path.exists():
             return []
         try:

@@ -1,4 +1,4 @@
-"""Screen the gain sets of a search with many training runs: a set that passes a few runs often fails in many."""
+"""Screen the gain sets of a search by many training runs, because sets that pass a few runs often fail in others."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _SHORT = 64  # best sets of a search that are simulated in all runs, and as many
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """Result of the screening of a search.
+    """Result of screening the gain sets of a search.
 
     Attributes:
-        request: the request with each refuting run as a condition of its goal.
+        request: the request of the search, extended by every refuting run as a condition for the goal that it refutes.
         gains: the best gain set that remains; if none remains, the set that misses least.
-        counterexamples: the refuting runs.
+        counterexamples: the training runs that refuted a gain set.
     """
 
     request: Request
@@ -37,7 +37,7 @@ class Screened:
 
 
 def harder(request: Request, counterexamples: Sequence[Counterexample], claims: Sequence[ClaimPoint] = ()) -> Request:
-    """Return the request with refuting runs as conditions of their goals and refuting claim points as constraints."""
+    """Extend a request by refuting runs, as conditions of the goals they refute, and claim points, as constraints."""
     requested = [c for c in request.conditions if c.goals is None]
     known = [c for c in request.conditions if c.goals is not None]
     refuting = merged((*known, *(c.condition(request.cases) for c in counterexamples)))
@@ -45,11 +45,11 @@ def harder(request: Request, counterexamples: Sequence[Counterexample], claims: 
 
 
 def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lambda _: None) -> Screened:
-    """Simulate training runs with the best set, drop all sets that a failed run refutes, and repeat until a set passes.
+    """Simulate training runs with the best gain set, drop all sets that a failed run refutes, repeat until one passes.
 
-    All gain sets and all rounds of a tuning have the same training runs, which differ from the fresh runs. A goal
-    counts for a set only if the set meets it over the runs of the search. The screening ends with a set that no
-    training run refutes, or when no set remains.
+    The training runs are identical for all gain sets and all rounds of a tuning; they differ from the fresh runs. A
+    gain set is tested only on the goals that it meets over the runs of the search. The screening ends with a set that
+    no training run refutes, or when no set remains.
 
     Args:
         request: the request of the search.
@@ -91,7 +91,7 @@ def _message(runs: int, failed: int, added: int) -> str:
 
 
 def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> Pool:
-    """Return a smaller pool (start gains, best sets, front, and others), simulated in the runs of the request."""
+    """Simulate a smaller pool in the runs of the request: start gains, best sets, Pareto front and `others`."""
     start = pool.evaluation.normalised[0]
     best = pool.ranked(start)[:_SHORT]
     front = pool.front(start)
@@ -103,11 +103,14 @@ def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> 
 def _withstanding(
     request: Request, pool: Pool, met: NDArray[np.bool_], left: list[int], refuting: Sequence[Counterexample]
 ) -> list[int]:
-    """Return the sets that meet, in every refuting run, the goals they met before; one run cannot refute a mean."""
+    """Return the sets that still meet, in every refuting run, the goals that they met before the screening.
+
+    Goals that bound a mean are left out, because one run cannot refute them.
+    """
     if not left:
         return []
     place = {g.name: j for j, g in enumerate(request.goals)}
-    goals = [replace(g, cases=()) for g in request.goals]  # the runs are already those of the goal
+    goals = [replace(g, cases=()) for g in request.goals]  # every run here already belongs to its goal
     runs = [c.condition(request.cases) for c in refuting]
     conditions = merged(runs)
     column = {c.run: k for k, c in enumerate(conditions)}

@@ -1,8 +1,8 @@
-"""One search for gains: optuna's NSGA-II in batches on the compiled loop, then a descent from the best sets.
+"""One search for gains: optuna's NSGA-II with batches of compiled runs, then a descent from the best gain sets.
 
 The search minimises two objectives: the score and the mean thrust. As in systune, the score is the largest soft goal;
-each goal is divided by its value with the start gains or, if they miss it, by its limit. With one objective for each
-goal nearly every trial would be undominated, and two objectives can be plotted. Hard goals and claims are constraints.
+each goal is divided by its value with the start gains or, if they miss it, by its limit. Two objectives can be plotted;
+with one objective per goal, nearly every trial would be undominated. Hard goals and claims are constraints.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ def search(
         request: the request of the search.
         trials: number of trials of NSGA-II, rounded up to whole batches; the descent adds about as many trials.
         first: gain sets to try right after the start gains, for example the best sets of an earlier search.
-        journal: journal of the trials; a killed search of the same request resumes from it and has the same result.
+        journal: journal of the trials; an interrupted search with an identical request resumes from this journal and
+            ends with the result of an uninterrupted search.
         progress: function that receives one line of text for each batch.
 
     Example:
@@ -72,7 +73,7 @@ def search(
         sets = {s.name: np.array([t.params[s.name] for t in proposed]) for s in request.space}
         pool = request.judge(sets)
         finished = _finish(memory, proposed, pool, start)
-        # after a kill the journal may hold the first trials of this batch, and they are the same
+        # after an interruption the journal may hold the first trials of this batch; they are identical
         shelf.append(name, finished[max(0, len(done) - k * BATCH) :])
         known += finished
         pools.append(pool)
@@ -101,7 +102,7 @@ def _start(request: Request) -> dict[str, NDArray[np.float64]]:
 
 
 def _study(trials: Sequence[FrozenTrial]) -> Study:
-    """Return the study in memory, because a study on the disk needs ten disk accesses for each trial."""
+    """Create an optuna study in memory, because a study on the disk needs ten disk accesses per trial."""
     optuna = quiet_optuna()
     study = optuna.create_study(directions=["minimize", "minimize"])
     study.add_trials(trials)
@@ -112,7 +113,7 @@ def _study(trials: Sequence[FrozenTrial]) -> Study:
 
 
 def _propose(study: Study, request: Request, batch: int, first: Sequence[Mapping[str, float]]) -> list[Trial]:
-    """Propose a whole generation; each trial has its own seed, so that a resumed search samples the same values."""
+    """Propose a whole generation; every trial has its own seed, so that a resumed search repeats the proposals."""
     optuna = quiet_optuna()
     space = distributions(request)
     for gains in first[:BATCH]:

@@ -20,16 +20,17 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Shares of a column's variance that are due to each axis, over the axes' ranges.
+    """Sobol' indices: the share of a column's variance, over the ranges of the axes, that each axis causes.
 
     Attributes:
         column: name of the column.
         axes: names of the axes.
-        first: first-order index of each axis: the share that is due to the axis alone.
-        total: total-order index of each axis: the share in which the axis is involved; the sum may exceed 1.
-        first_interval: (low, high) of each first-order index: 95 % bootstrap percentiles.
-        total_interval: (low, high) of each total-order index.
-        constant: whether the column is constant; then every index is 0.
+        first: first-order index of each axis: the share of the variance that this axis causes alone.
+        total: total-order index of each axis: the share of the variance that this axis causes, alone or together with
+            other axes; the sum over the axes may exceed 1.
+        first_interval: 95 % bootstrap confidence interval (low, high) of each first-order index.
+        total_interval: 95 % bootstrap confidence interval (low, high) of each total-order index.
+        constant: whether the column is constant; if it is, every index is 0.
         base: number of points in each of the two independent samples.
     """
 
@@ -43,7 +44,7 @@ class Sensitivity:
     base: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
+        """Return the indices as plain data for JSON."""
         return asdict(self)
 
 
@@ -51,7 +52,7 @@ def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity
     """Return Sobol' indices of a column from a sweep over a Saltelli design (Saltelli et al. 2010, scipy.stats).
 
     Args:
-        table: sweep over a design of `saltelli`.
+        table: result of a sweep over a design that `saltelli` returned.
         column: name of any column of the sweep.
         seed: seed of the bootstrap.
 
@@ -98,7 +99,7 @@ def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity
 
 
 def _indices(parts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return first and total indices (2, axes) from values (2 + axes, base) at A, B and the crossed samples."""
+    """Return first-order and total-order indices (2, axes) from values (2 + axes, base) at A, B and mixed samples."""
     from scipy.stats import sobol_indices
 
     result = sobol_indices(

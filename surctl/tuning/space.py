@@ -1,4 +1,4 @@
-"""The search space of a tuning: named gains with ranges, searched on a log scale."""
+"""The search space of a tuning: the tuned gains with their ranges; the search uses a log scale."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SPREAD = 4.0  # a default range extends from a quarter of the base value to fou
 
 @dataclass(frozen=True)
 class GainRange:
-    """One tuned gain and its search range, which includes both ends.
+    """One tuned gain and its search range low … high, which includes both ends.
 
     Raises:
         InputError: the gain is unknown, or the ends are not 0 < low < high within the bounds of the gain.
@@ -42,16 +42,16 @@ class GainRange:
             raise InputError(f"is above its bound of {top:.3g}", key=key, value=self.high, remedy="lower the upper end")
 
     def clip(self, value: float) -> float:
-        """Return the nearest value within the range."""
+        """Clip a value to the range."""
         return min(max(value, self.low), self.high)
 
     def place(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values at the shares 0 … 1 of the range, on a log scale."""
+        """Convert shares 0 … 1 of the range, on a log scale, to values of the gain."""
         at: NDArray[np.float64] = self.low * (self.high / self.low) ** np.asarray(unit, dtype=float)
         return np.clip(at, self.low, self.high)
 
     def unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the shares of values: the inverse of `place`, limited to 0 … 1."""
+        """Convert values of the gain to shares of the range, limited to 0 … 1; the inverse of `place`."""
         at = np.log(np.asarray(values, dtype=float) / self.low) / np.log(self.high / self.low)
         unit: NDArray[np.float64] = np.clip(at, 0.0, 1.0)
         return unit
@@ -63,8 +63,10 @@ def gain_ranges(
     """Return the gains to tune, with their ranges.
 
     Args:
-        base: gains for the default ranges: a quarter to four times the value, within the bounds of the gain.
-        ranges: gain → (low, high), or None for the default range; or a sequence of names.
+        base: gains that set the default ranges: a quarter of the value to four times the value, within the bounds of
+            the gain.
+        ranges: mapping from gain name to (low, high), or to None for the default range; or a sequence of gain names,
+            which all get their default range.
 
     Raises:
         InputError: no gain is named, a gain is unknown, a range is not valid, or a gain of 0 has no range.

@@ -1,4 +1,4 @@
-"""Start sets of a search for gains: from a linear quadratic regulator (LQR), and from a descent along gradients."""
+"""Initial gain sets of a search, from a linear quadratic regulator (LQR) and from a descent along gradients."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ __all__ = ["lqr_start", "starting_sets"]
 _DISK_FLOOR = 0.6  # least disk margin of a start, as in a sweep: 33° and a factor 1.86 at once
 _DEVIATION = (0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.2)  # largest deviations, of equal weight: m, rad, m/s, rad/s
 _MILDER = 2.0  # factor on R as long as the disk margin is too small
-_OUTER = np.array([0.5**0.5] * 4 + [1.0] * 4)  # factor on Q at the same time
-_MOST = 24  # largest number of such factors
-_ITERATIONS = 6  # of the descent; the search afterwards uses the true metrics
+_OUTER = np.array([0.5**0.5] * 4 + [1.0] * 4)  # factor on Q applied together with the factor on R
+_MOST = 24  # largest number of times that R and Q are changed
+_ITERATIONS = 6  # iterations of the descent; the search afterwards uses the true metrics
 
 
 def starting_sets(
     request: Request, *, descend: bool = False, progress: Progress = lambda _: None
 ) -> list[dict[str, float]]:
-    """Return gain sets, within the search space, that a search tries before it samples any.
+    """Return gain sets, within the search space, that a search simulates before it samples gain sets at random.
 
-    Each vehicle gives one set: its `lqr_start`, and the request's own values of the other gains. With `descend` there
-    is one more set: the request's gains, refined by exact gradients (`refine`) over the cases with the closed form and
-    true positions. This is optional because one gradient costs as much as about a thousand compiled runs.
+    Each vehicle of the request gives one set: its `lqr_start`, with the start values of the request for the other
+    gains. If `descend` is true, one more set is returned: the start gains of the request, refined by exact gradients
+    (`refine`) over those cases that use mode nsb (closed form) and true positions. The refinement is optional, because
+    one gradient costs as much computing time as about a thousand compiled runs.
     """
     sets = []
     for case in {c.vehicle.name: c for c in request.cases}.values():
@@ -54,7 +55,7 @@ def starting_sets(
 
 
 def _horizon(cases: Sequence[Case]) -> int:
-    """Return the number of control steps that the slowest case needs with its own gains."""
+    """Simulate every case with its own gains; return the largest number of control steps that a case needs."""
     return max(int(np.ceil(simulate_batch(case).column("time_s")[0] / case.build().dt)) + 1 for case in cases)
 
 
@@ -64,15 +65,15 @@ def lqr_start(
     """Return the `CASCADE_GAINS` nearest to an LQR of the vehicle with a disk margin of at least 0.6 in every loop.
 
     The regulator (python-control's `lqr`) neglects thrust lag and delay and feeds back every state to every thrust, but
-    the cascade has only six gains. These gains are fitted by least squares in logarithms. The fit compares the thrusts
-    of regulator and cascade, as shares of the thrust limits, for deviations of the size that q allows. Feedback that
-    the cascade lacks (from sway to surge, say) is left out of the fit. The weights are then changed until the cascade
-    with lag and delay has the margin: each time r is doubled, and the weights of position and heading are divided by
-    √2, because slower inner loops require slower outer loops. k_i is not among the gains, because guidance already
-    integrates position.
+    the cascade has only six gains. The six gains are fitted by least squares in their logarithms. The fit compares the
+    thrust that the regulator commands with the thrust that the cascade commands, both as shares of the thrust limits,
+    for state deviations of the size that q allows. Feedback paths that the cascade does not have (for example from sway
+    to surge) are not part of the fit. The weights are then changed until the cascade with lag and delay has the margin:
+    each time r is doubled, and the weights of position and heading are divided by √2, because slower inner loops
+    require slower outer loops. k_i is not among the gains, because guidance already integrates position.
 
     Args:
-        vehicle: the vehicle, as plant and as model.
+        vehicle: the vehicle, used both as plant and as the controller's model.
         cruise: cruise speed U [m/s].
         dt: control period [s].
         q: (8,) weights > 0 of deviations in x, y, z [1/m²], ψ [1/rad²], u, v, w [s²/m²], r [s²/rad²]; default by
@@ -111,7 +112,10 @@ def lqr_start(
 
 
 def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> InputError:
-    """Return the error with the reason why no fitted gains suffice: the speed, the control period, or neither alone."""
+    """Return an InputError with the reason why no fitted gains have the margin.
+
+    The reason is the cruise speed, the control period, or neither of them alone.
+    """
     missing = f"no fitted cascade has a disk margin of {_DISK_FLOOR:g}"
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
     if not mode.stable:
@@ -127,12 +131,15 @@ def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
 def _fit(
     vehicle: Vehicle, K: NDArray[np.float64], q: NDArray[np.float64], *, cruise: float, dt: float
 ) -> dict[str, float]:
-    """Return the gains whose matrix is nearest to K (4, 8), both scaled by thrust limits and largest deviations."""
+    """Fit the cascade gains: their feedback matrix is as near to K (4, 8) as possible.
+
+    Both matrices are scaled by the thrust limits and the largest deviations.
+    """
     from scipy.optimize import least_squares
 
     scale = 1 / np.sqrt(q)[None] / vehicle.thrust_limit[:, None]
     flat = plant_parameters(vehicle)[None]
-    # entries that depend on some gain; the cascade cannot change the others
+    # entries of K that depend on some gain; the cascade cannot change the other entries
     reachable = build_cascade(vehicle, dict.fromkeys(CASCADE_GAINS, 1.0), cruise=cruise, dt=dt).K != 0
 
     def missed(logs: NDArray[np.float64]) -> NDArray[np.float64]:

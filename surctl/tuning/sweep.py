@@ -1,4 +1,4 @@
-"""Sweeps: closed-loop and linear metrics over a design of parameters, in chunks, so that a killed sweep resumes."""
+"""Parameter sweeps: closed-loop and linear metrics at many points, computed in chunks, so that a sweep can resume."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 TABLE = "sweep.nc"
-_MOST_CHUNKS = 64  # of a small sweep, so that a kill loses little and every worker has work
+_MOST_CHUNKS = 64  # chunks of a small sweep, so that an interruption loses little and every worker has work
 _MOST_RUNS = 4096  # runs in one chunk
 _MOST_LINEAR = 64  # points in one chunk of linear metrics
 
@@ -52,22 +52,22 @@ def sweep(
     out: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> SweepTable:
-    """Simulate every case at every point of a design, and compute metrics of the linearised loops there.
+    """Simulate every case at every point of a design, and compute metrics of the linearised loops at these points.
 
     Args:
-        cases: at least one case; all cases have the same gains.
-        design: the points; see `grid`, `spread`, `saltelli`, `make_design`.
-        seeds: every case is simulated with each seed at every point; a case that does not depend on the seed is
-            simulated once.
-        linear: whether to compute the linear metrics too, once for each combination of the parameters that they depend
-            on.
-        cruise: cruise speeds [m/s] of the linear metrics; the worst speed counts for each metric, and the column
-            `disk_margin_at_m_per_s` is the speed with the least disk margin. Default: each vehicle's largest cruise
-            speed.
-        executor: executor of the chunks; default: this process. The numbers do not depend on it.
-        out: folder of `sweep.nc`; None stores no file. Finished chunks are stored beside the file until it is complete,
-            and the same request resumes from them. A finished table of another request is renamed, with a line of
-            progress.
+        cases: one or more simulation cases; all of them must have equal gains.
+        design: the points of the sweep; see `grid`, `spread`, `saltelli`, `make_design`.
+        seeds: seeds with which every case is simulated at every point; a case that does not depend on the seed is
+            simulated once per point.
+        linear: whether to compute the linear metrics too; they are computed once for each combination of the parameters
+            on which they depend.
+        cruise: cruise speeds [m/s] of the linear metrics; every metric is the worst over these speeds, and the column
+            `disk_margin_at_m_per_s` is the speed with the least disk margin. By default every vehicle has its largest
+            cruise speed.
+        executor: executor of the chunks; by default the calling process. The results do not depend on the executor.
+        out: folder of `sweep.nc`; None stores no file. Until the file is complete, finished chunks are stored beside
+            it; an identical request resumes from these chunks. A finished `sweep.nc` of another request is renamed, and
+            `progress` reports this.
         progress: function that receives one line of text at each step of the work.
 
     Raises:
@@ -111,7 +111,7 @@ def run_chunks(
     Args:
         function: the evaluator of a chunk.
         chunks: chunks that the store does not contain yet.
-        store: an open store.
+        store: open store of finished chunks.
         executor: executor of the chunks.
         finished: function that receives the index of each chunk once the chunk is stored.
 
@@ -126,7 +126,7 @@ def run_chunks(
 
 @dataclass
 class _Job:
-    """A sweep, divided into chunks: first the chunks of linear metrics, then the chunks of simulated runs."""
+    """A parameter sweep, divided into chunks: first the chunks of linear metrics, then the chunks of simulated runs."""
 
     evaluation: Evaluation
     design: Design
@@ -153,13 +153,13 @@ class _Job:
         self.evaluation = replace(self.evaluation, linear_chunks=self.linear_count)
 
     def width(self, index: int) -> int:
-        """Number of columns of a chunk."""
+        """Number of columns in the results of a chunk."""
         if index < self.linear_count:
             return len(self.evaluation.linear_columns)
         return len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
 
     def columns(self, store: ChunkStore) -> Iterator[Column]:
-        """Yield the columns of the table; the values of a column are read from the chunks only when needed."""
+        """Yield the columns of results; the values of a column are read from the stored chunks only when needed."""
         inputs: dict[str, Floats] = {}
         run_parts = self.chunks[self.linear_count :]
 
@@ -214,7 +214,7 @@ def _stored_sweep(job: _Job, out: Path, executor: Executor, progress: Progress) 
 
 
 def _set_aside(target: Path, progress: Progress) -> None:
-    """Rename a table of another request."""
+    """Rename an existing `sweep.nc` that belongs to another request."""
     if not target.exists():
         return
     other = target.with_name(f"sweep-{(request_of(target) or 'unreadable')[:12]}.nc")
@@ -226,7 +226,10 @@ def _set_aside(target: Path, progress: Progress) -> None:
 
 
 def _size(count: int, most: int) -> int:
-    """Return the number of points in one chunk, the same for all executors, so that any executor can resume a sweep."""
+    """Return the number of points per chunk.
+
+    The number does not depend on the executor, so that any executor can resume a sweep.
+    """
     return max(1, min(most, -(-count // _MOST_CHUNKS)))
 
 
@@ -235,7 +238,7 @@ def _cut(points: Floats, size: int, *, first: int) -> list[Chunk]:
 
 
 class _Pace:
-    """Progress lines for linear figures and for points: number done, rate and remaining time; at most two a second."""
+    """Progress lines for linear metrics and for points: number done, rate and remaining time; at most two a second."""
 
     def __init__(self, job: _Job, todo: Sequence[Chunk], progress: Progress) -> None:
         self.progress, self.linear_count = progress, job.linear_count
@@ -251,7 +254,7 @@ class _Pace:
         self.progress(f"sweep {self.stages[1].done}/{self.stages[1].whole} points")
 
     def finished(self, index: int) -> None:
-        """Count one more finished chunk."""
+        """Count one more finished chunk, and report progress."""
         linear, simulated = self.stages
         stage = linear if index < self.linear_count else simulated
         stage.done += self.left.pop(index)

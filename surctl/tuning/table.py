@@ -1,4 +1,4 @@
-"""A finished sweep: its xarray dataset, its columns by name, and its picked point."""
+"""Results of a finished parameter sweep: the xarray dataset, the columns by name, and the best point."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 __all__ = ["DELAY_FLOOR", "DISK_FLOOR", "SweepTable", "SweptAxis", "load_sweep"]
 
-DELAY_FLOOR = 0.2  # [s] least delay margin of a point that may be picked: four control periods (*chosen*)
-DISK_FLOOR = 0.6  # least disk margin of a point that may be picked: 33° and a gain factor 1.86 at once (*chosen*)
+DELAY_FLOOR = 0.2  # [s] least delay margin of a feasible point: four control periods (design choice)
+DISK_FLOOR = 0.6  # least disk margin of a feasible point: 33° and a gain factor 1.86 at once (design choice)
 
 
 @dataclass(frozen=True, eq=False)
 class SweptAxis:
-    """A swept parameter with its unit and values: the different values of a grid, or one value for each point."""
+    """A parameter of a sweep with its unit and values: the grid values, or for other designs one value per point."""
 
     name: str
     unit: str
@@ -38,21 +38,22 @@ class SweepTable:
     """A finished sweep.
 
     Attributes:
-        dataset: dataset whose dimensions are the axes of a grid, otherwise `point`. Each column is a data variable with
-            units and long_name. Columns named `case_…` belong to single cases and have `case` as first dimension.
-            Values are read from the file on access.
+        dataset: xarray dataset; its dimensions are the axes of a grid, or `point` for other designs. Every column of
+            results is a data variable with the attributes `units` and `long_name`. Columns whose name starts with
+            `case_` hold the results of single cases and have `case` as first dimension. Values are read from the file
+            on access.
     """
 
     dataset: xr.Dataset = field(repr=False)
 
     @property
     def is_grid(self) -> bool:
-        """Whether every combination of the axes' values was evaluated."""
+        """Whether the design is a full grid: every combination of the axes' values was evaluated."""
         return bool(self.dataset.attrs["design"] == "grid")
 
     @property
     def axes(self) -> tuple[SweptAxis, ...]:
-        """The swept parameters, in the order of the dimensions."""
+        """The parameters that the sweep varies, in the order of the dimensions."""
         axes = []
         for name in json.loads(self.dataset.attrs["axes"]):
             values = self.dataset[netcdf_name(name)]
@@ -66,7 +67,7 @@ class SweepTable:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns over all cases."""
+        """Names of the columns that cover all cases together."""
         return tuple(str(name) for name, v in self.dataset.data_vars.items() if "case" not in v.dims)
 
     @property
@@ -81,12 +82,15 @@ class SweepTable:
 
     @property
     def path(self) -> Path | None:
-        """The file from which the table is read; None for a table in memory."""
+        """The file from which the results are read; None for results in memory."""
         source = self.dataset.encoding.get("source")
         return Path(source) if source else None
 
     def column(self, name: str, *, case: str | None = None) -> NDArray[np.float64]:
-        """Return a column over all cases or of one case, in the design's shape; InputError names a similar name."""
+        """Return a column, over all cases or of one case, in the shape of the design.
+
+        If there is no such column, the InputError suggests a similar name.
+        """
         known = self.columns
         if case is not None:
             known = tuple(v.removeprefix("case_") for v in map(str, self.dataset.data_vars) if v.startswith("case_"))
@@ -121,19 +125,19 @@ class SweepTable:
         return self.at(index) | {name: float(self.dataset[name][index]) for name in self.columns}
 
     def rows(self) -> list[dict[str, float]]:
-        """Return `row` of every point, in C order."""
+        """Return the values of the axes and of every column at every point, in C order."""
         columns = {name: self.column(name).reshape(-1) for name in self.columns}
         points = [self.at(index) for index in np.ndindex(self.shape)]
         return [p | {name: float(values[k]) for name, values in columns.items()} for k, p in enumerate(points)]
 
     @property
     def base(self) -> Gains:
-        """The gains that the sweep started from."""
+        """The base gains: the gains that the cases had before the sweep varied them."""
         return Gains(**json.loads(self.dataset.attrs["gains"]))
 
     @property
     def gains(self) -> Gains:
-        """The base gains with the picked values; the unchanged base gains if no point is feasible."""
+        """The base gains with the values of the best feasible point; the base gains if no point is feasible."""
         if self.picked is None:
             return self.base
         chosen = self.at(self.picked)
@@ -146,9 +150,10 @@ class SweepTable:
 
 
 def judged(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Return score and feasibility, computed from other columns.
+    """Return the columns of score and feasibility, computed from other columns.
 
-    The path error is not part of the score, because it covers only the time outside avoidance, which the gains change.
+    The path error is not part of the score, because it covers only the time outside avoidance, and the gains change
+    this time.
     """
     feasible = (columns["reached_worst"] > 0.5) & (columns["min_clearance_m_worst"] > 0)
     if "delay_margin_s" in columns:
@@ -193,5 +198,5 @@ def load_sweep(path: Path | str) -> SweepTable:
 
 
 def netcdf_name(name: str) -> str:
-    """Return a parameter's name as netCDF allows it: netCDF reads a slash as part of a path."""
+    """Return the name of a parameter without slashes, because netCDF reads a slash as the separator of a path."""
     return name.replace("/", "|")

@@ -21,7 +21,7 @@ _TABLES = ("normalised", "figure", "speed", "excess")  # fields of `Evaluation`,
 
 
 def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
-    """Return score and thrust of each gain set, both finite."""
+    """Return the two objectives, score and thrust, of every gain set; both are limited to finite values."""
     effort = pool.evaluation.effort
     usual = max(float(np.fmin.reduce(effort, initial=np.inf)), 1e-9)
     bounded = np.where(np.isfinite(effort), effort, CAP * usual if np.isfinite(usual) else CAP)
@@ -29,14 +29,14 @@ def objectives(pool: Pool, start: NDArray[np.float64]) -> list[list[float]]:
 
 
 def user_attributes(pool: Pool, k: int) -> dict[str, Any]:
-    """Return the attributes of the k-th gain set that `remembered` needs."""
+    """Return the results of the k-th gain set as trial attributes, from which `remembered` rebuilds the pool."""
     e = pool.evaluation
     tables = {name: getattr(e, name)[k].tolist() for name in _TABLES}
     return {**tables, "effort": float(e.effort[k]), "claims": pool.claims[k].tolist()}
 
 
 def remembered(request: Request, trials: Sequence[FrozenTrial]) -> Pool:
-    """Return the pool of a batch of trials from the journal."""
+    """Rebuild the pool of gain sets from a batch of trials of the journal."""
 
     def table(name: str) -> NDArray[np.float64]:
         return np.array([t.user_attrs[name] for t in trials], dtype=float)

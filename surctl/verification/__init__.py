@@ -1,4 +1,7 @@
-"""Claims: each is proved with a certificate, refuted with a counterexample or left open. Also linear loop margins."""
+"""Verification of claims: a claim is proved with a certificate, refuted with a counterexample, or left open.
+
+The package also computes the stability margins of the linearised loops.
+"""
 
 from surctl.verification.avoidance_claims import settling_intrusion
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascade

@@ -21,9 +21,9 @@ def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = Fa
     """Raise NotApplicable unless surge and sway have equal mass and equal drag.
 
     Args:
-        vehicle: the vehicle to which the claim would apply.
-        mass_alone: compare the masses only; the drag may differ.
-        ranges: require equal parameter ranges too, because the claim uses the ranges of surge for both axes.
+        vehicle: the vehicle for which the claim is to be checked.
+        mass_alone: whether to compare the masses only, and to allow different drag.
+        ranges: whether to require equal parameter ranges too, because the claim uses the ranges of surge for both axes.
     """
     for what, (surge, sway) in list(_ALIKE.items())[: 1 if mass_alone else None]:
         unit = "" if PARAMETERS[surge].unit == "1" else f" {PARAMETERS[surge].unit}"

@@ -1,7 +1,7 @@
 """Claims about the avoidance law: the function V2 of (21)–(24), and the clearance as a barrier function.
 
 The obstacle is given in polar coordinates about the robot: distance l = R_OB + e2, bearing φ counter-clockwise (E1).
-The claims use the same expressions for the course as the law itself (`surctl.guidance.avoidance`).
+The claims take their expressions for the course from the implemented law (`surctl.guidance.avoidance`).
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ class _Encounter:
         return clearance_rate(self.course(form, side), self.phi, speed=self.u, closing=self.closing)
 
     def worse(self, form: AvoidanceForm, factor: ca.SX) -> ca.SX:
-        """The larger of factor·l̇ for the two sides λ2 = ±1."""
+        """The larger of the two values of factor·l̇ for passing on either side, λ2 = ±1."""
         return ca.fmax(factor * self.rate(form, 1), factor * self.rate(form, -1))
 
     def motion(self, form: AvoidanceForm, *, clearance: bool) -> Motion:
-        """The motion of l and φ under the law with λ2 = +1; the speeds and the obstacle's course stay constant."""
+        """The motion of l and φ under the law with λ2 = +1; the speeds and the course of the obstacle are constant."""
         across = self.u_ob * ca.sin(self.psi_ob - self.phi) - self.u * ca.sin(self.course(form, 1) - self.phi)
         rates = {"e2": self.rate(form, 1), "phi": across / (self.setting.radius + self.e2)}
         if clearance:
@@ -79,7 +79,7 @@ class _Encounter:
         return Motion(rates, self.e2**2 / 2, "V2", "m^2")
 
     def variables(self, *, static: bool, delta: tuple[float, float], outside: bool = False) -> tuple[Variable, ...]:
-        """The variables with their bounds; `outside` requires l ≥ R_OB, `static` sets the obstacle's speed to 0."""
+        """The variables of the claims with their bounds; `outside` requires l ≥ R_OB, `static` sets u_OB = 0."""
         s = self.setting
         fastest = max(s.speed_max, s.avoidance_speed)
         moving = 0.0 if static else fastest
@@ -95,7 +95,7 @@ class _Encounter:
     def point(
         self, *, e2: float, phi: float = 0.0, u_ob: float = 0.0, recede: bool = False, delta: float = 0.0
     ) -> dict[str, float]:
-        """A witness at the paper's avoidance speed; the obstacle approaches along the bearing, or recedes along it."""
+        """A witness at the paper's avoidance speed, with an obstacle that approaches or recedes along the bearing."""
         course = phi if recede else phi + np.pi * (1 if phi <= 0 else -1)
         speed = self.setting.avoidance_speed
         return {"e2": e2, "phi": phi, "psi_ob": course, "u_ob": u_ob, "u": speed, "delta": delta}
@@ -111,7 +111,7 @@ def _rate_bound(e: _Encounter) -> ca.SX:
 
 
 def v2_printed(setting: Setting) -> Claim:
-    """The claim (24) for a static obstacle and δ ≥ 0; refuted, because the robot comes as near as R_OB − δ."""
+    """The claim (24) for a static obstacle and δ ≥ 0; the claim is refuted: the robot comes as near as R_OB − δ."""
     e = _encounter(setting)
     return Claim(
         name="v2-printed",
@@ -129,7 +129,7 @@ def v2_printed(setting: Setting) -> Claim:
 
 
 def v2_static(setting: Setting) -> Claim:
-    """The claim (24) under the conditions for which it holds: a static obstacle and δ e2 ≥ 0."""
+    """The claim (24) for a static obstacle and δ e2 ≥ 0, the conditions under which (24) holds."""
     e = _encounter(setting)
     return Claim(
         name="v2-static",
@@ -147,7 +147,7 @@ def v2_static(setting: Setting) -> Claim:
 
 
 def v2_obstacle(setting: Setting) -> Claim:
-    """The claim (24) for a moving obstacle slower than the robot; refuted by the term that (24) drops (E12).
+    """The claim (24) for a moving obstacle slower than the robot; a term that is missing in (24) refutes it (E12).
 
     The constraint δ e2 ≥ 0 excludes the failure that erratum E11 describes.
     """
@@ -173,7 +173,7 @@ def v2_obstacle(setting: Setting) -> Claim:
 
 
 def settling_intrusion(setting: Setting) -> float:
-    """Return the equilibrium e2* < 0 [m] of law (20) in front of an obstacle that approaches head-on (E12).
+    """Return the equilibrium e2* < 0 [m] that law (20) reaches in front of an obstacle approaching head-on (E12).
 
     The obstacle's speed is u_OB < u_dm. For δ = 0, e2* = −k3 R_OB c/√(1 − c²) with c = u_OB/u_dm.
 
@@ -207,7 +207,7 @@ def v2_clockwise(setting: Setting) -> Claim:
 
 
 def clearance_printed(setting: Setting) -> Claim:
-    """The claim that the printed law keeps the clearance; refuted: it hits a static obstacle at some bearings."""
+    """The claim that the printed law keeps the clearance; refuted: the robot hits static obstacles at some bearings."""
     e = _encounter(setting)
     return Claim(
         name="clearance-printed",

@@ -1,7 +1,7 @@
 """The steps of the proof of the braking barrier, as claims over all parameter ranges of a vehicle.
 
-`surctl.guidance.braking` states the proof. For given numbers, laws and sampled control, `surctl.verification.braking`
-issues a separate certificate.
+`surctl.guidance.braking` states the proof. `surctl.verification.braking` issues a separate certificate for given
+numerical values, laws and sampled control.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ class _Box:
 
 
 def _box(vehicle: Vehicle, fastest: float) -> _Box:
-    """The braking data; NotApplicable if surge and sway differ in mass, because Coriolis forces then act."""
+    """Return the braking data; NotApplicable if surge and sway differ in mass, because Coriolis forces then act."""
     check_alike(vehicle, mass_alone=True, ranges=True)
     return _Box(brakes_of(vehicle), fastest)
 
 
 def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
-    """The claim that l − S does not decrease while the vehicle brakes and the distance l closes (step 2, times F').
+    """The claim that l − S does not decrease while the vehicle brakes and the distance l decreases (step 2, times F').
 
     S is the stopping distance. The claim covers the worse case: the vehicle moves astern at g and the obstacle
     approaches at v_o = g + s. While the vehicle still moves ahead, drag helps to brake.
@@ -117,7 +117,7 @@ def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
 def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
     """The claim that the stopping distance is largest at an end of the mass range.
 
-    Between two masses the distance lies below the chord that joins their distances.
+    The stopping distance is convex in the mass: between two masses it lies below the chord.
     """
     box = _box(vehicle, fastest)
     s = box.closing()

@@ -1,10 +1,10 @@
 """The cascaded controller, linearised about cruise: an outer guidance loop, inner velocity loops and one loop delay.
 
-In the deviations from a straight cruise along x (path and heading along x) the controller is
-ν_c = (−k1 x, −(U/Δ_h) y − U ψ, −k2 z, −k_psi ψ), F = m̂ (k (ν_c − ν) + ξ) + D'(ν_0) ν_c, ξ̇ = k_i (ν_c − ν),
-with k = (k_v, k_v, k_v, k_r). Guidance commands a velocity in {E}; its rotation into {B} gives the term −U ψ. D' is
-the slope of the drag that the controller feeds forward at the desired speed. The controller cancels neither Coriolis
-forces nor the measured drag.
+In the deviations from a straight cruise along x (path and heading along x) the controller is ν_c = (−k1 x, −(U/Δ_h) y −
+U ψ, −k2 z, −k_psi ψ), F = m̂ (k (ν_c − ν) + ξ) + D'(ν_0) ν_c, ξ̇ = k_i (ν_c − ν), with k = (k_v, k_v, k_v, k_r).
+Guidance commands a velocity in {E}; the rotation of this velocity into {B} gives the term −U ψ. D' is the slope of the
+drag that the controller feeds forward at the desired speed. The controller cancels neither Coriolis forces nor the
+measured drag.
 """
 
 from __future__ import annotations
@@ -29,21 +29,22 @@ _PADE_ORDER = 3
 
 
 def has_cascade(law: str, guidance: str) -> bool:
-    """Whether this cascade describes the linear loop about straight cruise, far from obstacles.
+    """Whether this cascade describes the linear loop of a law and a guidance about straight cruise, far from obstacles.
 
-    The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with memory has one more state.
+    The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with an internal state adds a state
+    that the cascade does not contain.
     """
     return guidance == "los" and law != "dwa"
 
 
 @dataclass(frozen=True, eq=False)
 class Cascade:
-    """The delayed plant and the controller: ẋ = A x + B f, y = C x, f = −K y; a leading axis holds several cascades.
+    """Delayed plant and controller, ẋ = A x + B f, y = C x, f = −K y; a leading array axis holds several cascades.
 
     With integral action, ξ (4,) is appended to the states and to y, and ξ̇ is appended to f.
 
     Attributes:
-        A: (…, n, n) dynamics of the plant with thrust lag, of the delay states and of ξ, in this order.
+        A: (…, n, n) state matrix; the states are those of the plant with thrust lag, then the delay states, then ξ.
         B: (…, n, 4 or 8) input matrix; the inputs are the commanded thrust [N, N m], then ξ̇.
         C: (…, 8 or 12, n) output matrix; the outputs are (x, y, z, ψ, u, v, w, r), then ξ.
         K: (…, 4 or 8, 8 or 12) controller gain.
@@ -72,14 +73,14 @@ class Cascade:
         return bool(np.all(self.poles[..., 0].real < -1e-9))
 
     def at_thrust(self, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The loop (A, b, c) opened at one thrust command; all other loops are closed."""
+        """The system (A, b, c) of the loop opened at one thrust command; all other loops are closed."""
         rest = self.K.copy()
         rest[..., axis, :] = 0
         closed = self.A - self.B @ rest @ self.C
         return closed, self.B[..., [axis]], self.K[..., [axis], :] @ self.C
 
     def at_output(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The loop (A, b, c) opened at one measured output; all other loops are closed."""
+        """The system (A, b, c) of the loop opened at one measured output; all other loops are closed."""
         rest = self.K.copy()
         rest[..., index] = 0
         closed = self.A - self.B @ rest @ self.C
@@ -99,11 +100,11 @@ def build_cascade(
 
     Args:
         vehicle: the plant.
-        gains: `CASCADE_GAINS` by name, and k_i [1/s²] for integral action; other gains are ignored.
+        gains: the gains `CASCADE_GAINS` by name, and k_i [1/s²] for integral action; other gains are ignored.
         cruise: cruise speed U [m/s], > 0.
-        dt: control period [s], > 0. The loop delay is 1.5 dt: dt for the computation and dt/2 for the hold.
+        dt: control period [s], > 0. The loop delay is 1.5 dt: dt for the computation and dt/2 for the zero-order hold.
         model: the controller's model of the vehicle; default the vehicle itself.
-        delay: loop delay [s] in place of 1.5 dt; 0 omits the delay, for callers that sample the loop themselves.
+        delay: loop delay [s] in place of 1.5 dt; 0 omits the delay, for callers that model sampling exactly.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
@@ -138,21 +139,21 @@ def build_cascades(
     model: NDArray[np.float64],
     delay: float | None = None,
 ) -> Cascade:
-    """Build the cascades of n points at once; see `build_cascade`.
+    """Build the cascades of n parameter points at once; see `build_cascade`.
 
-    All points have the same order: all or none have thrust lag, and all or none have integral action.
+    All n cascades must have the same order: all or none have thrust lag, and all or none have integral action.
 
     Args:
         plant: (n, 17) plant parameters in the order of `plant_parameters`; the caller checks that each plant can
             hold the cruise speed.
-        gains: `CASCADE_GAINS` by name, and k_i for integral action, each (n,).
+        gains: the gains `CASCADE_GAINS` by name, and k_i for integral action, each an array (n,).
         cruise: cruise speed U (n,) [m/s].
         dt: control period [s].
         model: (n, 17) parameters of the controller's model, in the order of `plant`.
-        delay: as in `build_cascade`.
+        delay: loop delay [s], as in `build_cascade`.
 
     Raises:
-        InputError: a gain is missing or not positive, or the points have different orders.
+        InputError: a gain is missing or not positive, or the cascades have different orders.
     """
     for name in CASCADE_GAINS:
         if name not in gains:
@@ -197,7 +198,7 @@ def _columns(flat: NDArray[np.float64], layout: Layout, name: str) -> NDArray[np
 
 
 def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """The guidance gain G (n, 4, 4) in ν_c = −G (x, y, z, ψ)."""
+    """Return the guidance gain G (n, 4, 4), defined by ν_c = −G (x, y, z, ψ)."""
     outer = np.zeros((len(k["cruise"]), 4, 4))
     for axis, slope in enumerate((k["k1"], k["cruise"] / k["lookahead"], k["k2"], k["k_psi"])):
         outer[:, axis, axis] = slope
@@ -208,7 +209,7 @@ def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
 def _controller(
     model: Mapping[str, NDArray[np.float64]], k: Mapping[str, NDArray[np.float64]], nu: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The controller gain K (n, 4, 8) from the deviations (x, y, z, ψ, u, v, w, r) to −F."""
+    """Return the controller gain K (n, 4, 8), which maps the deviations (x, y, z, ψ, u, v, w, r) to −F."""
     inner = model["mass"] * np.stack([k["k_v"], k["k_v"], k["k_v"], k["k_r"]], axis=-1)
     slope = model["linear_drag"] + 2 * model["quadratic_drag"] * np.abs(nu)  # D'(ν_0)
     return np.concatenate([(inner + slope)[..., None] * _guidance(k), inner[..., None] * np.eye(4)], axis=-1)
@@ -220,7 +221,7 @@ def _with_integral(
     k: Mapping[str, NDArray[np.float64]],
     k_i: NDArray[np.float64],
 ) -> Cascade:
-    """The cascade with integral action: ξ̇ = k_i (ν_c − ν), and m̂ ξ is added to the thrust."""
+    """Add integral action to a cascade: ξ̇ = k_i (ν_c − ν), and m̂ ξ is added to the thrust command."""
     eye = np.broadcast_to(np.eye(4), (len(k_i), 4, 4))
     drive = k_i[:, None, None] * np.concatenate([_guidance(k), eye], axis=-1)
     return Cascade(
@@ -232,7 +233,7 @@ def _with_integral(
 
 
 def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The block-diagonal matrix of two matrices, each (n, …, …)."""
+    """Return the block-diagonal matrices of two stacks of matrices (n, …, …)."""
     (n, rows, columns), (_, more, further) = first.shape, second.shape
     joined = np.zeros((n, rows + more, columns + further))
     joined[:, :rows, :columns], joined[:, rows:, columns:] = first, second
@@ -242,7 +243,7 @@ def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 def _delayed(
     A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64], delay: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The plants with a Padé approximation of the delay [s] at each input."""
+    """Add a Padé approximation of the delay [s] at every input of the plants."""
     eye = np.eye(B.shape[-1])
     a, b, c, d = (np.kron(eye, m) for m in _pade(delay))
     n, order, lags = len(A), A.shape[-1], len(a)
@@ -254,9 +255,9 @@ def _delayed(
 
 @cache
 def _pade(delay: float) -> tuple[NDArray[np.float64], ...]:
-    """The matrices A, B, C, D of the Padé approximation of order 3 (Golub and Van Loan, algorithm 11.3.1).
+    """Return A, B, C, D of the third-order Padé approximation of a delay (Golub and Van Loan, algorithm 11.3.1).
 
-    They are in controller canonical form.
+    The matrices are in controller canonical form.
     """
     n, down = _PADE_ORDER, [1.0]
     for k in range(1, n + 1):

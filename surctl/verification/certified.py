@@ -1,4 +1,4 @@
-"""The result of an attempted proof, whose certificate the independent checker accepts or rejects."""
+"""The result of an attempted proof that the independent checker has checked."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Certified:
         claim: the claim.
         verdict: `proved` if the checker accepted the certificate, otherwise `unknown`.
         document: the certificate; empty if the verdict is `unknown`.
-        reason: why the claim is not proved; empty if the verdict is `proved`.
+        reason: reason why the claim is not proved; empty if the verdict is `proved`.
     """
 
     claim: _Claim
@@ -37,7 +37,7 @@ class Certified:
         return self.document
 
     def text(self) -> str:
-        """The text of the certificate file."""
+        """The certificate as the text of a file."""
         return json.dumps(self.document, separators=(",", ":")) + "\n"
 
     def write(self, path: Path) -> None:

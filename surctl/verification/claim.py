@@ -1,4 +1,4 @@
-"""A claim: an inequality that should hold everywhere on a domain, as data that can be checked and printed."""
+"""Claims as data: a claim states that an inequality holds everywhere on a domain."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ VerdictWord = Literal["proved", "refuted", "unknown", "not refuted"]
 
 @dataclass(frozen=True, eq=False)
 class Variable:
-    """One variable of a claim with its lower and upper bound.
+    """A variable of a claim, with its lower and upper bound.
 
     Attributes:
-        name: name of the variable, as counterexamples show it.
-        symbol: the scalar SX symbol.
+        name: name of the variable in the text of counterexamples.
+        symbol: scalar CasADi SX symbol of the variable.
         unit: SI unit; "1" if dimensionless.
-        lower: least value, in `unit`.
-        upper: largest value, in `unit`; not below `lower`.
+        lower: least value of the variable, in `unit`.
+        upper: largest value of the variable, in `unit`; not below `lower`.
         meaning: description of the quantity, with its frame.
     """
 
@@ -45,7 +45,8 @@ class Motion:
     """The kinematic loop of a claim, on which a counterexample is replayed.
 
     Attributes:
-        rates: time derivative of each variable that moves, in its unit per second; the other variables are constant.
+        rates: time derivatives, by name of the variable, in the variable's unit per second; other variables are
+            constant.
         watched: the quantity whose rate the claim bounds (a Lyapunov function or a clearance).
         name: name of `watched`.
         unit: unit of `watched`.
@@ -61,27 +62,27 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Claim:
-    """The claim left(x) ≤ right(x) for every x in a box with constraints(x) ≤ 0; the two sides may be equal.
+    """The claim that left(x) ≤ right(x) for every x in a box at which constraints(x) ≤ 0.
 
-    To claim "negative away from the origin", choose a right side that is negative away from the origin,
-    for instance −c‖e‖²: equality at the origin then does not refute the claim.
+    Equality does not refute a claim. To claim that the left side is negative away from the origin, choose a right side
+    that is negative there, for instance −c‖e‖².
 
     Attributes:
         name: short name, used on the command line.
         statement: the claim in words.
-        equation: numbers of the paper's equations to which the claim refers.
+        equation: numbers of the equations in the paper to which the claim refers.
         errata: ids of the errata that concern the claim.
-        expected: the expected verdict; for a claim as printed in the paper it may be `refuted`.
+        expected: the expected verdict; `refuted` for a claim that the paper states wrongly.
         variables: the variables with their bounds.
-        left: scalar SX in the variables.
-        right: scalar SX in the variables.
+        left: left side of the inequality, a scalar SX expression of the variables.
+        right: right side of the inequality, a scalar SX expression of the variables.
         unit: unit of both sides.
-        constraints: SX column g; the domain is the part of the box where g ≤ 0.
+        constraints: column g of SX expressions; the domain of the claim is the part of the box where g ≤ 0.
         witnesses: points that the falsifier tries first, each with a value for every variable.
         motion: the loop on which a counterexample is replayed, if the claim bounds a rate.
-        paper: whether the claim comes from the paper, as printed or as corrected.
-        tolerance: a point refutes the claim only if left − right exceeds this times the largest |left| or |right|
-            found.
+        paper: whether the claim comes from the paper, either as printed or in corrected form.
+        tolerance: relative tolerance for rounding: a point refutes the claim only if left − right exceeds `tolerance`
+            times the largest |left| or |right| found.
     """
 
     name: str
@@ -100,7 +101,7 @@ class Claim:
     paper: bool = True
 
     def __post_init__(self) -> None:
-        """Raise InputError, with the claim's name, if the claim cannot be checked."""
+        """Raise an InputError, which names the claim, if the claim cannot be checked."""
         names = [v.name for v in self.variables]
         if len(set(names)) < len(names) or not names:
             raise self._mistake("needs variables with different names", names)
@@ -137,7 +138,7 @@ class Claim:
         return np.array([v.upper for v in self.variables], dtype=float)
 
     def point(self, values: Mapping[str, float]) -> NDArray[np.float64]:
-        """The vector (n,) of the named values; InputError if a name is missing or unknown."""
+        """Return the vector (n,) of values that are given by name; raise InputError if a name is missing or unknown."""
         names = [v.name for v in self.variables]
         for name in values:
             if name not in names:
@@ -148,11 +149,11 @@ class Claim:
         return np.array([float(values[name]) for name in names])
 
     def values(self, point: NDArray[np.float64]) -> dict[str, float]:
-        """The values of a vector (n,) by variable name."""
+        """Return the values of a vector (n,) as a mapping from variable names."""
         return {v.name: float(x) for v, x in zip(self.variables, point, strict=True)}
 
     def on(self, domain: Mapping[str, tuple[float, float]]) -> Claim:
-        """The same claim with other bounds (lower, upper) by variable; witnesses outside them are dropped."""
+        """Return the claim with other bounds (lower, upper) by variable, without witnesses outside the new bounds."""
         known = [v.name for v in self.variables]
         for name in domain:
             if name not in known:

@@ -1,4 +1,4 @@
-"""Read a claim from a TOML file, and write any claim of the library as one."""
+"""Read a claim from a TOML file, and write any claim of the library as such a file."""
 
 from __future__ import annotations
 
@@ -82,10 +82,10 @@ def load_claim(path: Path) -> Claim:
         y_e = { lower = -2, upper = 2, unit = "m", meaning = "cross-track error" }
         u = { lower = 0.05, upper = 0.25, unit = "m/s" }
 
-    Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side that counts as
-    rounding; default 1e-9), `witnesses` (points, each with a value for every variable) and the table `[motion]`
-    (`rates` by variable, `watched`, `name`, `unit`, `duration`), the loop on which a counterexample is replayed. Units
-    are printed but not converted: use SI units.
+    Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side that counts as rounding;
+    default 1e-9), `witnesses` (points, each with a value for every variable) and the table `[motion]` (`rates` by
+    variable, `watched`, `name`, `unit`, `duration`). The motion is the loop on which a counterexample is replayed.
+    Units are printed but not converted: use SI units.
 
     Raises:
         InputError: the file is not a valid claim; the error names file, key, token and column, and the remedy.
@@ -142,7 +142,7 @@ def _variable(name: str, symbol: ca.SX, entry: _VariableTable) -> Variable:
 
 
 def _checked_names(table: _ClaimTable, path: Path) -> list[str]:
-    """The names of the variables; InputError for a name that the grammar cannot read."""
+    """Return the names of the variables; raise InputError for a name that the grammar cannot read."""
     if not table.variables:
         raise InputError("is empty", file=path, key="variables", remedy="give at least one variable with bounds")
     for kind, group in (("variables", table.variables), ("constants", table.constants)):
@@ -171,7 +171,7 @@ def _motion(table: _ClaimTable, read: Callable[[str, str], ca.SX]) -> Motion | N
 
 
 def write_claim(claim: Claim) -> str:
-    r"""Return the claim as the text of a TOML claim file; `load_claim` reads it back as the same claim.
+    r"""Return the claim as the text of a TOML claim file, from which `load_claim` restores the claim.
 
     Raises:
         UnsupportedOperation: the claim uses an operation that the claim grammar does not have.

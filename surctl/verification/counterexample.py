@@ -1,4 +1,4 @@
-"""A counterexample, the point where a claim fails, and its replay: a second evaluation and a run of the loop."""
+"""Counterexamples (points where a claim fails) and their replay, by a second evaluation and by a simulation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Origin = Literal["search", "witness"]
 
 @dataclass(frozen=True)
 class Counterexample:
-    """A point of a claim's domain, with the margin at this point.
+    """A point of a claim's domain, with the margin left − right at this point.
 
     Attributes:
         values: value of each variable, in its unit.
@@ -41,7 +41,7 @@ class Counterexample:
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Counterexample:
-        """Read the result of `to_dict`; InputError if a field is missing or is not a number."""
+        """Restore a counterexample from the result of `to_dict`; InputError if a field is missing or not a number."""
         try:
             values = {str(k): float(v) for k, v in table["values"].items()}
             origin: Origin = "witness" if table.get("origin") == "witness" else "search"
@@ -60,13 +60,14 @@ class Replay:
     """The result of evaluating a counterexample again and simulating the claim's motion from it.
 
     Attributes:
-        margin: left − right, evaluated again.
+        margin: left − right at the point, evaluated again.
         inside: whether the point lies in the claim's domain.
         name: name of the watched quantity; empty if the claim has no motion.
         unit: unit of the watched quantity.
         time: (k,) times [s]; empty if the claim has no motion.
         watched: (k,) the watched quantity along the motion.
-        excess: (k,) ∫ margin dt: by how much the watched quantity exceeds the value that the claim allows.
+        excess: (k,) the integral of the margin over time: the amount by which the watched quantity exceeds its claimed
+            bound.
     """
 
     margin: float
@@ -79,7 +80,10 @@ class Replay:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the point lies in the domain, its margin is positive, and the motion exceeds the claimed bound."""
+        """Whether the replay confirms the counterexample.
+
+        The point then lies in the domain, its margin is positive, and the motion exceeds the claimed bound.
+        """
         return self.inside and self.margin > 0 and (self.excess.size == 0 or bool(self.excess[-1] > 0))
 
     def to_dict(self) -> dict[str, Any]:
@@ -92,10 +96,10 @@ class Replay:
 
 
 def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
-    """Return the margin at named values, and whether they lie in the claim's domain.
+    """Return the margin at a point given by variable names, and whether the point lies in the claim's domain.
 
     Raises:
-        InputError: a name is missing or is not a variable of the claim.
+        InputError: the value of a variable is missing, or a name is not a variable of the claim.
 
     Example:
         >>> from surctl.verification import claims, evaluate
@@ -111,7 +115,7 @@ def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
 def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -> Replay:
     """Evaluate a counterexample again; if the claim bounds a rate, also integrate the claim's loop from this point.
 
-    The integration ends when the violation ends, or after the motion's duration.
+    The integration ends when the margin is no longer positive, or after the duration that the motion states.
 
     Args:
         claim: the claim, with the gains for which it was refuted.
@@ -140,7 +144,10 @@ def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -
 def _replay(
     claim: Claim, motion: Motion, start: NDArray[np.float64], points: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Time, watched quantity and ∫ margin dt until the violation ends; variables without a rate stay constant."""
+    """Return the time, the watched quantity and ∫ margin dt until the violation ends.
+
+    Variables without a rate stay constant.
+    """
     from scipy.integrate import solve_ivp
 
     x = claim.symbols

@@ -1,4 +1,4 @@
-"""Claims about the course in (9): how sway affects a robot that steers by its heading instead of its course (E7)."""
+"""Claims about the course in (9): the effect of sway on a robot that steers by heading instead of course (E7)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _course(setting: Setting, *, corrected: bool) -> Claim:
 
 
 def course_printed(setting: Setting) -> Claim:
-    """The claim for (9) as printed, which uses the heading for the course: sway leaves a cross-track error Δ_h v/u."""
+    """The claim for (9) as printed, with the heading as the course; sway then leaves a cross-track error Δ_h v/u."""
     return _course(setting, corrected=False)
 
 

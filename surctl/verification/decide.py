@@ -34,11 +34,11 @@ def decide(
     time_limit: float = 20.0,
     progress: Callable[[str], None] | None = None,
 ) -> Verdict:
-    """Prove or refute a claim, or report where neither succeeded.
+    """Try to refute and then to prove a claim; if both fail, report the boxes that remain undecided.
 
     `refuted`: interval arithmetic confirms that the counterexample lies in the domain and that left exceeds right.
-    `proved`: `surctl.certcheck` accepts the certificate. Left may exceed right by the slack that the certificate
-    states: 0, or the amount that counts as rounding by the claim's tolerance.
+    `proved`: `surctl.certcheck` accepts the certificate. The certificate states a slack by which the left side may
+    exceed the right side: 0, or the rounding error that the claim's tolerance allows.
 
     Args:
         claim: the claim.
@@ -49,7 +49,7 @@ def decide(
         progress: function that receives a line of progress from time to time.
 
     Raises:
-        InputError: as in `falsify`.
+        InputError: `falsify` finds an error.
 
     Example:
         >>> from surctl.verification import claims, decide
@@ -81,10 +81,11 @@ def decide(
 
 
 def _confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float64]) -> Counterexample | None:
-    """A counterexample that interval arithmetic confirms, or None if there is none.
+    """Return a counterexample that interval arithmetic confirms, or None if no counterexample is confirmed.
 
-    Candidates are the worst point, then the other violating points (n, k), then the worst few of them moved slightly
-    into the domain. The worst point alone may not suffice: on the branch cut of atan2 an interval holds all angles.
+    Candidates are the worst point, then the other violating points (n, k), then the worst few violating points, moved
+    slightly into the domain. The worst point alone may not suffice: on the branch cut of atan2 an interval holds all
+    angles.
     """
     points = np.column_stack([claim.point(worst.values), violating])
     try:
@@ -107,7 +108,7 @@ def _confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float6
 
 
 def _moved(oracle: Oracle, point: NDArray[np.float64], by: float) -> NDArray[np.float64]:
-    """The point moved into the box until every constraint holds with the margin `by`, if possible."""
+    """Return the point, moved into the box until every constraint holds with the margin `by`, if possible."""
     claim = oracle.claim
     at = np.clip(point, claim.lower, claim.upper)
     for _ in range(_MOVES):

@@ -1,4 +1,7 @@
-"""The falsifier: samples, then local optimisation with exact gradients. It can refute a claim but never prove one."""
+"""The falsifier searches for a point where a claim fails, by sampling and by local optimisation with exact gradients.
+
+The falsifier can refute a claim but never prove one.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +28,8 @@ class Search:
 
     Attributes:
         verdict: `refuted`, with the worst point as counterexample, or `not refuted`.
-        violating: (n, k) every evaluated point where the margin exceeds the threshold, the worst first, in the
-            variables' units.
+        violating: (n, k) all k evaluated points at which the margin exceeds the threshold, in the variables' units; the
+            worst point is first.
     """
 
     verdict: Verdict
@@ -36,18 +39,19 @@ class Search:
 def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 0) -> Verdict:
     """Search for a point of the domain where the claim fails.
 
-    The falsifier evaluates scrambled Sobol samples, whose number is rounded up to a power of two. From the worst of
-    them that are far enough apart, it maximises the margin in the unit box with L-BFGS-B, or with SLSQP if the domain
-    has constraints.
+    The falsifier evaluates scrambled Sobol samples, whose number is rounded up to a power of two. The falsifier then
+    starts from the worst samples that are far enough apart, and maximises the margin in the unit box with L-BFGS-B, or
+    with SLSQP if the domain has constraints.
 
     Args:
         claim: the claim.
         samples: number of samples in the box, at least 2.
         starts: largest number of local searches, at least 1.
-        seed: seed of the samples; the same seed gives the same verdict.
+        seed: seed of the samples; equal seeds give equal verdicts.
 
     Raises:
-        InputError: fewer than 2 samples or 1 start, an empty domain, or a margin that is not finite in the domain.
+        InputError: there are fewer than 2 samples or fewer than 1 start, the domain is empty, or the margin is not
+            finite at a point of the domain.
 
     Example:
         >>> from surctl.verification import claims, falsify
@@ -99,7 +103,7 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
 
 
 def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
-    """Points (dimension, 2^k ≥ samples) of the unit box."""
+    """Return scrambled Sobol samples of the unit box, (dimension, number), the number rounded up to a power of two."""
     from scipy.stats import qmc
 
     sample = qmc.Sobol(dimension, seed=seed).random_base2(int(np.ceil(np.log2(samples))))
@@ -109,7 +113,10 @@ def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
 def _require_finite(
     oracle: Oracle, unit: NDArray[np.float64], margin: NDArray[np.float64], inside: NDArray[np.bool_]
 ) -> None:
-    """Raise InputError for a NaN or infinity in the domain: comparisons with NaN are false, as if nothing failed."""
+    """Raise InputError if the margin is NaN or infinite in the domain.
+
+    Every comparison with NaN is false, so that such a point would look as if the claim held.
+    """
     broken = np.flatnonzero(inside & ~np.isfinite(margin))
     if broken.size:
         where = oracle.claim.values(oracle.place(unit[:, broken[0]]))
@@ -128,7 +135,10 @@ def _choose_starts(
     inside: NDArray[np.bool_],
     starts: int,
 ) -> NDArray[np.float64]:
-    """The worst samples (n, ≤ starts) that are far enough apart; those outside the domain come last, nearest first."""
+    """Return the worst samples (n, ≤ starts) that are far enough apart.
+
+    Samples outside the domain come last; among them the nearest to the domain are first.
+    """
     outside = np.flatnonzero(~inside)[: 8 * starts]
     miss = [-float(np.min(oracle.slack(unit[:, i]), initial=0)) for i in outside]
     order = np.append(np.flatnonzero(inside)[np.argsort(-margin[inside], kind="stable")], outside[np.argsort(miss)])
@@ -141,14 +151,14 @@ def _choose_starts(
 
 
 def _climb(oracle: Oracle, starts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The end points (n, k) of the local searches that lie in the domain, in the variables' units."""
+    """Return the end points (n, k) of those local searches that end in the domain, in the variables' units."""
     ends = np.column_stack([oracle.place(_ascend(oracle, start)) for start in starts.T])
     margin, _, inside = oracle.evaluate(ends)
     return ends[:, inside & np.isfinite(margin)]
 
 
 def _ascend(oracle: Oracle, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The point of the unit box where a local search for the largest margin ends."""
+    """Run one local search for the largest margin; return its end point in the unit box."""
     from scipy.optimize import minimize
 
     slope = float(np.max(np.abs(oracle.gradient(start))))
@@ -168,7 +178,7 @@ def _ascend(oracle: Oracle, start: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _weigh(oracle: Oracle) -> tuple[Counterexample, ...]:
-    """The claim's witnesses with their margins; witnesses outside the domain are omitted."""
+    """Return the claim's witnesses with their margins, without the witnesses outside the domain."""
     claim, weighed = oracle.claim, []
     for witness in claim.witnesses:
         point = claim.point(witness)
@@ -181,7 +191,10 @@ def _weigh(oracle: Oracle) -> tuple[Counterexample, ...]:
 def _worst(
     oracle: Oracle, points: NDArray[np.float64], witnesses: tuple[Counterexample, ...], threshold: float
 ) -> tuple[Counterexample | None, float]:
-    """The worst point as a counterexample, or None if its margin is within the threshold; and the largest margin."""
+    """Return the worst point as a counterexample, and the largest margin.
+
+    The counterexample is None if the largest margin is within the threshold.
+    """
     margin = oracle.evaluate(points)[0]
     best = int(np.argmax(margin))
     worst = max([float(margin[best]), *(w.margin for w in witnesses)])
@@ -192,7 +205,7 @@ def _worst(
 
 
 def _shorten(oracle: Oracle, point: NDArray[np.float64]) -> Counterexample:
-    """The point rounded to as few decimals as possible, still in the domain and with 90 % of its margin or more."""
+    """Round a point to as few decimals as possible; it stays in the domain and keeps 90 % or more of its margin."""
     claim = oracle.claim
     full = float(oracle.evaluate(point[:, None])[0][0])
     for decimals in range(1, 8):

@@ -1,4 +1,4 @@
-"""The library of claims: the paper's claims on V1, V2 and the course, as printed and as corrected, and on braking."""
+"""The library of claims: claims of the paper on V1, V2 and the course, printed and corrected, and braking claims."""
 
 from __future__ import annotations
 
@@ -49,13 +49,14 @@ def claims(
     """Return the named claims, or all claims, for the given gains.
 
     Args:
-        gains: values by name. The fields of `Setting` are used, other gains are ignored; `speed` and `speed_max` are
-            the cruise speed and the speed limit. None uses the defaults.
+        gains: gain values by name. Only gains that are fields of `Setting` are used; `speed` is the cruise speed,
+            `speed_max` the speed limit. If `gains` is None, the default setting is used.
         names: names of the claims, in the desired order; None returns all claims.
-        vehicle: the vehicle of the braking claims; None uses sur540-flooded.
+        vehicle: the vehicle to which the braking claims refer; if it is None, the vehicle sur540-flooded is used.
 
     Raises:
-        InputError: a claim is unknown (the error names the nearest known one), or a gain is not positive.
+        InputError: the name of a claim is unknown (the error proposes the nearest known name), or a gain is not
+            positive.
         NotApplicable: the vehicle violates an assumption of a claim.
 
     Example:
@@ -75,7 +76,7 @@ def claims(
 def applicable_claims(
     gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
 ) -> tuple[tuple[Claim, ...], Mapping[str, NotApplicable]]:
-    """Return the applicable claims, and by name the reason why each other claim does not apply to the vehicle.
+    """Return the applicable claims, and for all other claims the reason, by name, why they do not apply to the vehicle.
 
     The arguments are those of `claims`.
 

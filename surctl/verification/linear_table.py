@@ -1,8 +1,8 @@
-"""Linear metrics of many points at once: poles, margins of the eight loops and step responses.
+"""Linear metrics of many operating points at once: poles, margins of the eight loops, and step responses.
 
-A point is a set of gains, a vehicle and a cruise speed. Every metric is defined as in python-control (`damp`,
-`stability_margins`, `disk_margins`, `step_info`), and the tests compare the two. The computation over all points
-together is about a hundred times faster.
+An operating point consists of gains, a vehicle and a cruise speed. Every metric is defined as in python-control
+(`damp`, `stability_margins`, `disk_margins`, `step_info`), and tests compare the results with those of python-control.
+The computation for all points together is about a hundred times faster than python-control.
 """
 
 from __future__ import annotations
@@ -91,22 +91,23 @@ def linear_table(
     columns: Collection[str] = tuple(LINEAR_METRICS),
     workers: int = 1,
 ) -> dict[str, NDArray[np.float64]]:
-    """Compute the linear metrics of n points, one array (n,) for each column.
+    """Compute the linear metrics of n operating points; return one array (n,) for every column.
 
-    An unstable point has margins 1, 0, 0, 0 (as in `LoopMargins`), an infinite sensitivity peak, settling time and
-    overshoot, a rejection frequency of 0, and NaN for the crossover. If the vehicle's thrust cannot hold the cruise
+    At an unstable point the margins are 1, 0, 0, 0 (as in `LoopMargins`); sensitivity peak, settling time and overshoot
+    are infinite; the rejection frequency is 0; and the crossover is NaN. If the vehicle's thrust cannot hold the cruise
     speed, the point has no linear model and every column is NaN.
 
     Args:
         vehicle: the plant.
-        values: values (n,) or scalar by parameter name, from `LINEAR_PARAMETERS`; other names are ignored.
+        values: mapping from parameter names (`LINEAR_PARAMETERS`) to values, scalar or (n,); other names are ignored.
             `vehicle.*` changes the plant and the controller's model, `plant.*` the plant alone; `plant.*` takes
             precedence.
-        base: gains that `values` does not name.
+        base: gains that apply unless `values` names them.
         cruise: cruise speed U [m/s], (n,) or scalar; ignored if `values` has `scenario.cruise`.
         dt: control period [s].
         model: the controller's model of the vehicle; default the vehicle itself.
-        columns: columns to compute. Step responses take three quarters of the time, margins most of the rest.
+        columns: names of the metrics to compute, keys of `LINEAR_METRICS`. Step responses take three quarters of the
+            computing time, and margins take most of the remaining time.
         workers: number of threads; the results do not depend on it.
 
     Raises:
@@ -141,7 +142,7 @@ def linear_table(
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """The data of n operating points: plant and model (n, 17) as in `plant_parameters`, gains and cruise (n,)."""
+    """Data of n operating points: plant and model (n, 17) as in `plant_parameters`; each gain (n,); cruise (n,)."""
 
     plant: NDArray[np.float64]
     model: NDArray[np.float64]
@@ -164,7 +165,7 @@ class Points:
         return inside
 
     def cascade(self, chosen: NDArray[np.intp]) -> Cascade:
-        """The cascades of the chosen points, which must all have the same order."""
+        """Build the cascades of the chosen points; all of them must have the same order."""
         return build_cascades(
             self.plant[chosen],
             {name: column[chosen] for name, column in self.gains.items()},
@@ -212,7 +213,7 @@ def read_points(
 
 
 def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
-    """Yield the indices of the feasible points, in groups whose cascades have the same states."""
+    """Yield the indices of the feasible points, in groups whose cascades have equal states."""
     lag = points.plant[:, _PLACES["thrust_lag"]] > 0
     integral = points.gains.get("k_i", np.zeros(points.count)) > 0
     feasible = points.feasible
@@ -234,7 +235,7 @@ def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
 
 
 def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
-    """The requested columns, and other columns that the same computation gives."""
+    """Return the requested columns, and other columns that their computation also gives."""
     poles = cascade.poles
     size = np.abs(poles)
     damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)

@@ -21,12 +21,13 @@ _HALVED = 8  # largest number of times that the step between two values is halve
 
 @dataclass(frozen=True, eq=False)
 class Locus:
-    """Closed-loop poles over the values of one parameter.
+    """A root locus: the closed-loop poles for every value of one parameter.
 
     Attributes:
         parameter: name of the parameter.
         values: (n,) values of the parameter, ascending or descending, in its unit.
-        poles: (n, k) complex poles [rad/s]; each column follows one pole from value to value.
+        poles: (n, k) complex poles [rad/s]; a row holds the poles at one value, a column follows one pole over the
+            values.
     """
 
     parameter: str
@@ -54,7 +55,7 @@ def sweep_locus(
 ) -> Locus:
     """Compute the poles of the cascade over the values of one parameter.
 
-    The poles at two neighbouring values are paired so that the sum of the distances between them is smallest.
+    The poles at neighbouring values are paired so that the sum of the distances between paired poles is smallest.
 
     Args:
         vehicle: the plant.
@@ -64,9 +65,10 @@ def sweep_locus(
         cruise: cruise speed U [m/s]; ignored if the cruise speed is the parameter that varies.
         dt: control period [s].
         model: the controller's model of the vehicle; default the vehicle itself.
-        smooth: largest step of a pole between two values, as a share of the pole's modulus. If a pole moves further,
-            for example where two poles separate, values are inserted, down to 2⁻⁸ of a step.
-        about: fixed values of other parameters; those that move no pole are ignored.
+        smooth: largest allowed step of a pole between two neighbouring values, as a share of the pole's modulus. If a
+            pole moves further, for example where two poles separate, values are inserted between two given values, down
+            to a spacing of 2⁻⁸ of the given spacing.
+        about: fixed values of other parameters by name; parameters that move no pole are ignored.
 
     Raises:
         InputError: the parameter moves no pole, the values are not in order or out of bounds, the vehicle cannot hold
@@ -112,7 +114,7 @@ def sweep_locus(
 
 
 def _paired(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """The poles with each row reordered so that it matches the row before it."""
+    """Reorder the poles in every row of the array so that each pole is in the column of the pole it continues."""
     from scipy.optimize import linear_sum_assignment
 
     for before, after in pairwise(poles):

@@ -1,9 +1,9 @@
-"""Frequency responses of the loops of many cascades at once, computed from eigenvalues, and their margins.
+"""Frequency responses and margins of the loops of many cascades at once; they are computed from eigenvalues.
 
 Let A_o be the system matrix with a loop open and A_c the matrix with this loop closed. The loop transfer function is
 l(s) = det(sI − A_c)/det(sI − A_o) − 1. Its frequency response is therefore a product over poles, and no linear system
-is solved at any frequency. A is first split into its decoupled blocks (surge, heave, sway with yaw), and each loop
-uses only its own block.
+is solved at any frequency. A is first split into its decoupled diagonal blocks (surge; heave; sway with yaw), and each
+loop uses only the block that contains it.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _SHRINKS = 16
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One loop of n points, opened at one place while all other loops are closed.
+    """One loop at n operating points; it is opened at one signal while all other loops are closed.
 
     Attributes:
-        closed: (n, k) poles [rad/s] with this loop closed.
-        opened: (n, k) poles [rad/s] with this loop open.
+        closed: (n, k) poles [rad/s] of the system with this loop closed.
+        opened: (n, k) poles [rad/s] of the system with this loop open.
     """
 
     closed: NDArray[np.complex128]
@@ -52,7 +52,7 @@ class Loop:
         """Return the frequency response L(jω) (p, …) of the p selected points.
 
         Args:
-            omega: frequencies [rad/s], (p, …) or broadcastable to it.
+            omega: frequencies [rad/s] in an array of shape (p, …), or of a shape that broadcasts to (p, …).
             points: indices of the p points, or a slice.
         """
         s = 1j * omega
@@ -66,7 +66,7 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Margins of one loop at n points, each (n,); `LoopMargins` defines them."""
+    """Margins of one loop at n operating points, each an array (n,); `LoopMargins` defines the margins."""
 
     gain_margin: NDArray[np.float64]
     phase_margin_deg: NDArray[np.float64]
@@ -78,13 +78,13 @@ class Crossings:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """The response of one loop to disturbances at n points, each (n,).
+    """Sensitivity metrics of one loop at n operating points, each an array (n,).
 
     Attributes:
         sensitivity_peak: largest |S| = |1/(1 + L)| over frequency.
-        rejection_rad_per_s: frequency [rad/s] up to which |S| ≤ −3 dB, so that disturbances are attenuated; 0 if |S|
-            is larger at all frequencies.
-        crossover_rad_per_s: highest frequency with |L| = 1 [rad/s]; 0 if there is none.
+        rejection_rad_per_s: frequency [rad/s] up to which |S| ≤ −3 dB, so that the loop attenuates disturbances; 0 if
+            |S| > −3 dB at all frequencies.
+        crossover_rad_per_s: highest frequency [rad/s] at which |L| = 1; 0 if |L| = 1 at no frequency.
     """
 
     sensitivity_peak: NDArray[np.float64]
@@ -100,7 +100,7 @@ def broken_loops(cascade: Cascade) -> list[Loop]:
     places = [cascade.at_thrust(k) for k in range(4)] + [cascade.at_output(k) for k in range(4)]
     loops = []
     for A, b, _ in places:
-        # the block on which this loop acts
+        # the set of states on which this loop acts
         where = next(k for k, block in enumerate(blocks) if np.any(b[:, block] != 0))
         block = blocks[where]
         loops.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
@@ -108,7 +108,7 @@ def broken_loops(cascade: Cascade) -> list[Loop]:
 
 
 def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
-    """Return the decoupled blocks of the states: one index array for each set of states coupled at any point."""
+    """Partition the states into decoupled sets, one index array per set; states coupled at any point share a set."""
     touch = np.any((A != 0) | (A.swapaxes(-1, -2) != 0), axis=0)
     left, blocks = np.arange(len(touch)), []
     while left.size:
@@ -123,7 +123,7 @@ def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
 
 
 def crossings_of(loop: Loop, *, highest: float) -> Crossings:
-    """Return the margins of one loop at n points; the closed loop must be stable at each point.
+    """Return the margins of one loop at n operating points; the closed loop must be stable at every point.
 
     The margins are defined as in python-control's `stability_margins` and `disk_margins`. Crossings are bracketed on a
     grid of frequencies and refined by bisection; a golden-section search finds the frequency of the disk margin.
@@ -163,7 +163,7 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
 
 
 def shape_of(loop: Loop, *, highest: float) -> Shape:
-    """Return sensitivity and crossover of one loop at n points; the closed loop must be stable at each point.
+    """Return sensitivity and crossover of one loop at n points; the closed loop must be stable at every point.
 
     Args:
         loop: the loop.
@@ -187,7 +187,7 @@ def shape_of(loop: Loop, *, highest: float) -> Shape:
 
 
 def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """The points whose loop has the phase −180° at ω = 0, and the gain factor that puts a real pole at 0."""
+    """Return the points with loop phase −180° at ω = 0, and the gain factor that puts a closed-loop pole at s = 0."""
     points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
     value = loop.response(np.zeros(1), points).real
     return points[value < 0], -1 / value[value < 0]
@@ -200,7 +200,7 @@ def _zeros(
     value: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
     selected: NDArray[np.bool_],
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Points and frequencies at which a value of the response changes sign, in the selected intervals of the grid."""
+    """Return points and frequencies at which a function of the response changes sign, in selected grid intervals."""
     points, at = np.nonzero((np.diff(np.sign(value(response)), axis=1) != 0) & selected)
     low, high = np.log(grid[at]), np.log(grid[at + 1])
     first, second = value(response[points, at]), value(response[points, at + 1])
@@ -216,7 +216,7 @@ def _zeros(
 
 
 def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """The balanced disk margin α = min over ω of |2 (1 + L)/(1 − L)| (Seiler, Packard and Gahinet 2020)."""
+    """Return the balanced disk margin α = min over ω of |2 (1 + L)/(1 − L)| (Seiler, Packard and Gahinet 2020)."""
 
     def radius(value: NDArray[np.complex128]) -> NDArray[np.float64]:
         with np.errstate(divide="ignore"):
@@ -231,7 +231,7 @@ def _least(
     response: NDArray[np.complex128],
     radius: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """The least value at each point (n,): a golden-section search around the least value on the grid."""
+    """Return the least value at every point (n,), by golden-section search around the least value on the grid."""
     points, log = np.arange(len(response)), np.log(grid)
     coarse = radius(response)
     nearest = np.argmin(coarse, axis=1)

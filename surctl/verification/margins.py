@@ -1,4 +1,4 @@
-"""Linear margins of the cascaded controller about cruise, one loop at a time; tests compare with python-control."""
+"""Stability margins of the linearised cascade about cruise, one loop at a time; tests compare with python-control."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class LoopMargins:
 
     Attributes:
         name: name of the loop; see `loop_margins`.
-        stable: whether the closed loop is stable; if not, the values below are 1, 0, 0, 0, 0 and 1.
-        gain_margin: least factor > 1 on the loop gain that destabilises the loop; inf if there is none.
+        stable: whether the closed loop is stable; if it is not, both gain factors are 1 and all other values are 0.
+        gain_margin: least factor > 1 on the loop gain that destabilises the loop; inf if no such factor exists.
         phase_margin_deg: least extra phase lag [deg] that destabilises the loop; inf if the gain never crosses 1.
-        delay_margin_s: least extra delay [s] that destabilises the loop: the least ratio of phase margin to frequency
-            over all crossings.
+        delay_margin_s: least extra delay [s] that destabilises the loop, which is the least ratio of phase margin to
+            frequency over all gain crossings.
         disk_margin: radius α of the balanced disk margin (Seiler, Packard and Gahinet 2020), 0 … 2.
-        crossover_rad_s: highest frequency [rad/s] at which the loop gain crosses 1; 0 if it never does.
-        least_gain: largest factor < 1 on the loop gain that destabilises the loop; 0 if there is none. A loop that is
-            unstable when open always has such a factor.
+        crossover_rad_s: highest frequency [rad/s] at which the loop gain crosses 1; 0 if the loop gain never crosses 1.
+        least_gain: largest factor < 1 on the loop gain that destabilises the loop; 0 if no such factor exists. A loop
+            that is unstable when it is open always has a destabilising factor < 1.
     """
 
     name: str
@@ -44,14 +44,14 @@ class LoopMargins:
     least_gain: float
 
     def to_dict(self) -> dict[str, Any]:
-        """The margins as plain data; infinite margins stay inf."""
+        """The margins as plain data for JSON; infinite margins stay inf."""
         return asdict(self)
 
 
 def loop_margins(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
 ) -> tuple[LoopMargins, ...]:
-    """Return the margins of the eight loops about cruise; the module `cascade` describes the linear model.
+    """Return the stability margins of the eight loops about cruise; the module `cascade` describes the linear model.
 
     The loops `surge`, `sway`, `heave` and `yaw` are opened at the thrust command while guidance stays closed: their
     margins bound a delay or gain error of this thrust. The loops `along_track`, `cross_track`, `depth` and `heading`
@@ -93,19 +93,19 @@ def worst_margins(
 ) -> tuple[LoopMargins, ...]:
     """Return the least margins of each loop over uncertain mass and drag; the controller keeps the nominal model.
 
-    All masses are multiplied by 1 − uncertainty or 1 + uncertainty, and all drag coefficients likewise. This gives four
-    corner vehicles besides the nominal one. A linear loop is usually worst at a corner, but the result is no proof for
-    the values between the corners.
+    All masses are multiplied by 1 − uncertainty or 1 + uncertainty, and all drag coefficients likewise. Combining the
+    two signs gives four corner vehicles besides the nominal vehicle. A linear loop is usually worst at a corner, but
+    the result is no proof for the values between the corners.
 
     Args:
         vehicle: the nominal vehicle.
-        gains: as in `loop_margins`.
+        gains: the gains by name, as in `loop_margins`.
         uncertainty: relative uncertainty of mass and drag, 0 ≤ uncertainty < 1.
         cruise: cruise speed U [m/s].
         dt: control period [s].
 
     Raises:
-        InputError: as in `loop_margins`, or the uncertainty is out of range.
+        InputError: `loop_margins` finds an error, or the uncertainty is out of range.
 
     Example:
         >>> from surctl.control import load_gains
@@ -124,7 +124,7 @@ def worst_margins(
 
 
 def least_margins(margins: Sequence[tuple[LoopMargins, ...]]) -> tuple[LoopMargins, ...]:
-    """Return the least margins of each loop over several vehicles."""
+    """Return, for each loop, the least value of every margin over several vehicles."""
     return tuple(_least(same) for same in zip(*margins, strict=True))
 
 
@@ -182,7 +182,7 @@ def margins_of(
 
 
 def _only(name: str, crossings: Crossings) -> LoopMargins:
-    """The margins of a single point."""
+    """The margins of the loop at the only operating point."""
     return LoopMargins(
         name,
         True,

@@ -1,4 +1,4 @@
-"""Margin, constraints and exact gradients of a claim on the unit box, as the falsifier evaluates them."""
+"""Functions that the falsifier evaluates: margin, constraints and exact gradients of a claim on the unit box."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ _FEASIBLE = 1e-9  # tolerance of bounds and constraints in their own unit; in fl
 
 @dataclass(frozen=True, eq=False)
 class Oracle:
-    """A compiled claim. Points are columns in the unit box; `place` converts them to the variables' units.
+    """The compiled functions of a claim.
+
+    Points are columns of the unit box; `place` converts them to the variables' units.
 
     Attributes:
         claim: the claim.
-        sides: x (n, N) → left, right (1, N), constraints (m, N).
-        slopes: x (n,) → gradient of the margin (n,), Jacobian of the constraints (m, n).
+        sides: function of N points x (n, N); returns left (1, N), right (1, N), and constraints (m, N).
+        slopes: function of one point x (n,); returns the gradient of the margin (n,), and the Jacobian of the
+            constraints (m, n).
     """
 
     claim: Claim
@@ -40,7 +43,8 @@ class Oracle:
         """Evaluate points x (n, N) given in the variables' units.
 
         Returns:
-            The margin (N,), the larger of |left| and |right| (N,), and whether each point lies in the domain (N,).
+            Return three arrays (N,): the margin; the larger of |left| and |right|; whether the point lies in the
+                domain.
         """
         left, right, g = (np.asarray(part) for part in self.sides(x))
         left, right = np.broadcast_to(left, (1, x.shape[1]))[0], np.broadcast_to(right, (1, x.shape[1]))[0]
@@ -49,22 +53,25 @@ class Oracle:
         return left - right, np.maximum(abs(left), abs(right)), in_box & np.all(g <= _FEASIBLE, axis=0)
 
     def margin(self, unit: NDArray[np.float64]) -> float:
-        """The margin at a point (n,) of the unit box; −inf where it is not finite, so that no search goes there."""
+        """Return the margin at a point (n,) of the unit box; −inf where it is not finite, so that searches avoid it."""
         left, right, _ = self.sides(self.place(unit))
         value = float(left) - float(right)
         return value if np.isfinite(value) else -np.inf
 
     def gradient(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The exact gradient ∂margin/∂unit (n,); finite differences where it is not finite (a saturated arccos)."""
+        """Return the exact gradient ∂margin/∂unit (n,).
+
+        Where the exact gradient is not finite (a saturated arccos), finite differences replace it.
+        """
         exact = np.asarray(self.slopes(self.place(unit))[0]).reshape(-1) * (self.claim.upper - self.claim.lower)
         return exact if np.all(np.isfinite(exact)) else self._differences(unit)
 
     def slack(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The slack −g (m,) of the constraints; it is not negative in the domain."""
+        """Return the slack −g (m,) of the constraints; in the domain every slack is ≥ 0."""
         return -np.asarray(self.sides(self.place(unit))[2]).reshape(-1)
 
     def slack_jacobian(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The Jacobian ∂slack/∂unit (m, n)."""
+        """Return the Jacobian ∂slack/∂unit (m, n) of the slacks with respect to the point in the unit box."""
         jacobian = np.asarray(self.slopes(self.place(unit))[1])
         return -jacobian * (self.claim.upper - self.claim.lower)
 

@@ -1,9 +1,9 @@
-"""Phase portraits of a region certificate: level sets in a plane of states, the flow, and where V̇ ≤ −aV fails.
+"""Phase portraits of a region certificate: level sets of V in a plane of states, the flow, and where V̇ ≤ −aV fails.
 
-The flow is that of the heading loop, or of the cruise that the certificate states, without thrust lag and sampling. The
-states are the position in the path frame and the velocity over ground in the path frame; thrust limits and drag act
-along the body axes. Violations are searched at the corners of the vehicle's ranges and over headings. An area without
-violations is therefore no proof; the certificate is.
+The flow shows the heading loop or the cruise that the certificate states, without thrust lag and sampling. The states
+are the position in the path frame and the velocity over ground in the path frame; thrust limits and drag act along the
+body axes. Violations of V̇ ≤ −aV are searched at the corners of the vehicle's parameter ranges and over headings. An
+area without violations is therefore no proof; the proof is the certificate.
 """
 
 from __future__ import annotations
@@ -44,15 +44,16 @@ class Portrait:
 
     Attributes:
         plane: name of the plane, one of `planes_of`.
-        x, y: (m,), (k,) values of the two deviations [m, m/s, rad, rad/s].
-        flow: (2, k, m) rates of the two deviations for one vehicle; in a cruise this vehicle heads along the path.
-        whose: the vehicle that the flow belongs to: `nominal` or `mid-range`.
+        x, y: grid values of the first deviation (m,) and of the second deviation (k,), in m, m/s, rad or rad/s.
+        flow: (2, k, m) time derivatives of the two deviations for the vehicle `whose`; in a cruise it heads along the
+            path.
+        whose: vehicle for which the flow is computed: `nominal` or `mid-range`.
         level: (k, m) values of V.
         excess: (k, m) largest V̇/V + a [1/s] found over vehicles and headings; where it is positive, V decays more
             slowly than the certified rate.
-        levels: V of the innermost shell, then of the other shells, then 1; the first is 0 if V decays to the
-            equilibrium.
-        lagged: whether the certificate includes thrust lag; the flow of the portrait does not.
+        levels: values of V to draw: of the innermost shell, of the other shells, and 1; the innermost value is 0 if V
+            decays to the equilibrium.
+        lagged: whether the certificate includes thrust lag; the flow of the portrait never includes it.
     """
 
     plane: str
@@ -68,7 +69,7 @@ class Portrait:
 
 @dataclass(frozen=True, eq=False)
 class _Loop:
-    """The data of a portrait: V = ξᵀPξ, the rates of the shown vehicle, and the rates of all vehicles tried."""
+    """Data of a portrait: V = ξᵀPξ, the rates ξ̇ of the shown vehicle, and the rates ξ̇ of all vehicles tried."""
 
     P: Array
     shown: Rates
@@ -79,7 +80,7 @@ class _Loop:
 
 
 def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
-    """Return the planes in which a certificate can be drawn: by name, the indices of the two states.
+    """Return the planes in which a certificate can be drawn: plane name → indices of the two states.
 
     Raises:
         InputError: the certificate has no level sets.
@@ -176,7 +177,7 @@ Boat = tuple[float, tuple[float, ...], tuple[float, ...]]
 
 
 def _boats(claim: Mapping[str, Any]) -> list[Boat]:
-    """Corner values of mass and drag, with equal drag in surge and sway and with the largest difference allowed."""
+    """Return corner values of mass and drag, both with equal drag in surge and sway and with the largest difference."""
     vehicle = claim["vehicle"]
     ratio = (2 + vehicle["asymmetry"]) / (2 - vehicle["asymmetry"]) if vehicle["asymmetry"] < 2 else np.inf
 
@@ -188,7 +189,7 @@ def _boats(claim: Mapping[str, Any]) -> list[Boat]:
 
 
 def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
-    """The states (x_e, y_e, U_x, U_y) from the deviations; unmodelled drag makes the steady cruise lag its target."""
+    """Convert deviations to states (x_e, y_e, U_x, U_y); unmodelled drag makes the steady cruise lag its target."""
     law, (_, linear, quadratic) = claim["law"], boat
     v, hat, hat2 = law["cruise"], law["linear_drag"], law["quadratic_drag"]
     missing = (np.mean(linear) - hat) * v + _SHARE * (np.mean(quadratic) - hat2) * v * v
@@ -200,7 +201,7 @@ def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
 
 
 def _rate(claim: Mapping[str, Any], boat: Boat, state: Array, psi: float) -> Array:
-    """The rates d/dt (x_e, y_e, U_x, U_y) (n, 4) at the heading ψ relative to the path."""
+    """Return the time derivatives of (x_e, y_e, U_x, U_y), (n, 4), at the heading ψ relative to the path."""
     law, limit = claim["law"], claim["vehicle"]["thrust_n"]
     mass, linear, quadratic = boat
     slant = np.hypot(1.0, state[:, 1] / law["lookahead"])

@@ -1,4 +1,4 @@
-"""Stability margins of any system as it is sampled: one loop at a time by python-control, several at once by disks."""
+"""Margins of any sampled linear system: of one loop at a time by python-control, of several loops by disk margins."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ Array = NDArray[np.float64]
 
 __all__ = ["system_disk_margin", "system_margins"]
 
-_SPURIOUS = 1e-6  # a factor beyond this, or beyond its inverse, comes from a zero of the loop
+_SPURIOUS = 1e-6  # a gain factor below this value, or above its inverse, comes from a zero of the loop
 _SINGULAR = 1e12  # condition number from which z counts as a pole
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
 
 def system_margins(linear: Linearisation, *openings: str) -> tuple[LoopMargins, ...]:
-    """The margins of each loop of a linearised system, opened at one signal while all other loops stay closed.
+    """Return the margins of every loop of a linearised system; one loop is opened at a time, all others stay closed.
 
     Args:
         linear: the linear loop, see `surctl.system.linearise`.
-        openings: commands or measured outputs by label; default: every command, then every measured output.
+        openings: labels of the signals at which a loop is opened, commands or measured outputs; by default every
+            command, then every measured output.
 
     Raises:
-        InputError: an unknown opening.
+        InputError: an entry of `openings` is not the label of a command or of a measured output.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -51,14 +52,17 @@ def system_margins(linear: Linearisation, *openings: str) -> tuple[LoopMargins, 
 
 
 def system_disk_margin(linear: Linearisation, *openings: str) -> DiskMargin:
-    """The disk margin of a linearised system opened at several signals at once; its frequency is below π/dt.
+    """Return the disk margin of a linearised system that is opened at several signals at once.
+
+    The frequency in the result lies below the Nyquist frequency π/dt.
 
     Args:
         linear: the linear loop, see `surctl.system.linearise`.
-        openings: commands or measured outputs by label; default: every command and every measured output.
+        openings: labels of the signals at which the loops are opened, commands or measured outputs; by default all of
+            them.
 
     Raises:
-        InputError: an unknown opening.
+        InputError: an entry of `openings` is not the label of a command or of a measured output.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -84,12 +88,12 @@ def _stable(linear: Linearisation) -> bool:
 
 
 def _margins(linear: Linearisation, opening: str) -> LoopMargins:
-    """By python-control, of every crossing; a loop without gain has infinite margins."""
+    """Compute the margins of one loop from all crossings that python-control finds; without gain they are infinite."""
     import control  # takes seconds to import
 
     loop = linear.loop(opening)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # at z = 1 and z = -1, which `_at_ends` covers
+        warnings.simplefilter("ignore")  # warnings at z = 1 and z = -1, which `_at_ends` covers
         gains, phases, _, _, crossings, _ = control.stability_margins(loop, returnall=True)
     gains, phases, crossings = (np.atleast_1d(np.asarray(v, dtype=float)) for v in (gains, phases, crossings))
     gains = np.concatenate([gains, _at_ends(*linear.opened(opening))])
@@ -110,7 +114,7 @@ def _margins(linear: Linearisation, opening: str) -> LoopMargins:
 
 
 def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
-    """The gain factors that put a pole at z = 1 or at z = -1, the Nyquist frequency."""
+    """Return the gain factors that put a closed-loop pole at z = 1 or at z = -1 (the Nyquist frequency)."""
     factors = []
     for z in (1.0, -1.0):
         pencil = z * np.eye(len(A)) - A
@@ -121,7 +125,10 @@ def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
 
 
 def _continuous(linear: Linearisation, *openings: str) -> OpenLoop:
-    """The opened loop over s with z = (1 + s)/(1 - s): the unit circle becomes the imaginary axis, values stay."""
+    """Transform the open loop by z = (1 + s)/(1 - s), which maps the unit circle to the imaginary axis.
+
+    The values of the frequency response do not change.
+    """
     A, B, C, D = linear.opened(*openings)
     whole = np.linalg.inv(A + np.eye(len(A)))
     root = np.sqrt(2)

@@ -1,4 +1,4 @@
-"""The gains, speeds and radii that the library's claims use."""
+"""Gains, speeds and radii with which the claims of the library are evaluated."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from surctl.errors import InputError
 
 __all__ = ["OVERSHOOT", "Setting", "setting_from"]
 
-OVERSHOOT = 0.25 / 0.22  # ratio of own speed to commanded speed that the braking claims assume
-_FASTEST = 0.25  # [m/s] least upper bound of the own speed in the braking claims
+OVERSHOOT = 0.25 / 0.22  # ratio of the robot's speed to its commanded speed that the braking claims assume
+_FASTEST = 0.25  # [m/s] least upper bound of the robot's speed in the braking claims
 _ALIASES = {"margin": "standoff"}  # name of d_s in the gain file
 
 
@@ -25,12 +25,12 @@ class Setting:
         k2: depth gain [1/s].
         k3: convergence coefficient of (20).
         lookahead: Δ_h [m].
-        delta: scale of δ of (20) [m]; the claims as printed cover up to 2 delta.
+        delta: scale of δ in (20) [m]; the printed claims cover δ up to 2 `delta`.
         kappa: barrier gain κ of the corrected avoidance law [1/s].
         standoff: standoff distance d_s of the corrected avoidance law [m].
         radius: anti-collision radius R_OB [m].
-        speed: speed v_d = U_d of the target on the path [m/s].
-        speed_max: largest speed U_h of the robot and u_OB of the obstacle [m/s].
+        speed: speed v_d = U_d [m/s] of the target point that moves along the path.
+        speed_max: largest speed [m/s], both of the robot (U_h) and of the obstacle (u_OB).
         avoidance_speed: robot speed u_dm in the paper's figures [m/s].
         obstacle_speed: obstacle speed u_OB in the paper's figures [m/s].
     """
@@ -50,7 +50,7 @@ class Setting:
 
     @property
     def fastest(self) -> float:
-        """The largest own speed [m/s] in the braking claims, including overshoot beyond the speed limit."""
+        """The largest speed [m/s] of the robot in the braking claims, including overshoot beyond the speed limit."""
         return max(_FASTEST, OVERSHOOT * self.speed_max)
 
     def __post_init__(self) -> None:
@@ -78,7 +78,7 @@ class Setting:
 def setting_from(gains: Mapping[str, float] | None) -> Setting:
     """Return the setting with the given gains; gains that no claim uses are ignored.
 
-    A gain δ ≤ 0 is not the safety distance of the printed law, so it is ignored and `Setting.delta` keeps its default.
+    A gain δ ≤ 0 cannot be the safety distance of the printed law; it is ignored, and `Setting.delta` keeps its default.
 
     Raises:
         InputError: a gain is not one finite number greater than 0.

@@ -1,4 +1,4 @@
-"""Cruise speeds at which a linear loop is judged: checks of the speeds, and figures of the loop at each speed."""
+"""Cruise speeds at which linear loops are evaluated: checks of the speeds, and metrics of the loop at every speed."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from surctl.verification.linear_table import LINEAR_METRICS, linear_table
 
 __all__ = ["OverSpeeds", "check_held", "cruise_speeds", "over_speeds", "speeds_text", "worst_place", "worst_text"]
 
-_SAME = 1e-6  # relative difference up to which two figures count as equal
+_SAME = 1e-6  # relative difference up to which two metric values count as equal
 
 
 def cruise_speeds(speeds: Sequence[float], *, key: str) -> tuple[float, ...]:
-    """Return the speeds [m/s], slowest first.
+    """Check cruise speeds [m/s]; return them, slowest first.
 
     Raises:
-        InputError: there is no speed, or a speed is not finite, not greater than 0, or repeated; it names the key.
+        InputError: there is no speed, or a speed is not finite, not greater than 0, or repeated; the error names the
+            key.
 
     Example:
         >>> from surctl.verification import cruise_speeds
@@ -66,8 +67,8 @@ def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: st
 def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return the index of the worst entry along the first axis (the speeds), in the shape of the other axes.
 
-    A larger entry is worse, and NaN is worst. Entries that differ only by rounding count as equal; the index is then
-    that of the slowest speed.
+    The largest entry is the worst; NaN counts as larger than all numbers. Entries that differ only by rounding count as
+    equal; the index is then that of the slowest speed.
 
     Example:
         >>> import numpy as np
@@ -106,23 +107,26 @@ def speeds_text(speeds: Sequence[float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class OverSpeeds:
-    """Linear figures of one set of gains at several cruise speeds.
+    """Linear metrics of one gain set at several cruise speeds.
 
     Attributes:
         cruise: (k,) cruise speeds [m/s].
-        figures: column of `LINEAR_METRICS` → (k,) values.
+        figures: name of a metric of `LINEAR_METRICS` → its values (k,) at the k speeds.
     """
 
     cruise: tuple[float, ...]
     figures: Mapping[str, NDArray[np.float64]]
 
     def worst(self, name: str) -> tuple[float, float]:
-        """Return a figure's worst value and its speed [m/s]; the least value is worst unless low values are better."""
+        """Return the worst value of a metric and its speed [m/s].
+
+        The worst value is the least value, unless low values of the metric are better.
+        """
         place = int(worst_place(self._ill(name)))
         return float(self.figures[name][place]), self.cruise[place]
 
     def worst_at(self, name: str) -> str:
-        """Return the speed at which a figure is worst, as text."""
+        """Return the cruise speed at which a metric is worst, as text."""
         return worst_text(self._ill(name), self.cruise)
 
     def _ill(self, name: str) -> NDArray[np.float64]:
@@ -130,7 +134,7 @@ class OverSpeeds:
         return values if LINEAR_METRICS[name].better == "low" else -values
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data: the figures at each speed, and the worst value of each figure with its speed."""
+        """Return plain data for JSON: the metrics at each speed, and the worst value of each metric with its speed."""
         worst = {name: dict(zip(("value", "cruise_m_per_s"), self.worst(name), strict=True)) for name in self.figures}
         at = [
             {"cruise_m_per_s": speed} | {name: float(values[k]) for name, values in self.figures.items()}
@@ -150,7 +154,7 @@ def over_speeds(
     """Return the columns of `linear_table` at each cruise speed [m/s]; `dt` is the control period [s].
 
     Raises:
-        InputError: `linear_table` raises it.
+        InputError: `linear_table` finds an error.
 
     Example:
         >>> from surctl.control import load_gains

@@ -19,16 +19,16 @@ _LEVELS, _RATIO, _SAMPLES = 4, 8, 512  # number of time grids, each `_RATIO` tim
 def step_system(cascade: Cascade, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the systems (A, b, c), with a leading axis, from a reference to the controlled variable.
 
-    `cross_track`: a step of the path to one side, all loops closed. `heading`: a step of the desired heading, all loops
-    closed, while the path stays. `surge_speed`: a step of the desired surge speed, with the along-track loop open; its
-    response is correct up to a constant factor.
+    `cross_track`: the path steps to one side; all loops are closed. `heading`: the desired heading steps, and the path
+    does not change; all loops are closed. `surge_speed`: the desired surge speed steps; the along-track loop is open,
+    and the response is correct up to a constant factor.
     """
     B, K = cascade.B, cascade.K
     if name == "cross_track":
         return cascade.closed, B @ K[..., [1]], cascade.C[..., [1], :]
     if name == "heading":
         drive = np.zeros_like(K[..., [3]])
-        drive[..., 3::4, :] = K[..., 3::4, [3]]  # yaw rows only: in sway, ψ enters by the rotation of ν_c into {B}
+        drive[..., 3::4, :] = K[..., 3::4, [3]]  # only rows of yaw: in sway, ψ enters by the rotation of ν_c into {B}
         return cascade.closed, B @ drive, cascade.C[..., [3], :]
     opened, b, _ = cascade.at_output(0)
     # k1 x takes the place of the desired speed, up to a factor that does not change the metrics; x is then unused
@@ -38,7 +38,7 @@ def step_system(cascade: Cascade, name: str) -> tuple[NDArray[np.float64], NDArr
 def step_figures(
     cascade: Cascade, stable: NDArray[np.bool_]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return settling time [s] and overshoot (share of the step) of n cascades by step name; inf if unstable."""
+    """Return settling time [s] and overshoot (share of the step) of n cascades for each step; inf if unstable."""
     figures = {}
     for name in STEP_NAMES:
         settling, overshoot = (np.full(len(stable), np.inf) for _ in range(2))
@@ -54,11 +54,11 @@ def step_figures(
 def _figures(
     A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Settling time and overshoot of the stable systems (n, k, k), (n, k, 1), (n, 1, k), by exact sampling.
+    """Return settling time and overshoot of stable systems A (n, k, k), b (n, k, 1), c (n, 1, k), by exact sampling.
 
-    The response is 1 − d(t) with d(t) = c e^(At) x_∞/(c x_∞) and x_∞ = −A⁻¹ b. It is sampled on four time grids, each
-    eight times longer than the one before, so that they resolve both an early peak and a late end. Between samples it
-    is interpolated.
+    The response is 1 − d(t) with d(t) = c e^(At) x_∞/(c x_∞) and x_∞ = −A⁻¹ b. The response is sampled on four time
+    grids, each eight times longer than the previous grid; together they resolve both an early peak and a late end.
+    Between samples the response is interpolated.
     """
     from scipy.linalg import expm
 
@@ -72,7 +72,7 @@ def _figures(
         rows, power = _sampled(power, c)
         d = (rows @ rest)[:, :, 0] / final
         later = _last_outside(d)
-        # where a finer grid covers the time, its more exact result stays
+        # where a finer grid covers the time, the more exact result of the finer grid is kept
         newer = later >= (_SAMPLES // _RATIO if level else 0)
         settling = np.where(newer, later * step, settling)
         highest, refined = _peak(-d)
@@ -83,7 +83,7 @@ def _figures(
 
 
 def _sampled(power: NDArray[np.float64], c: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The rows c Φ^j for j = 0 … `_SAMPLES`, (n, `_SAMPLES` + 1, k), computed by doubling; and Φ^`_RATIO`."""
+    """Return c Φ^j for j = 0 … `_SAMPLES`, (n, `_SAMPLES` + 1, k), computed by doubling, and the power Φ^`_RATIO`."""
     rows, following = c, power
     while rows.shape[1] < _SAMPLES:
         rows = np.concatenate([rows, rows @ power], axis=1)
@@ -94,7 +94,7 @@ def _sampled(power: NDArray[np.float64], c: NDArray[np.float64]) -> tuple[NDArra
 
 
 def _last_outside(d: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The sample after which d (n, m) stays within the settling band; 0 if d never leaves it."""
+    """Return the sample after which d (n, m) stays within the settling band; 0 if d never leaves this band."""
     outside = np.abs(d) >= _BAND
     last = d.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1)
     here = np.minimum(last, d.shape[1] - 2)
@@ -105,7 +105,7 @@ def _last_outside(d: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _peak(y: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The largest sample of y (n, m), at least 0, and the peak of the parabola through it and its neighbours."""
+    """Return the largest sample of y (n, m), at least 0, and the peak of the parabola through its neighbourhood."""
     at = np.clip(np.argmax(y, axis=1), 1, y.shape[1] - 2)
     point = np.arange(len(y))
     left, middle, right = y[point, at - 1], y[point, at], y[point, at + 1]

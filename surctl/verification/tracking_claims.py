@@ -1,6 +1,6 @@
 """Claims about the tracking law: the function V1 of (11)–(12), the speed limit, and the chain of norms in (12).
 
-The claims use the same expressions for the rates as the law itself (`surctl.guidance.tracking`).
+The claims take their expressions for the rates from the implemented law (`surctl.guidance.tracking`).
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _loop(setting: Setting, *, repaired: bool, capped: bool = False) -> _Loop:
 
 
 def _half(setting: Setting) -> float:
-    """The half-width [m] of the box: 2 m, or more if V1 first increases farther out with these gains."""
+    """The half-width [m] of the box of tracking errors: 2 m, or more if V1 first increases farther from the target."""
     return max(_LEAST_BOX, 1.25 * 2 * setting.speed / setting.k1, 1.6 * _first_cross_track(setting))
 
 
@@ -99,7 +99,7 @@ def _first_cross_track(setting: Setting) -> float:
 
 
 def v1_printed(setting: Setting) -> Claim:
-    """The claim (12) as printed: the surge command may change sign, and with it the term in y_e."""
+    """The claim (12) as printed: the surge command may change sign, and then the term in y_e changes sign too."""
     loop = _loop(setting, repaired=False)
     witness = {
         "x_e": 2 * setting.speed / setting.k1,
@@ -125,9 +125,9 @@ def v1_printed(setting: Setting) -> Claim:
 def regional_rate(setting: Setting, half: float) -> float:
     """Return c > 0 [1/s] such that V̇1 ≤ −c‖e‖² on the box |e_i| ≤ half, for the law with surge clipped at 0.
 
-    For x_e ≤ q = v_d/(2 k1) the speed along the path is at least v_d/2, so every term is quadratic. For larger x_e,
-    the term in x_e alone must dominate y_e². It is concave in x_e beyond v_d/k1, so the two ends of the interval give
-    the least value.
+    For x_e ≤ q = v_d/(2 k1) the speed along the path is at least v_d/2, so every term of V̇1 has a quadratic bound. For
+    larger x_e, the term in x_e alone must dominate y_e². That term is concave in x_e beyond v_d/k1, so its least value
+    is at one of the two ends of the interval.
     """
     q2 = (setting.speed / (2 * setting.k1)) ** 2
     return min(
@@ -160,8 +160,8 @@ def v1_corrected(setting: Setting) -> Claim:
 def cap_limit(setting: Setting) -> tuple[float, float]:
     """Return the point (|x_e|, |y_e|) [m] nearest to the target where V̇1 ≤ 0 fails under the speed limit U_h ≤ U.
 
-    The robot is behind the target. With s = √(y_e² + Δ²), V1 grows if |x_e| > U (s² − Δ²)/(s v_d − U Δ). This bound is
-    least at s = Δ (U + √(U² − v_d²))/v_d, where it is 2 U s/v_d.
+    The robot is behind the target. With s = √(y_e² + Δ²), V1 grows if |x_e| > U (s² − Δ²)/(s v_d − U Δ). The bound on
+    |x_e| is least at s = Δ (U + √(U² − v_d²))/v_d, where the bound is 2 U s/v_d.
 
     Raises:
         NotApplicable: the speed limit is not above the cruise speed.
@@ -197,7 +197,7 @@ def v1_speed_cap(setting: Setting) -> Claim:
 
 
 def v1_speed_cap_region(setting: Setting) -> Claim:
-    """The claim (12) on the region that E9 requires: how far the robot may be behind its target."""
+    """The claim (12) on the region to which E9 limits the distance of the robot behind its target."""
     loop = _loop(setting, repaired=True, capped=True)
     x, _ = cap_limit(setting)
     half = max(_LEAST_CAP_BOX, 2 * x)
@@ -217,7 +217,7 @@ def v1_speed_cap_region(setting: Setting) -> Claim:
 
 
 def _norm_of_m(setting: Setting, loop: _Loop) -> tuple[ca.SX, ca.SX]:
-    """The least and the largest diagonal entry [1/s] of M in (12); its third entry is taken as k2 (E8)."""
+    """The least and the largest diagonal entry [1/s] of the matrix M in (12), with k2 as the third entry (E8)."""
     middle = loop.along / setting.lookahead  # U_h/√(y_e² + Δ²)
     least = ca.fmin(ca.fmin(setting.k1, setting.k2), middle)
     return least, ca.fmax(ca.fmax(setting.k1, setting.k2), ca.fabs(middle))

@@ -1,4 +1,4 @@
-"""A verdict as data: the claim, the result and the evidence."""
+"""Verdicts as data: the claim, the result of checking it, and the evidence."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ __all__ = ["Inapplicable", "Verdict"]
 
 @dataclass(frozen=True)
 class Inapplicable:
-    """A claim that does not apply to the given case; this is not a verdict on the claim.
+    """Record of a claim that does not apply to the given vehicle or gains; it is not a verdict on the claim.
 
     Attributes:
         claim: name of the claim.
-        because: the assumption that is violated, with its numbers.
+        because: the violated assumption of the claim, with the numbers that violate it.
         to: the object to which the claim does not apply: "this vehicle" or "these gains".
     """
 
@@ -29,7 +29,7 @@ class Inapplicable:
 
     @classmethod
     def of(cls, claim: str, reason: NotApplicable) -> Inapplicable:
-        """Create the entry from the `NotApplicable` error of the claim."""
+        """Create the record from the `NotApplicable` error that the check of the claim raised."""
         return cls(claim, reason.because, reason.to)
 
     @property
@@ -38,7 +38,7 @@ class Inapplicable:
         return f"not applicable to {self.to}, because {self.because}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The entry as plain data for JSON, with the keys that every verdict has."""
+        """The record as plain data for JSON, with the keys that every verdict has."""
         return {
             "claim": self.claim,
             "expected": None,
@@ -60,7 +60,7 @@ class Verdict:
         verdict: `proved` with a certificate, `refuted` with a counterexample, or `unknown` if neither was found.
             `not refuted` is the verdict of the falsifier alone: a search without a counterexample proves nothing.
         counterexample: a point where the claim fails.
-        worst_margin: largest left − right found in the domain, in the claim's unit.
+        worst_margin: largest value of left − right found in the domain, in the claim's unit.
         threshold: largest margin that counts as rounding, in the claim's unit.
         fraction: share of the samples in the domain at which the claim fails.
         samples: number of samples in the domain.
@@ -69,7 +69,7 @@ class Verdict:
         seconds: duration of the check [s].
         certificate: the certificate that `surctl.certcheck` accepts as a proof.
         open_ends: description of the part of the domain that the prover could not decide.
-        open_boxes: the largest boxes that the prover could not decide, (lower, upper) by variable.
+        open_boxes: the largest boxes that the prover could not decide; a box maps each variable to (lower, upper).
     """
 
     claim: Claim
@@ -90,8 +90,9 @@ class Verdict:
     def as_expected(self) -> bool:
         """Whether the verdict is the expected verdict of the claim.
 
-        The falsifier alone cannot prove a claim; for a claim expected to be proved, its verdict "not refuted" is as
-        expected. For a claim whose expected verdict is "not refuted", every verdict except "refuted" is as expected.
+        The falsifier alone cannot prove a claim; if the expected verdict is "proved", the falsifier's verdict "not
+        refuted" therefore counts as expected. For a claim whose expected verdict is "not refuted", every verdict except
+        "refuted" is as expected.
         """
         if self.claim.expected == "not refuted":
             return self.verdict != "refuted"
@@ -99,7 +100,7 @@ class Verdict:
 
     @property
     def remaining(self) -> str | None:
-        """Why the claim is not decided; None if the claim is proved or refuted."""
+        """The reason why the claim is not decided; None if the claim is proved or refuted."""
         if self.verdict not in ("not refuted", "unknown"):
             return None
         stopped = f"{self.open_ends}; " if self.open_ends else ""
@@ -131,7 +132,7 @@ class Verdict:
         }
 
     def _proof(self) -> dict[str, Any] | None:
-        """The summary of the certificate: its kind, its hash, and by how much left may exceed right."""
+        """Summary of the certificate: its kind, its hash, and the slack by which left may exceed right."""
         if self.certificate is None:
             return None
         slack = self.certificate["claim"]["slack"]

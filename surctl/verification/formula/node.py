@@ -1,4 +1,4 @@
-"""Expressions as trees: exact numbers, names and the operations of the claim grammar."""
+"""Expression trees, made of exact numbers, names and the operations of the claim grammar."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ DEEPEST = 300
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """One operation, number or name of an expression; nodes with equal content are equal.
+    """A node of an expression tree: an operation, a number or a name; nodes with equal content are equal.
 
     Attributes:
-        op: `num`, `pi`, `var`, or a key of `ARITY`.
+        op: kind of the node: `num`, `pi`, `var`, or an operation, which is a key of `ARITY`.
         args: the operands.
-        value: the exact number of a `num`, or the integer exponent of a `pow`.
-        name: the name of a `var`.
-        depth: the largest number of nested nodes.
+        value: the exact number of a `num` node, or the integer exponent of a `pow` node.
+        name: the name of the variable of a `var` node.
+        depth: depth of the tree below and including this node.
     """
 
     op: str
@@ -43,7 +43,7 @@ class Node:
     _hash: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Raise InputError for an expression that is nested too deeply for later steps."""
+        """Raise InputError if the expression is nested too deeply for the recursive functions that process it."""
         depth = 1 + max((a.depth for a in self.args), default=0)
         if depth > DEEPEST:
             raise InputError(
@@ -97,7 +97,7 @@ def power(base: Node, exponent: int) -> Node:
 
 
 def ordered(*roots: Node) -> Iterator[Node]:
-    """Yield every distinct node of the expressions, each after its operands."""
+    """Yield every distinct node of the expressions once, after the operands of the node."""
     visited: set[Node] = set()
     stack = [(root, False) for root in reversed(roots)]
     while stack:
@@ -111,7 +111,7 @@ def ordered(*roots: Node) -> Iterator[Node]:
 
 
 def rebuilt(root: Node, change: Callable[[Node, tuple[Node, ...]], Node]) -> Node:
-    """Return the expression with every node replaced by change(node, operands that were already replaced)."""
+    """Rebuild an expression from its leaves upwards: every node becomes change(node, rebuilt operands)."""
     replaced: dict[Node, Node] = {}
     for node in ordered(root):
         replaced[node] = change(node, tuple(replaced[a] for a in node.args))

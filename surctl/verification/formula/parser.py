@@ -1,4 +1,4 @@
-"""Parse an expression by recursive descent; text from a file is never executed as code.
+"""Parse text into an expression by recursive descent; the text is never executed as code.
 
 ::
 
@@ -40,13 +40,13 @@ def parse(text: str, known: Mapping[str, Node], *, file: object = None, key: str
 
     Args:
         text: an expression of the claim grammar.
-        known: the variable or number for each name.
+        known: mapping from every allowed name to its variable or number.
         file: the file that holds the text, for error messages.
         key: the key of the text in the file, for error messages.
 
     Raises:
         InputError: the text is not an expression of the grammar; the error names file, key, token and column, and the
-            remedy. For an unknown name it proposes the nearest known one.
+            remedy. For an unknown name, the error proposes the nearest known name.
     """
     if not isinstance(text, str):
         raise InputError("must be an expression in quotes", file=file, key=key, value=text, remedy='write e.g. "x^2"')

@@ -1,4 +1,4 @@
-"""Convert expressions to CasADi and back."""
+"""Convert expressions of the claim grammar to CasADi SX expressions and back."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ _ORDERED = frozenset({"lt", "le"})
 def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.SX]) -> list[Node]:
     """Convert scalar SX expressions in the symbols to expressions of the grammar.
 
-    A number becomes the shortest decimal that reads back as CasADi's double. CasADi evaluates constant subexpressions
-    when they are created. Therefore a constant that equals a fraction of π in double precision is read as this fraction
-    of π. A constant of 15 digits or more that equals the rounded product of two other constants is read as this
-    product.
+    A number becomes the shortest decimal number whose nearest double is the constant in the CasADi expression. CasADi
+    evaluates constant subexpressions when they are created. Therefore a constant that equals a fraction of π in double
+    precision is read as this fraction of π. A constant of 15 digits or more that equals the rounded product of two
+    other constants is read as this product.
 
     Args:
         symbols: column of symbols (n, 1).
@@ -47,8 +47,8 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
         expressions: scalars, dense or structurally zero.
 
     Raises:
-        UnsupportedOperation: an expression has an operation that the grammar lacks (floor, or logic other than a
-            comparison).
+        UnsupportedOperation: an expression has an operation that the grammar lacks, such as floor or a logical
+            operation other than a comparison.
     """
     function = ca.Function("claim", [symbols], [ca.densify(ca.vertcat(*expressions, 0))])
     program = lower(function)
@@ -114,7 +114,7 @@ def _constant(value: float, others: Sequence[float]) -> Node:
 
 
 def to_casadi(root: Node, symbols: Mapping[str, ca.SX]) -> ca.SX:
-    """Convert an expression to SX; numbers become doubles."""
+    """Convert an expression of the claim grammar to a CasADi SX expression; exact numbers become doubles."""
     converted: dict[Node, ca.SX] = {}
     for node in ordered(root):
         converted[node] = _symbolic(node, [converted[a] for a in node.args], symbols)
@@ -150,7 +150,7 @@ def _symbolic(node: Node, args: list[ca.SX], symbols: Mapping[str, ca.SX]) -> ca
 
 
 def _multiplied(base: ca.SX, exponent: int) -> ca.SX:
-    """The power by repeated squaring, because the instruction set has no pow."""
+    """Return an integer power by repeated squaring, because the instruction set has no power operation."""
     if exponent < 0:
         return 1 / _multiplied(base, -exponent)
     result, square = ca.SX(1), base

@@ -1,4 +1,4 @@
-"""Write an expression as text that reads back as the same expression."""
+"""Write an expression as text, from which the parser restores the expression exactly."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def text_of(root: Node) -> str:
     """Return the text of an expression in the claim grammar.
 
     Raises:
-        InputError: the text would be too long; shared parts are written out at each use.
+        InputError: the text would be too long, because shared subexpressions are written out at every use.
     """
     texts: dict[Node, tuple[str, int]] = {}
     for node in ordered(root):

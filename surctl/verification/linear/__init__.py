@@ -1,4 +1,4 @@
-"""The whole loop as a linear system: margins of all loops at once, poles, and the exactly sampled loop."""
+"""The linearised closed loop: margins of all loops opened at once, poles, and the exactly sampled loop."""
 
 from surctl.verification.linear.corners import Corners, corners
 from surctl.verification.linear.disk import DiskMargin, disk_margin, disk_profile, structured_bounds

@@ -22,11 +22,11 @@ _MASSES = ("m11", "m22")
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """The vehicles of a worst-case analysis, the nominal one first.
+    """The vehicles of a worst-case analysis; the nominal vehicle is first.
 
     Attributes:
         vehicles: the plants.
-        text: description of the vehicles, as part of a sentence: "the corners of … ".
+        text: description of the vehicles that fits into a sentence, such as "the corners of …".
     """
 
     vehicles: tuple[Vehicle, ...]
@@ -43,8 +43,9 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
     Args:
         vehicle: the nominal vehicle.
         uncertainty: relative uncertainty, 0 ≤ uncertainty < 1, or None for the ranges of the vehicle file.
-        alike: if the file gives surge and sway the same mass and range, vary the two masses together. False varies
-            them independently: the Munk moment turns a body broadside if its sway mass exceeds its surge mass.
+        alike: whether to vary the masses of surge and sway together if the vehicle file gives them equal values and
+            equal ranges. False varies them independently: the Munk moment turns a body broadside if its sway mass
+            exceeds its surge mass.
 
     Raises:
         InputError: the uncertainty is out of range.

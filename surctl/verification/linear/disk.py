@@ -1,17 +1,17 @@
-"""The disk margin of several loops at once: errors of gain and phase in all loops, in any combination, that are safe.
+"""The disk margin of several loops at once: gain and phase errors that all loops tolerate in any combination.
 
 Channel k is multiplied by (2 + δ_k)/(2 − δ_k), where δ_k is any stable complex dynamics with |δ_k| < α (the balanced
 disk margin of Seiler, Packard and Gahinet 2020). The largest α is 1/sup_ω μ(M(jω)) with M = (S − T)/2, where μ is the
 structured singular value for diagonal complex perturbations (Doyle 1982). μ has two bounds:
 
-- from above min over D of σ_max(D M D⁻¹), D diagonal and positive: no perturbation smaller than the inverse of this
-  bound destabilises the loop;
-- from below max over U of ρ(U M), U diagonal and unitary: the perturbation U/ρ destabilises the loop.
+- upper bound, min over D of σ_max(D M D⁻¹), with D diagonal and positive: no perturbation smaller than the inverse
+  of this bound destabilises the loop;
+- lower bound, max over U of ρ(U M), with U diagonal and unitary: the perturbation U/ρ destabilises the loop.
 
 Peaks are first searched on a grid of frequencies. A second step shows without a grid that no higher peak lies between
 the grid points: for a fixed D, σ_max(D M(jω) D⁻¹) reaches the level γ only where a Hamiltonian matrix has an eigenvalue
-jω (Boyd and Balakrishnan 1990). One D therefore covers all frequencies up to the next such ω, and the next D continues
-from there.
+jω (Boyd and Balakrishnan 1990). A matrix D therefore covers all frequencies up to the next such ω; from that ω on,
+another matrix D is chosen.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _PEAKS = 3  # largest number of peaks of the grid that are refined
 _LOW_PEAK = 0.9  # lowest peak that is refined, as a share of the highest
 _SHRINKS = 24
 _GOLDEN = (np.sqrt(5) - 1) / 2
-_EXCESS = 2e-3  # the covered level lies above the highest peak found by this share
+_EXCESS = 2e-3  # the level for the proof exceeds the highest peak found by this share
 _ROUNDS = 40
 _STEPS = 400
 _ON_AXIS = 1e-7  # an eigenvalue nearer to the imaginary axis than this share of its modulus counts as on the axis
@@ -48,17 +48,17 @@ _FLAT = 1e-8  # slope at which a scaling counts as optimal; the value is convex 
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """The balanced disk margin of several loops together.
+    """The balanced disk margin of several loops that are opened at once.
 
     Attributes:
         place: where the loops are opened.
-        stable: whether the closed loop is stable; if not, the values below are 0, (1, 1) and 0.
-        guaranteed: α ≤ 2 for which the loop is stable, shown for all frequencies without a grid (in floating point);
-            NaN if no α could be shown.
-        reached: α of a perturbation that destabilises the loop; not less than `guaranteed`.
-        frequency_rad_s: frequency [rad/s] of this perturbation.
-        gain: least and largest factor that may act on all gains at once, by `guaranteed`.
-        phase_deg: largest phase error [deg] that may act in all loops at once, by `guaranteed`.
+        stable: whether the closed loop is stable; if it is not, `gain` is (1, 1) and every other number is 0.
+        guaranteed: α ≤ 2 for which stability is shown at all frequencies, without a grid, in floating point; NaN if it
+            could not be shown for any α.
+        reached: size α of a perturbation that was found to destabilise the loop; not less than `guaranteed`.
+        frequency_rad_s: frequency [rad/s] of the destabilising perturbation.
+        gain: least and largest factor that all loop gains tolerate at once, computed from `guaranteed`.
+        phase_deg: largest phase error [deg] that all loops tolerate at once, computed from `guaranteed`.
     """
 
     place: str
@@ -70,7 +70,7 @@ class DiskMargin:
     phase_deg: float
 
     def to_dict(self) -> dict[str, Any]:
-        """The disk margin as plain data."""
+        """The disk margin as plain data for JSON."""
         return {**asdict(self), "gain": list(self.gain)}
 
 
@@ -80,8 +80,8 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
     If no α can be shown to hold at all frequencies, `guaranteed`, `gain` and `phase_deg` are NaN.
 
     Args:
-        loop: the loop, opened at q places.
-        place: name of the place for the result.
+        loop: the open-loop system with q channels, one for each point where the loop is opened.
+        place: name of the loop opening, stored in the result.
     """
     closed = loop.complementary()
     if not np.all(np.linalg.eigvals(closed.A).real < -1e-9):
@@ -118,7 +118,7 @@ def disk_profile(loop: OpenLoop, omega: Array) -> Array:
 
 
 def screened_peaks(loops: OpenLoop) -> Array:
-    """Return an estimate of sup_ω μ for k loops on a coarse grid, (k,), to find the worst loop; inf if unstable."""
+    """Estimate sup_ω μ of k loops (k,) on a coarse grid, to find the worst loop; inf for an unstable loop."""
     closed = loops.complementary()
     stable = np.all(np.linalg.eigvals(closed.A).real < -1e-9, axis=-1)
     grid = np.geomspace(_SCREENED[0], _SCREENED[1], _SCREEN_POINTS)
@@ -132,7 +132,7 @@ def screened_peaks(loops: OpenLoop) -> Array:
 
 
 def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
-    """Return the upper and lower bound of μ(M), and the perturbation δ (q,) of the lower bound.
+    """Return the upper and the lower bound of μ(M), and the perturbation δ (q,) that attains the lower bound.
 
     M is (q, q), and the perturbation consists of q independent complex numbers. δ satisfies det(I − diag(δ) M) = 0 with
     all |δ_k| = 1/lower. The bounds are equal for q ≤ 3 (Packard and Doyle 1993) and mostly also for larger q. If the
@@ -160,7 +160,7 @@ def _sensitivity(closed: OpenLoop, omega: Array) -> Complex:
 
 
 def _balanced(M: Complex) -> tuple[Array, Array]:
-    """Osborne's scaling (k, q) of k matrices M (k, q, q), and the scaled σ_max (k,): close to the minimum over D."""
+    """Return Osborne's scalings D (k, q) of k matrices M (k, q, q), and σ_max (k,) of D M D⁻¹, near its minimum."""
     size = np.abs(M) ** 2
     size[:, np.arange(M.shape[1]), np.arange(M.shape[1])] = 0.0
     d = np.ones(M.shape[:2])
@@ -176,7 +176,7 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
 
 
 def _scaling(M: Complex) -> Array:
-    """The D (q,) that minimises σ_max(D M D⁻¹), convex in log D: quasi-Newton steps from Osborne's scaling."""
+    """Return D (q,) that minimises σ_max(D M D⁻¹), convex in log D, by quasi-Newton steps from Osborne's scaling."""
     from scipy.optimize import minimize
 
     start = np.log(_balanced(M[None])[0][0])
@@ -199,7 +199,7 @@ def _scaling(M: Complex) -> Array:
 
 
 def _ascended(M: Complex, phases: Array) -> tuple[float, Array]:
-    """The pair (ρ, φ) at a local maximum of ρ(diag(e^{jφ}) M), searched from the given phases."""
+    """Return (ρ, φ) at a local maximum of the spectral radius ρ(diag(e^{jφ}) M), searched from the given phases."""
     from scipy.optimize import minimize
 
     def radius(free: Array) -> float:
@@ -246,7 +246,7 @@ def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
 
 
 def _uncovered(closed: OpenLoop, level: float) -> float | None:
-    """A frequency at which no D gives σ_max(D M D⁻¹) < level; None if every frequency has such a D.
+    """Return a frequency at which no D gives σ_max(D M D⁻¹) < level; None if D exists at every frequency.
 
     The result is NaN if the steps become too short to cover all frequencies.
     """
@@ -266,13 +266,13 @@ def _uncovered(closed: OpenLoop, level: float) -> float | None:
 
 
 def _below(closed: OpenLoop, omega: float, level: float) -> bool:
-    """Whether some D stays below the level at this single frequency; Osborne's fast scaling is tried first."""
+    """Whether σ_max(D M D⁻¹) < level for some D at this frequency; Osborne's fast scaling is tried first."""
     M = _sensitivity(closed, np.array([omega]))
     return bool(_balanced(M)[1][0] < level) or _height(closed, _scaling(M[0]), omega) < level
 
 
 def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
-    """Candidate scalings to continue from ω; if channels are nearly decoupled, the optimum at ω fails elsewhere."""
+    """Yield scalings D to try from ω on; if channels are nearly decoupled, the optimal D at ω fails elsewhere."""
     for at in (omega, 1.02 * omega + 1e-3, 1.2 * omega + 1e-2, 2 * omega + 0.1):
         yield _balanced(_sensitivity(closed, np.array([at])))[0][0]
     for at in (omega, 1.02 * omega + 1e-3):
@@ -280,10 +280,10 @@ def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
 
 
 def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> float | None:
-    """The frequency up to which D stays below the level from ω on; None if D is above the level.
+    """The frequency up to which σ_max(D M D⁻¹) stays below the level from ω on; None if it exceeds the level at ω.
 
-    Between two crossings the value stays on one side of the level, so one point between them is tested. At a crossing
-    rounding would decide.
+    Between two crossings σ_max stays on one side of the level, so one frequency between them is tested. A test at a
+    crossing would be decided by rounding errors.
     """
     end = _next(closed, scale, omega, level)
     inside = _height(closed, scale, _inner(omega, end)) < level and _height(closed, scale, omega) < level * (1 + 1e-9)
@@ -291,14 +291,14 @@ def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> floa
 
 
 def _next(closed: OpenLoop, scale: Array, omega: float, level: float) -> float:
-    """The first crossing after ω; inf if there is none."""
+    """The first crossing of the level after ω; inf if there is no crossing."""
     crossings = _crossings(closed, scale, level)
     ahead = crossings[crossings > omega * (1 + 1e-12) + 1e-12]
     return float(ahead[0]) if ahead.size else float("inf")
 
 
 def _inner(begin: float, end: float) -> float:
-    """A frequency between the two ends."""
+    """Return a frequency between the two ends of an interval."""
     return (begin + end) / 2 if np.isfinite(end) else 2 * begin + 1.0
 
 

@@ -1,8 +1,8 @@
-"""The loops as python-control systems, for `control.bode_plot`, `margin`, `root_locus`, `disk_margins` and others.
+"""The linearised loops as python-control systems, for use with `control.bode_plot`, `control.root_locus` and others.
 
-The systems have the same matrices that `surctl verify` uses, so both give the same numbers. Signal names include units.
-Root loci and margins of one loop need no further package. `control.disk_margins` of several loops at once needs slycot
-(GPL), which is not installed with surctl; use `disk_margin` of this package instead.
+Their matrices are those that `surctl verify` uses, so python-control and `surctl verify` give equal results. Signal
+names include units. Root loci and margins of one loop need no further package. `control.disk_margins` of several loops
+at once needs slycot (GPL), which is not installed with surctl; use `disk_margin` of this package instead.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ def loop_system(
     model: Vehicle | None = None,
     delay: float | None = None,
 ) -> Any:
-    """Return one loop L(s) under negative feedback, all other loops closed, as a `control.StateSpace`.
+    """Return the open-loop transfer function L(s) of one loop, with all other loops closed, as a `control.StateSpace`.
 
-    It is the loop whose margins `loop_margins` computes. It works with `control.margin(L)`,
+    The feedback sign is negative; `loop_margins` computes the margins of this L. L works with `control.margin(L)`,
     `control.disk_margins(L, omega)` and `control.root_locus(L)`. Because of the Padé approximation of the delay, L is
     not valid above the Nyquist frequency π/dt; `surctl verify` does not use it there.
 
     Args:
         vehicle: the plant.
-        gains: as in `build_cascade`.
+        gains: the gains by name, as in `build_cascade`.
         loop: one of `LOOP_NAMES`. The loops surge, sway, heave and yaw are opened at the thrust command; along_track,
             cross_track, depth and heading at the measured x_e, y_e, z_e [m], ψ [rad].
         cruise: cruise speed U [m/s].
@@ -56,11 +56,12 @@ def loop_system(
         delay: loop delay [s], by a third-order Padé approximation; default 1.5 dt, 0 for none.
 
     Returns:
-        A system with one input, the signal injected where the loop is opened, and one output, the returned signal, in
-        the same unit. Its states are those coupled to the loop: surge and heave are decoupled from sway and yaw.
+        A system with one input, the signal injected where the loop is opened, and one output, the signal that returns
+            there; both have the same unit. The system contains only the states coupled to the loop: surge and heave are
+            decoupled from sway and yaw.
 
     Raises:
-        InputError: the loop is unknown, or as in `build_cascade`.
+        InputError: the name of the loop is unknown, or `build_cascade` finds an error.
     """
     at = _place(loop)
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
@@ -78,16 +79,17 @@ def open_system(
     model: Vehicle | None = None,
     delay: float | None = None,
 ) -> Any:
-    """Return L(s) of all loops opened at once under negative feedback, as a `control.StateSpace`.
+    """Return the open-loop transfer matrix L(s) of all loops opened at once, as a `control.StateSpace`.
 
-    It is the system whose margin `disk_margin` computes.
+    The feedback sign is negative; `disk_margin` computes the disk margin of this L.
 
     Args:
-        vehicle, gains, cruise, dt, model, delay: as in `loop_system`.
-        place: one of `DISK_PLACES`: thrust (4 channels), measurement (4 channels), both (8 channels).
+        vehicle, gains, cruise, dt, model, delay: see the arguments of `loop_system`.
+        place: where the loops are opened, one of `DISK_PLACES`: thrust (4 channels), measurement (4 channels), both (8
+            channels).
 
     Raises:
-        InputError: the place is unknown, or as in `build_cascade`.
+        InputError: `place` is not one of `DISK_PLACES`, or `build_cascade` finds an error.
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
     loop = open_loop(cascade, place)
@@ -112,7 +114,7 @@ def closed_system(
     `loop_system`.
 
     Raises:
-        InputError: as in `build_cascade`.
+        InputError: `build_cascade` finds an error.
     """
     import control  # slow to import, so only when it is needed
 
@@ -142,18 +144,18 @@ def sampled_loop_system(
     delay: int = 0,
     model: Vehicle | None = None,
 ) -> Any:
-    """Return the exactly sampled loop L(z) as a discrete-time `control.StateSpace`; see `sampled_poles`.
+    """Return one exactly sampled open loop L(z) as a discrete-time `control.StateSpace`; see `sampled_poles`.
 
     The thrust is constant over each period and acts `delay` whole periods after the measurement. All other loops are
     closed.
 
     Args:
-        vehicle, gains, loop, cruise, model: as in `loop_system`.
+        vehicle, gains, loop, cruise, model: see the arguments of `loop_system`.
         period: control period T [s], which becomes the system's `dt`.
         delay: delay in whole periods, at least 0.
 
     Raises:
-        InputError: the loop is unknown, the delay is not a whole number, or as in `build_cascade`.
+        InputError: the name of the loop is unknown, the delay is not a whole number, or `build_cascade` finds an error.
     """
     at = _place(loop)
     check_delay(delay)
@@ -185,7 +187,7 @@ def _broken(places: Sequence[int]) -> list[str]:
 
 
 def _states(vehicle: Vehicle, cascade: Cascade) -> list[str]:
-    """The names of the plant's states, of the delay states and of ξ."""
+    """Return the names of all states: of the plant, of the delay, and of the integral action ξ."""
     plant = labelled(STATE_NAMES[: 12 if vehicle["thrust_lag"] > 0 else 8])
     inner = [f"xi_{name}" for name in LOOP_NAMES[: cascade.K.shape[0] - _AXES]]
     lags = cascade.A.shape[0] - len(plant) - len(inner)
@@ -202,7 +204,7 @@ def _only_loop(
     *,
     dt: float = 0.0,
 ) -> Any:
-    """One loop on its own block of states; the states of decoupled axes would cancel and reduce accuracy."""
+    """Return one loop with only the states coupled to it; states of decoupled axes would cancel and reduce accuracy."""
     block = next(k for k in state_blocks((A - b @ c)[None]) if np.any(b[k] != 0))
     A, b, c = A[np.ix_(block, block)], b[block], c[:, block]
     return _system(A, b, c, np.zeros((1, 1)), [states[k] for k in block], _broken([at]), name=LOOP_NAMES[at], dt=dt)

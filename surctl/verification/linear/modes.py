@@ -30,17 +30,19 @@ _SURGE, _SWAY, _YAW = (STATE_NAMES.index(name) for name in ("u", "v", "r"))
 
 @dataclass(frozen=True)
 class Mode:
-    """The slowest pole of the closed loop with its delay; for an unstable loop, the fastest growing pole.
+    """The mode of the slowest pole of the closed loop with delay; for an unstable loop, of the fastest growing pole.
 
     Attributes:
         cruise: cruise speed U [m/s] about which the loop is linearised.
-        real, imaginary: parts of the pole [rad/s]; for a complex pair, of the pole in the upper half-plane.
-        participation: share of each state in the mode, largest first, if above 0.001. All delay states count as one
-            entry, and so do all states of the integral action.
-        without: real part of the slowest pole [1/s] if one physical term is omitted, by the name of the term.
-        remedies: by gain name, the value nearest to the present one among those tried for which the loop is stable;
-            empty if the loop is stable.
-        bearable: largest U [m/s] up to which the loop is stable, see `bearable_speed`.
+        real, imaginary: real and imaginary part of the pole [rad/s]; of a complex pair, the pole in the upper
+            half-plane.
+        participation: participation factor of each state in the mode, largest first; values below 0.001 are omitted.
+            All delay states together are one entry, and all states of the integral action together are another entry.
+        without: mapping from the name of a physical term to the real part [1/s] that the slowest pole has without this
+            term.
+        remedies: mapping from the name of a gain to the value, among those tried, that is nearest to the present value
+            and stabilises the loop; empty if the loop is stable.
+        bearable: largest cruise speed [m/s] up to which the loop is stable; see `bearable_speed`.
     """
 
     cruise: float
@@ -84,7 +86,10 @@ class Mode:
 
     @property
     def remedy(self) -> str:
-        """The changes that stabilise an unstable loop, e.g. "with k_r = 4.5 (one gain changed, …), or at 0.2 m/s"."""
+        """Return text about changes that stabilise an unstable loop.
+
+        An example is "with k_r = 4.5 (one gain changed, …), or at 0.2 m/s".
+        """
         slower = f"at {self.bearable:.3g} m/s or less" if self.bearable > 0 else "at no speed with these gains"
         if not self.remedies:
             return f"{slower}; changing a single gain by up to a factor of {_FACTORS[-1]:g} does not stabilise it"
@@ -149,9 +154,9 @@ def slowest_mode(
 def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, model: Vehicle | None = None) -> float:
     """Return the largest cruise speed [m/s] up to which the linear loop is stable and the thrust suffices; 0 if none.
 
-    The search divides the range up to the largest speed that the thrust can hold (10 m/s at most) into 60 steps. It
-    refines the first step in which the loop becomes unstable; higher speeds at which the loop is stable again do not
-    count.
+    The search divides the range up to the largest speed that the thrust can hold (10 m/s at most) into 60 steps. The
+    search refines the first step in which the loop becomes unstable. Higher speeds at which the loop is stable again
+    are ignored.
 
     Raises:
         InputError: a gain is missing or not positive.
@@ -175,7 +180,7 @@ def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, m
 
 
 def _fastest(vehicle: Vehicle) -> float:
-    """The surge speed [m/s] at which the drag equals the thrust limit, reduced slightly."""
+    """Return a surge speed [m/s] slightly below the speed at which the drag equals the thrust limit."""
     linear, quadratic, limit = vehicle["Xu"], vehicle["Xuu"], vehicle["Fu_max"]
     root = linear + np.sqrt(linear**2 + 4 * quadratic * limit)
     return float(2 * limit / root * (1 - _EDGE)) if root > 0 else np.inf
@@ -206,7 +211,7 @@ def _names(cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float]) -> li
 def _without(
     cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
 ) -> dict[str, float]:
-    """The real part of the slowest pole without each physical term, by the name of the term."""
+    """Omit one physical term after another; return the real part of the slowest pole [1/s] by the name of the term."""
     closed, slowest = cascade.closed, {}
     munk, coriolis = closed.copy(), closed.copy()
     munk[_YAW, [_SURGE, _SWAY]] -= cascade.A[_YAW, [_SURGE, _SWAY]]
@@ -227,7 +232,7 @@ def _slowest(closed: Array) -> float:
 def _remedies(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
 ) -> dict[str, float]:
-    """For each gain, the tried value nearest to the present one for which the loop is stable."""
+    """For each gain, return the tried value nearest to the present value that makes the loop stable."""
     factors = np.concatenate([_FACTORS, 1 / _FACTORS])
     names = np.repeat(CASCADE_GAINS, len(factors))
     tried = np.tile(factors, len(CASCADE_GAINS))

@@ -1,4 +1,4 @@
-"""The cascade opened at several places at once: at all thrusts, at all measurements of the pose, or at both."""
+"""The loops of the cascade opened at once: at all thrust commands, at all measurements of the pose, or at both."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _AXES = 4
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """The open loop L(s) = C (sI − A)⁻¹ B + D with q channels under negative feedback; leading axes hold several loops.
+    """The open loop L(s) = C (sI − A)⁻¹ B + D with q channels, for negative feedback; leading axes hold several loops.
 
     Attributes:
         A: system matrix (…, n, n) [1/s].
         B: input matrix (…, n, q).
         C: output matrix (…, q, n).
-        D: feedthrough (…, q, q); I + D must be invertible.
+        D: feedthrough matrix (…, q, q) of L; I + D must be invertible.
     """
 
     A: Array
@@ -37,17 +37,17 @@ class OpenLoop:
     D: Array
 
     def __getitem__(self, chosen: NDArray[np.intp]) -> OpenLoop:
-        """Return the selected loops."""
+        """Return the loops at the given indices of the leading axis."""
         return OpenLoop(self.A[chosen], self.B[chosen], self.C[chosen], self.D[chosen])
 
     def complementary(self) -> OpenLoop:
-        """Return T = L (I + L)⁻¹ in the same form; its poles are those of the closed loop."""
+        """Return the complementary sensitivity T = L (I + L)⁻¹; the poles of T are those of the closed loop."""
         inverse = np.linalg.inv(np.eye(self.D.shape[-1]) + self.D)
         B = self.B @ inverse
         return OpenLoop(self.A - B @ self.C, B, inverse @ self.C, self.D @ inverse)
 
     def response(self, omega: Array) -> NDArray[np.complex128]:
-        """Return the frequency response (…, k, q, q) at the frequencies ω (k,) [rad/s]."""
+        """Return the frequency response L(jω) (…, k, q, q) at the frequencies ω (k,) [rad/s]."""
         A, B, C, D = (m[..., None, :, :] for m in (self.A, self.B, self.C, self.D))
         pencil = 1j * np.asarray(omega)[:, None, None] * np.eye(A.shape[-1]) - A
         inner = np.linalg.solve(pencil, np.broadcast_to(B, (*pencil.shape[:-1], B.shape[-1])))
@@ -55,10 +55,10 @@ class OpenLoop:
 
 
 def open_loop(cascade: Cascade, place: str) -> OpenLoop:
-    """Open one cascade, or several, at a place of `DISK_PLACES`; all other connections stay closed.
+    """Open the loops of one or several cascades at `place`, one of `DISK_PLACES`; all other connections stay closed.
 
     Raises:
-        InputError: the place is unknown.
+        InputError: `place` is not one of `DISK_PLACES`.
     """
     A, B, C, K = cascade.A, cascade.B, cascade.C, cascade.K
     thrust, pose = np.arange(K.shape[-2]) < _AXES, np.arange(K.shape[-1]) < _AXES

@@ -1,7 +1,7 @@
-"""The sampled loop: a continuous plant, thrust that is constant over each control period, and whole periods of delay.
+"""The sampled loop: a continuous plant with thrust that is constant over each control period and delayed whole periods.
 
-The model is exact and uses no Padé approximation: x⁺ = Φ x + Γ f, where f = −K y acts d periods late. The integral
-state ξ is computed inside the controller and is not delayed.
+The model needs no Padé approximation and is exact: x⁺ = Φ x + Γ f, where the command f = −K y acts d periods late. The
+integral state ξ is computed inside the controller and is not delayed.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ Array = NDArray[np.float64]
 
 _AXES = 4
 _SHORTEST, _LONGEST = 1e-3, 20.0  # [s]
-_GROWTH = 1.06  # ratio of one tried period to the one before
+_GROWTH = 1.06  # ratio of a tried period to the previous period
 _HALVINGS = 24
 _MOST = 400  # largest delay that is tried, in periods
-_EDGE = 1e-9  # a pole this close to the unit circle counts as on it
+_EDGE = 1e-9  # a pole this close to the unit circle counts as lying on the circle
 DELAYS = (0, 1, 2)
 
 _Held = tuple[Array, Array]
@@ -43,15 +43,16 @@ _Held = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class SampledLimits:
-    """The control periods and delays for which the sampled loop is stable.
+    """Limits of the control period and of the delay up to which the sampled loop is stable.
 
     Attributes:
         period_s: control period [s].
-        radius: largest |z| of a pole at this period with one period of delay.
-        largest_period_s: largest control period [s] up to which the loop is stable, with 0, 1 and 2 periods of delay.
-            Periods are tried in steps of 6 % and refined by bisection; inf if 20 s is stable, 0 if no period is.
-        delay_periods: largest delay in whole periods up to which the loop is stable at `period_s`; −1 if it is unstable
-            without delay.
+        radius: largest |z| of the poles at the control period `period_s` with one period of delay.
+        largest_period_s: largest control periods [s] up to which the loop is stable, for a delay of 0, 1 and 2 periods.
+            Periods are tried in steps of 6 % and refined by bisection; inf if the loop is stable up to 20 s, 0 if it is
+            unstable at all periods.
+        delay_periods: largest delay, in whole periods, up to which the loop is stable at the period `period_s`; −1 if
+            the loop is unstable without delay.
     """
 
     period_s: float
@@ -60,7 +61,7 @@ class SampledLimits:
     delay_periods: int
 
     def to_dict(self) -> dict[str, Any]:
-        """The limits as plain data."""
+        """The limits as plain data for JSON."""
         return {**asdict(self), "largest_period_s": dict(zip(map(str, DELAYS), self.largest_period_s, strict=True))}
 
 
@@ -73,18 +74,18 @@ def sampled_poles(
     delay: int = 0,
     model: Vehicle | None = None,
 ) -> NDArray[np.complex128]:
-    """Return the poles z (n,) of the sampled loop, the largest first; it is stable if all lie inside the unit circle.
+    """Return the poles z (n,) of the sampled loop, largest |z| first; the loop is stable if every |z| is less than 1.
 
     Args:
         vehicle: the plant.
-        gains: as in `build_cascade`.
+        gains: the gains by name, as in `build_cascade`.
         cruise: cruise speed U [m/s].
         period: control period T [s], > 0.
         delay: delay from measurement to thrust in whole periods, at least 0.
         model: the controller's model of the vehicle; default the vehicle itself.
 
     Raises:
-        InputError: as in `build_cascade`, or the delay is not a whole number of at least 0.
+        InputError: `build_cascade` finds an error, or the delay is not a whole number of at least 0.
     """
     check_delay(delay)
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=period, model=model, delay=0.0)
@@ -102,11 +103,12 @@ def largest_period(
 ) -> float:
     """Return the largest control period T [s] up to which the sampled loop is stable.
 
-    Periods grow from 1 ms in steps of 6 % until the loop is unstable, and bisection refines the last step. The result
-    is inf if 20 s is stable, and 0 if 1 ms is unstable. Longer periods at which the loop is stable again do not count.
+    The tried periods grow from 1 ms in steps of 6 % until the loop is unstable; bisection then refines the last step.
+    The result is inf if the loop is stable up to 20 s, and 0 if it is unstable at 1 ms. Longer periods at which the
+    loop is stable again are ignored.
 
     Raises:
-        InputError: as in `sampled_poles`.
+        InputError: `sampled_poles` finds an error.
     """
     check_delay(delay)
     undelayed = build_cascade(vehicle, gains, cruise=cruise, dt=_SHORTEST, model=model, delay=0.0)
@@ -114,9 +116,9 @@ def largest_period(
 
 
 def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
-    """Return the limits of a cascade that was built with `delay=0` and runs at the given control period [s].
+    """Return the sampling limits of a cascade that was built with `delay=0`, for the control period `period` [s].
 
-    If a leading axis holds several cascades, each limit is the worst of them.
+    If the cascade has a leading axis with several cascades, each limit is the worst over these cascades.
     """
     held = cache(partial(_held, undelayed))  # each delay tries the same periods
     borne = -1
@@ -129,7 +131,7 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
 
 
 def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
-    """Return the largest |z| of a pole of the sampled loop."""
+    """Return the spectral radius of the sampled loop: the largest |z| of its poles."""
     return float(_radius(undelayed, delay, _held(undelayed, period)))
 
 
@@ -140,7 +142,7 @@ def _radius(undelayed: Cascade, delay: int, held: _Held) -> Array:
 
 
 def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> float:
-    """The least stable period over the cascades: the first unstable step, refined for the cascades unstable there."""
+    """Return the largest period up to which all cascades are stable: the first unstable step, refined by bisection."""
     good, bad = 0.0, _SHORTEST
     while True:
         lost = _radius(undelayed, delay, held(bad)) >= 1 - _EDGE * bad
@@ -161,14 +163,14 @@ def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> 
 
 
 def _transition(cascade: Cascade, delay: int, held: _Held) -> Array:
-    """The transition matrix over one period, for the plant, ξ and the delayed thrusts."""
+    """Return the transition matrix over one period of the states of the plant, of ξ, and of the delayed thrusts."""
     rest, enter, thrust = _open_transition(cascade, delay, held)
     transition: Array = rest + enter @ thrust
     return transition
 
 
 def _held(cascade: Cascade, period: float | Array) -> _Held:
-    """The matrices (Φ, Γ) of a period with constant inputs; several cascades have one period each or a common one."""
+    """Return (Φ, Γ) for one period with constant inputs; several cascades have one period each or a common period."""
     from scipy.linalg import expm
 
     n, m = cascade.B.shape[-2:]
@@ -179,10 +181,10 @@ def _held(cascade: Cascade, period: float | Array) -> _Held:
 
 
 def open_transition(cascade: Cascade, period: float, delay: int) -> tuple[Array, Array, Array]:
-    """Return (M, E, F) of a cascade built with `delay=0`: x⁺ = M x + E f, where the law commands f = F x.
+    """Return (M, E, F) of a sampled cascade built with `delay=0`: x⁺ = M x + E f, where the law commands f = F x.
 
-    x holds the states of the plant and ξ (n,), then the delayed thrusts (4,) of each period of delay, the next to act
-    first. M includes the integral action of the controller.
+    x holds the states of the plant and ξ, together (n,), then four delayed thrusts for each period of delay; the
+    thrusts that act next come first. M includes the integral action of the controller.
     """
     return _open_transition(cascade, delay, _held(cascade, period))
 

@@ -1,4 +1,4 @@
-"""Sensitivity S = (I + L)⁻¹ and complementary sensitivity T = L (I + L)⁻¹ of all loops together, over frequency."""
+"""Sensitivity S = (I + L)⁻¹ and complementary sensitivity T = L (I + L)⁻¹ of several loops, over frequency."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Sensitivity:
     Attributes:
         place: where the loops are opened.
         omega: frequencies (k,) [rad/s].
-        S: (k,) largest amplification of disturbances and model errors.
-        T: (k,) largest amplification of measurement noise and references.
+        S: (k,) largest singular value of S: the largest amplification of disturbances and model errors.
+        T: (k,) largest singular value of T: the largest amplification of measurement noise and references.
     """
 
     place: str
@@ -35,7 +35,7 @@ class Sensitivity:
     T: Array
 
     def to_dict(self) -> dict[str, Any]:
-        """The values and their peaks as plain data."""
+        """The singular values and their peaks as plain data for JSON."""
         return {
             "place": self.place,
             "omega_rad_s": self.omega.tolist(),
@@ -47,7 +47,7 @@ class Sensitivity:
 
 
 def sensitivity_of(loop: OpenLoop, place: str = "", *, highest: float) -> Sensitivity:
-    """Compute S and T of a stable loop under unit negative feedback, from 0.001 rad/s to `highest` [rad/s].
+    """Compute the largest singular values of S and T of a stable loop, from 0.001 rad/s to `highest` [rad/s].
 
     Raises:
         InputError: the closed loop is unstable and therefore has no frequency response.

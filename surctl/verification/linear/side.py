@@ -1,4 +1,4 @@
-"""The linear analysis of a verification; reports, tables and JSON show it together with the nonlinear claims."""
+"""The linear part of a verification; reports, tables and JSON show its results beside those of the nonlinear claims."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ __all__ = ["LinearSide", "Pole", "linear_side", "worst_linear_side"]
 
 @dataclass(frozen=True)
 class Pole:
-    """One pole s of the closed loop with its delay; of a complex pair, the pole in the upper half-plane.
+    """One pole s of the closed loop with delay; a complex pair is represented by the pole in the upper half-plane.
 
     Attributes:
-        real, imaginary: parts of s [rad/s].
+        real, imaginary: real and imaginary part of s [rad/s].
         natural_rad_s: natural frequency |s| [rad/s].
         damping: damping ratio −real/|s|.
     """
@@ -39,15 +39,17 @@ class Pole:
 
 @dataclass(frozen=True)
 class LinearSide:
-    """Linear analysis about straight cruise: disk margins of all loops together, poles, and sampling.
+    """Results of the linear analysis about straight cruise: disk margins of all loops, poles, and sampling limits.
 
     Attributes:
-        of: description of the vehicles: the nominal one, or the worst of several corners.
-        disks: disk margins at `DISK_PLACES`; for several corners, the least of each.
-        poles: poles of the nominal vehicle, slowest first, including those of the approximated delay.
-        slowest_per_s: largest real part of a pole [1/s], over all corners.
+        of: description of the analysed vehicles: the nominal vehicle, or the worst of several corners of its parameter
+            ranges.
+        disks: disk margins with the loops opened at `DISK_PLACES`; for several corners, the least margin over the
+            corners.
+        poles: closed-loop poles of the nominal vehicle, slowest first, including the poles of the approximated delay.
+        slowest_per_s: largest real part [1/s] of a pole over all corners.
         least_damping: least damping ratio of the poles, over all corners.
-        sampled: limits of the sampled loop; for several corners, the least of each limit and the largest radius.
+        sampled: limits of the sampled loop; for several corners, the least value of every limit and the largest radius.
     """
 
     of: str
@@ -59,11 +61,14 @@ class LinearSide:
 
     @property
     def stable(self) -> bool:
-        """Whether the loop is stable for all vehicles, with approximated delay and sampled with one period of delay."""
+        """Whether the loop is stable for all vehicles.
+
+        The loop must be stable both with approximated delay and sampled with one period of delay.
+        """
         return all(d.stable for d in self.disks) and self.sampled.radius < 1
 
     def to_dict(self) -> dict[str, Any]:
-        """The analysis as plain data; infinite periods stay inf."""
+        """The analysis as plain data for JSON; infinite periods stay inf."""
         return {
             "of": self.of,
             "stable": self.stable,
@@ -113,13 +118,13 @@ def linear_side(
 def worst_linear_side(
     tried: Corners, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
 ) -> LinearSide:
-    """Return the worst value of each metric over several vehicles; the controller's model is `model` or the first one.
+    """Return the linear analysis with the worst results over several vehicles; `model` defaults to the first vehicle.
 
     A coarse grid of frequencies selects the vehicle with the least disk margin. Vehicles that cannot hold the cruise
     speed have no straight cruise to linearise about; they are omitted, and `of` states their number.
 
     Raises:
-        InputError: as in `linear_side`, or none of the vehicles can hold the cruise speed.
+        InputError: `linear_side` finds an error, or none of the vehicles can hold the cruise speed.
     """
     believed = model or tried.vehicles[0]
     able = [v for v, can in zip(tried.vehicles, _can_cruise(tried.vehicles, cruise), strict=True) if can]
@@ -149,7 +154,7 @@ def worst_linear_side(
 
 
 def _alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
-    """The vehicles with and without thrust lag as two groups, the group of the first vehicle first; states differ."""
+    """Group the vehicles by whether they have thrust lag, which adds states; the first vehicle's group comes first."""
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]
@@ -163,7 +168,7 @@ def _built(
     model: Vehicle,
     delay: float | None,
 ) -> Cascade:
-    """The cascades of vehicles with the same states, along a leading axis."""
+    """Build the cascades of vehicles that have the same states, along a leading axis."""
     count = len(vehicles)
     return build_cascades(
         np.array([plant_parameters(v) for v in vehicles]),
@@ -192,7 +197,7 @@ def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
 
 
 def _poles(poles: NDArray[np.complex128]) -> tuple[Pole, ...]:
-    """The poles, with one pole of each complex pair."""
+    """Return the poles, with only one pole of each complex pair."""
     return tuple(
         Pole(float(s.real), float(s.imag), float(abs(s)), float(-s.real / abs(s)) if s != 0 else 1.0)
         for s in poles

@@ -1,4 +1,4 @@
-"""The prover: cases, exact rewriting and interval branch and bound; it writes each proof as a certificate."""
+"""The prover splits a claim into cases, rewrites them exactly, and proves them by interval branch and bound."""
 
 from surctl.verification.proving.prove import Proof, certain_excess, prove
 from surctl.verification.proving.statement import Statement, statement_of

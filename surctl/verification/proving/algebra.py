@@ -1,9 +1,10 @@
-"""Exact normal forms, in which equal terms cancel as they do on paper.
+"""Exact normal forms of expressions, in which equal terms cancel as in a calculation by hand.
 
-An expression becomes a numerator over denominators, which are polynomials in atoms. Atoms are variables, π, square
-roots, sines and cosines of arguments without inverse functions, and the inverse functions atan2 and acos. The rules
-are sqrt(p)² = p, sin² = 1 − cos², the addition theorems, and the sine and cosine of atan2 and acos. A normal form may
-be defined on a larger domain; its user must prove separately that the original expression is defined.
+The normal form of an expression is a fraction; its numerator and its denominators are polynomials in atoms. Atoms are
+variables, π, square roots, sines and cosines of arguments without inverse functions, and the inverse functions atan2
+and acos. The rewriting rules are sqrt(p)² = p, sin² = 1 − cos², the addition theorems, and the sine and cosine of atan2
+and acos. A normal form may be defined on a larger domain than the original expression; whoever uses the normal form
+must prove separately that the original expression is defined.
 """
 
 from __future__ import annotations
@@ -32,21 +33,22 @@ __all__ = ["Algebra", "Ratio", "TooLarge"]
 
 @dataclass(frozen=True)
 class Ratio:
-    """The fraction over / Π factor^exponent; each factor is an index into `Algebra.factors`."""
+    """The fraction over / Π factor^exponent; a factor is given by its index in `Algebra.factors`."""
 
     over: Poly
     under: tuple[tuple[int, int], ...] = ()
 
 
 class Algebra:
-    """The atoms and denominators collected so far, and the arithmetic with them.
+    """Arithmetic of normal forms, with the atoms and denominators collected so far.
 
     Attributes:
-        atoms: each atom as its kind and, for a function, its arguments.
+        atoms: list of atoms; an atom is its kind and, if it is a function, its arguments.
         factors: the denominator polynomials, each with leading coefficient 1.
         positive: indices of the factors that a rewriting assumed to be positive.
-        words: the original expression of an atom by index; multiplied out, it would give wider intervals.
-        factor_words: the original expression of a factor by index.
+        words: mapping from the index of an atom to its original expression, which gives narrower intervals than the
+            expression multiplied out.
+        factor_words: mapping from the index of a factor to its original expression.
     """
 
     def __init__(self) -> None:
@@ -123,7 +125,10 @@ class Algebra:
         return self._lowest(self.product(a.over, b.over), under)
 
     def inverse(self, a: Ratio, *, words: Node | None = None) -> Ratio:
-        """Return 1 / a; the numerator of a becomes a denominator. `words` is the original expression of a."""
+        """Return 1 / a; the numerator of a becomes a denominator.
+
+        `words` is the original expression of a.
+        """
         if not a.over:
             raise TooLarge
         monomial, coefficient = leading(a.over)
@@ -141,7 +146,7 @@ class Algebra:
         return self._lowest(over, under)
 
     def product(self, a: Poly, b: Poly) -> Poly:
-        """Return a b, simplified by the relations between atoms."""
+        """Return the product a b, simplified by the relations between atoms."""
         return self._reduced(multiplied(a, b))
 
     def root(self, a: Ratio, *, words: Node | None = None) -> Ratio:
@@ -174,7 +179,7 @@ class Algebra:
         return result
 
     def _over(self, a: Ratio, under: Mapping[int, int]) -> Poly:
-        """The numerator of a for a denominator that is a multiple of its own."""
+        """Return the numerator of a over a denominator that is a multiple of the denominator of a."""
         own, over = dict(a.under), a.over
         for at, exponent in under.items():
             for _ in range(exponent - own.get(at, 0)):
@@ -182,7 +187,7 @@ class Algebra:
         return over
 
     def _lowest(self, over: Poly, under: Mapping[int, int]) -> Ratio:
-        """The fraction after cancelling the powers of single atoms common to numerator and denominator."""
+        """Cancel the powers of single atoms that numerator and denominator have in common; return the fraction."""
         left = {}
         for at, exponent in under.items():
             factor = self.factors[at]
@@ -194,7 +199,7 @@ class Algebra:
         return Ratio(over, tuple(sorted((at, e) for at, e in left.items() if e)) if over else ())
 
     def _reduced(self, a: Poly) -> Poly:
-        """The polynomial after replacing sqrt(p)² by p and sin² by 1 − cos² until neither occurs."""
+        """Replace sqrt(p)² by p and sin² by 1 − cos² in a polynomial until neither occurs; return the polynomial."""
         pending: Poly = dict(a)
         total: Poly = {}
         while pending:
@@ -215,7 +220,7 @@ class Algebra:
     # ---- angles
 
     def _turned(self, angle: Ratio) -> tuple[Ratio, Ratio]:
-        """The pair (cos, sin) of an angle; inverse functions and quarter turns in it are evaluated exactly."""
+        """Return (cos, sin) of an angle; inverse functions and quarter turns in the angle are evaluated exactly."""
         if angle.under:
             return self._leaf_angle(angle)
         rest: Poly = {}
@@ -283,7 +288,7 @@ class Algebra:
 
 
 def _square_root(value: Fraction) -> Fraction:
-    """√value if it is rational, otherwise 1."""
+    """Return √value if this root is rational, otherwise 1."""
     over, under = isqrt(value.numerator), isqrt(value.denominator)
     return (
         Fraction(over, under) if over * over == value.numerator and under * under == value.denominator else Fraction(1)

@@ -1,4 +1,4 @@
-"""The boxes of an interval certificate, reconstructed from its tree of bisections."""
+"""Reconstruct the boxes of an interval certificate from its tree of bisections."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class Cells:
         names: names of the n variables.
         lower, upper: (n, k) bounds of the k boxes.
         rules: for each box, the letter of the rule that proves it.
-        choice: the branch that the case takes at each min, max, abs and select; empty if there is one case only.
+        choice: the branches that the case takes, one for each min, max, abs and select; empty if the claim has only one
+            case.
     """
 
     names: tuple[str, ...]
@@ -37,7 +38,7 @@ class Cells:
 
 
 def cells_of(certificate: Mapping[str, Any]) -> tuple[Cells, ...]:
-    """Return the boxes of a certificate of kind `interval`, with one `Cells` for each case.
+    """Return the boxes of a certificate of kind `interval`, one `Cells` object for each case of the claim.
 
     Raises:
         InputError: the certificate is of another kind.

@@ -1,4 +1,4 @@
-"""Forms of one case to prove: as written, or the exact normal form minus nonnegative multiples of the constraints."""
+"""Forms in which a case may be proved: as written, or as normal form minus nonnegative multiples of the constraints."""
 
 from __future__ import annotations
 
@@ -24,11 +24,13 @@ _MOST_TERMS = 60
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A case as margin = numerator / Π denominators + Σ multiplier · constraint, multipliers ≥ 0, denominators > 0.
+    """A form of a case: margin = numerator / Π denominators + Σ multiplier · constraint.
+
+    All multipliers are ≥ 0 and all denominators are > 0.
 
     Attributes:
-        numerator: the expression that remains to be proved ≤ 0.
-        denominators: positive expressions; a power appears as repeated factors.
+        numerator: expression for which numerator ≤ 0 remains to be proved.
+        denominators: positive expressions; a power is listed as repeated factors.
         multipliers: nonnegative expressions, one for each constraint.
     """
 
@@ -38,7 +40,7 @@ class Form:
 
 
 def forms_of(case: Case, names: Sequence[str], box: Ends) -> list[Form]:
-    """Return the forms to try, the most promising first; the case as written is always among them.
+    """Return the forms to try, the most promising form first; the form as written is always among them.
 
     Args:
         case: the case.
@@ -84,7 +86,7 @@ def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
 
 
 def _signs(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> dict[int, int] | None:
-    """The sign of every denominator on the box; None if one is unknown, or negative although assumed positive."""
+    """Return the sign of every denominator on the box; None if a sign is unknown, or negative but assumed positive."""
     signs: dict[int, int] = {}
     if not algebra.factors:
         return signs
@@ -103,7 +105,7 @@ def _signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
 
 
 def _multiplier(written: Written, weight: Poly, guard: Ratio | None, margin: Ratio, factors: dict[int, Node]) -> Node:
-    """The multiplier: weight · (denominator of the constraint) / (denominator of the margin)."""
+    """Return the multiplier weight · (denominator of the constraint) / (denominator of the margin) as an expression."""
     if guard is None or not weight:
         return number(0)
     tree = written.poly(weight)
@@ -115,7 +117,7 @@ def _multiplier(written: Written, weight: Poly, guard: Ratio | None, margin: Rat
 
 
 class _Sizes:
-    """Ranges on the root box; they guide the search but prove nothing."""
+    """Ranges of polynomials on the root box; these ranges guide the search but are not part of a proof."""
 
     def __init__(self, algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> None:
         self._written, self._names, self._box = written, names, box
@@ -147,7 +149,10 @@ class _Sizes:
 
 
 def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes) -> tuple[Poly, list[Poly]]:
-    """The numerator minus nonnegative monomials times constraints while its bound decreases; and the monomials."""
+    """Subtract monomials ≥ 0 times constraints while the numerator's bound decreases.
+
+    Return the remaining numerator and the monomials.
+    """
     weights: list[Poly] = [{} for _ in guards]
     rest, bound = over, sizes.bound(over)
     for _ in range(_STEPS):
@@ -172,7 +177,7 @@ def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes
 
 
 def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
-    """Nonnegative monomials by which a term of the constraint cancels a term of the rest."""
+    """Yield nonnegative monomials for which a term of monomial · constraint cancels a term of the numerator."""
     visited: set[tuple[Monomial, object]] = set()
     for m, c in rest.items():
         powers = dict(m)

@@ -1,4 +1,4 @@
-"""Convert normal forms to expressions, nested so that interval evaluation stays narrow."""
+"""Convert normal forms to nested expressions (Horner form), whose interval evaluation gives narrow results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Written"]
 
 
 class Written:
-    """Converts the polynomials of one algebra to expressions; each atom is converted once."""
+    """Converter of the polynomials of one `Algebra` to expressions; every atom is converted only once."""
 
     def __init__(self, algebra: Algebra) -> None:
         self._algebra = algebra
@@ -31,7 +31,10 @@ class Written:
         return self._algebra.factor_words.get(at) or self.poly(self._algebra.factors[at])
 
     def poly(self, a: Poly) -> Node:
-        """Return a polynomial in nested form; the power shared by most terms is factored out first, even before odd."""
+        """Return a polynomial in nested form.
+
+        The power that most terms share is factored out first; even powers take precedence over odd powers.
+        """
         if not a:
             return number(0)
         shared = self._shared(a)

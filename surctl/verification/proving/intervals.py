@@ -1,8 +1,9 @@
 """Interval arithmetic on arrays with outward rounding: each result contains all values of the operation.
 
-Sums and differences are rounded according to their exact rounding error. Products, quotients and roots are widened by
-one unit in the last place, because IEEE 754 rounds them to the nearest number. sin, cos, atan2 and acos are widened by
-`_LIBM_STEPS` units: NumPy states an error of up to 4 units for its vector routines, the C libraries of 1 unit.
+The ends of sums and differences are rounded outwards only if their exact rounding error requires it. Products,
+quotients and roots are widened by one unit in the last place, because IEEE 754 rounds them to the nearest number. sin,
+cos, atan2 and acos are widened by `_LIBM_STEPS` units: NumPy states an error of up to 4 units for its vector routines,
+the C libraries of 1 unit.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _TINY = 5e-324
 
 
 def point(x: Array) -> Ends:
-    """Return intervals that contain one number each."""
+    """Return point intervals, each of which contains exactly one number."""
     return x, x
 
 
@@ -74,7 +75,7 @@ def subtract(a: Ends, b: Ends) -> Ends:
 
 
 def multiply(a: Ends, b: Ends) -> Ends:
-    """Return a b; the product of an infinite end and 0 is 0."""
+    """Return the product a b; an infinite end times 0 is 0."""
     products = [_product(x, y) for x in a for y in b]
     low = np.minimum(np.minimum(products[0][0], products[1][0]), np.minimum(products[2][0], products[3][0]))
     high = np.maximum(np.maximum(products[0][1], products[1][1]), np.maximum(products[2][1], products[3][1]))
@@ -140,7 +141,7 @@ def sine_cosine(a: Ends) -> tuple[Ends, Ends]:
 
 
 def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
-    """The range of a sinusoid with maxima at (k + crest) 2π and minima π later."""
+    """Return the range of a sinusoid that has maxima at (k + crest) 2π and minima π after each maximum."""
     low, high = a
     wild = ~(np.maximum(np.abs(low), np.abs(high)) < _LARGEST_ANGLE)
     low, high = np.where(wild, 0.0, low), np.where(wild, 0.0, high)

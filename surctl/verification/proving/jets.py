@@ -1,4 +1,4 @@
-"""Interval enclosures of value, gradient and Hessian, computed together by forward differentiation."""
+"""Interval enclosures of value, gradient and Hessian, computed together by forward-mode differentiation."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ __all__ = ["Jet"]
 
 @dataclass(frozen=True, eq=False)
 class Jet:
-    """Enclosures of one quantity and its derivatives on B boxes of n variables.
+    """Enclosures of one quantity and of its derivatives on B boxes of n variables.
 
     Attributes:
-        value: (B,) range of the quantity.
-        slope: (n, B) ranges of its gradient; None if not computed. At a kink the range covers the slopes on both sides.
-        bend: (n, n, B) ranges of its Hessian; None if not computed.
+        value: (B,) intervals that contain the quantity.
+        slope: (n, B) intervals that contain the gradient; None if the gradient is not computed. At a kink the interval
+            covers the slopes on both sides.
+        bend: (n, n, B) intervals that contain the Hessian; None if the Hessian is not computed.
     """
 
     value: Ends
@@ -50,7 +51,7 @@ class Jet:
         return Jet(value, slope, iv.add(own, iv.add(crossed, turned)))
 
     def through(self, value: Ends, first: Callable[[], Ends], second: Callable[[], Ends]) -> Jet:
-        """Return a function of this quantity from the function's value and its first and second derivative (B,)."""
+        """Apply a function to this quantity, given the function's value, first and second derivative, each (B,)."""
         if self.slope is None:
             return Jet(value)
         slope = first()
@@ -99,7 +100,7 @@ class Jet:
         return self.through(cosine, lambda: iv.negate(sine), lambda: iv.negate(cosine))
 
     def arccosine(self) -> Jet:
-        """Return arccos x of this quantity x: slope −1/√(1 − x²), second derivative −x/(1 − x²)^1.5."""
+        """Return arccos x of this quantity x; its derivatives by x are −1/√(1 − x²) and −x/(1 − x²)^1.5."""
         x = self.value
         one = iv.point(np.ones_like(x[0]))
         rest = _not_negative(iv.subtract(one, iv.square(x)))
@@ -162,10 +163,11 @@ class Jet:
 
 
 def choose(a: Ends, b: Ends, x: Jet, y: Jet, value: Ends | None = None) -> Jet:
-    """Return x where a ≤ b and y elsewhere; on a box where both occur, the interval hull of x and y.
+    """Return x where a ≤ b and y elsewhere; on a box with points of both kinds, return the interval hull of x and y.
 
-    If `value` is given, the function is continuous, so its slope lies in the hull of both slopes. Without `value` the
-    function may jump, and its slope is unbounded where both occur. Its Hessian is unbounded there in any case.
+    If `value` is given, the selected function is continuous, so its slope lies in the hull of both slopes. Without
+    `value` the function may jump, and its slope is unbounded on a box with points of both kinds. On such a box the
+    Hessian is unbounded in either case.
     """
     first, second = a[1] <= b[0], a[0] > b[1]
     jumps = value is None

@@ -1,4 +1,4 @@
-"""Polynomials with exact rational coefficients in atoms, which are given by index."""
+"""Polynomials with exact rational coefficients; their indeterminates are atoms, given by index."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _KEY = frozenset
 
 
 class TooLarge(Exception):
-    """A polynomial has too many terms, or an operation has no normal form."""
+    """Error: a polynomial has too many terms, or an operation has no normal form."""
 
 
 def constant(value: Fraction | int) -> Poly:
@@ -48,7 +48,7 @@ def scaled(a: Mapping[Monomial, Fraction], factor: Fraction | int) -> Poly:
 
 
 def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -> Poly:
-    """Return a b without using relations between atoms."""
+    """Return the product a b without using relations between atoms."""
     if len(a) * len(b) > _MOST * 10:
         raise TooLarge
     total: Poly = {}
@@ -72,7 +72,7 @@ def leading(a: Mapping[Monomial, Fraction]) -> tuple[Monomial, Fraction]:
 
 
 def key_of(a: Mapping[Monomial, Fraction]) -> frozenset[tuple[Monomial, Fraction]]:
-    """Return a hashable key that is the same for equal polynomials."""
+    """Return a hashable key of the polynomial; equal polynomials have equal keys."""
     return _KEY(a.items())
 
 

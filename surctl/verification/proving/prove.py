@@ -1,4 +1,4 @@
-"""Prove a claim by cases, exact rewriting and interval branch and bound, and write the certificate."""
+"""Prove a claim by splitting into cases, exact rewriting and interval branch and bound, and write the certificate."""
 
 from __future__ import annotations
 
@@ -34,10 +34,12 @@ class Proof:
 
     Attributes:
         certificate: the certificate for `surctl.certcheck`; None if the proof is incomplete.
-        slack: how far left may exceed right by the certificate, in the claim's unit; 0 if the proof is exact.
-        remaining: description of what the proof does not cover; empty if it is complete.
-        open_boxes: the largest boxes that are not proved, (lower, upper) by variable.
-        boxes: number of boxes of the proof; if it is incomplete, of all attempts at the case that failed.
+        slack: amount by which the certificate lets the left side exceed the right side, in the claim's unit; 0 if the
+            proof is exact.
+        remaining: description of the part of the domain that the proof does not cover; empty if the proof is complete.
+        open_boxes: the largest unproved boxes; a box is a mapping from variable names to (lower, upper).
+        boxes: number of boxes of the proof; if the proof is incomplete, number of boxes in all attempts at the case
+            that failed.
         seconds: duration of the attempt [s].
     """
 
@@ -55,13 +57,13 @@ def prove(
     """Try to prove left ≤ right on the claim's whole domain.
 
     The numbers of the claim have exactly the values of their decimal notation; fractions of π are exact. The prover
-    first tries to prove the inequality exactly. If that fails, left may exceed right by `slack`, and the certificate
-    states this slack.
+    first tries to prove the inequality exactly. If the exact proof fails, the prover tries to prove left ≤ right +
+    `slack`, and the certificate states this slack.
 
     Args:
         claim: the claim.
         time_limit: limit of the processor time [s]; other load on the machine therefore does not change the verdict.
-        slack: largest excess that counts as rounding, in the claim's unit.
+        slack: largest excess of the left side over the right side that counts as rounding, in the claim's unit.
         progress: function that receives a line of progress from time to time.
 
     Raises:
@@ -132,7 +134,7 @@ def _show(
     label: str,
     progress: Callable[[str], None] | None,
 ) -> tuple[Form, SearchResult, float]:
-    """The first form and slack that prove the case; otherwise the attempt with the smallest volume of open boxes.
+    """Return the first form and slack that prove the case; otherwise the attempt with the least unproved volume.
 
     The result of a failed proof counts the boxes of all attempts and gives the reason why the last one stopped.
     """
@@ -176,7 +178,7 @@ def _reporter(label: str, progress: Callable[[str], None] | None) -> Callable[[i
 
 
 def _usable(form: Form, names: tuple[str, ...], root: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
-    """Whether the multipliers are ≥ 0 and the denominators > 0 on the whole box."""
+    """Whether all multipliers are ≥ 0 and all denominators are > 0 on the whole box."""
     read = build_tape(names, [*form.denominators, *form.multipliers]).run(root)
     count = len(form.denominators)
     positive = all(jet.value[0][0] > 0 for jet in read.jets[:count])

@@ -1,9 +1,9 @@
-"""The rules that prove the bound on a box; each leaf of a proof names one of them.
+"""Rules that prove the bound on a box; every leaf of the proof's tree of boxes names the rule that proves it.
 
-`i`: a constraint is positive on the whole box, so the box lies outside the domain. `j`: the mean-value form shows the
-same. `n`: the interval value of the function satisfies the bound. `m`: the mean-value form satisfies the bound on the
-face where every variable with a monotone influence is at its worse end. `c`: the function is concave on that face, so
-its tangent at one point bounds it.
+`i`: a constraint is positive on the whole box, so the box lies outside the domain. `j`: the mean-value form shows that
+a constraint is positive on the whole box. `n`: the interval value of the function satisfies the bound. `m`: the
+mean-value form satisfies the bound on the face where every variable with a monotone influence is at its worse end. `c`:
+the function is concave on that face, so its tangent at one point bounds it.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _SNAP = 1e-12  # a point nearer to 0 than this share of the box is set to 0
 
 @dataclass(frozen=True, eq=False)
 class Verdicts:
-    """The rule that proves each of B boxes, with data for splitting the boxes that no rule proves.
+    """Result of trying the rules on B boxes: the rule that proves each box, or data for splitting an unproved box.
 
     Attributes:
-        rule: (B,) the letter of the rule; "" if no rule proves the box.
-        points: (n, B) the tangent point of rule `c`.
-        smear: (n, B) the contribution of each variable's width to the bounds that are not proved.
+        rule: (B,) letter of the rule that proves the box; "" if no rule proves it.
+        points: (n, B) point of the tangent that rule `c` uses.
+        smear: (n, B) contribution of every variable to the width of the bounds that are not proved.
     """
 
     rule: NDArray[np.str_]
@@ -47,14 +47,15 @@ def middle(low: Array, high: Array) -> Array:
 
 
 def apply_rules(bound: Tape, constraints: Tape, box: Ends, slack: float, defined: NDArray[np.bool_]) -> Verdicts:
-    """Try every rule on every box.
+    """Try every rule on every box; return the results.
 
     Args:
-        bound: tape of the function to be proved ≤ 0, then of the positive factors of its denominator; a power appears
-            as repeated factors.
-        constraints: tape of the constraints; the domain is where none of them is positive.
+        bound: instruction list of the function to be proved ≤ 0, then of the positive factors of its denominator; a
+            power appears as repeated factors.
+        constraints: instruction list of the constraints; a point belongs to the domain if no constraint is positive at
+            the point.
         box: the boxes (n, B).
-        slack: how far the function divided by its denominator may exceed 0.
+        slack: amount by which the function, divided by its denominator, may exceed 0.
         defined: (B,) whether the claim as written is known to be defined on the box.
     """
     n, count = box[0].shape
@@ -124,7 +125,7 @@ def _by_derivatives(
 
 
 def _weight(jet: Jet, box: Ends) -> Array:
-    """The share (n, B) of each variable in the width of a function that may be positive; 0 where it is not."""
+    """Return each variable's contribution (n, B) to the width of a function; 0 where the function is never positive."""
     assert jet.slope is not None
     steep = np.maximum(np.abs(jet.slope[0]), np.abs(jet.slope[1]))
     steep = np.where(np.isfinite(steep), steep, 1e100)
@@ -136,7 +137,7 @@ def _weight(jet: Jet, box: Ends) -> Array:
 
 
 def _face(jet: Jet, box: Ends) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """The part of the box where the function is largest in every variable of monotone influence."""
+    """Return the face of the box on which every variable in which the function is monotone is at its worse end."""
     assert jet.slope is not None
     up = jet.slope[0] >= 0
     down = ~up & (jet.slope[1] <= 0)
@@ -145,7 +146,7 @@ def _face(jet: Jet, box: Ends) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def _mean_value(jet: Jet, there: Jet, box: Ends, at: Array, *, lower: bool) -> Array:
-    """The mean-value bound of the function over the box, from its value at a point and its slopes."""
+    """Return the mean-value bound of the function over the box, from its value at a point and its slopes."""
     assert jet.slope is not None
     with np.errstate(all="ignore"):
         offset = iv.subtract(box, iv.point(at))
@@ -157,7 +158,7 @@ def _mean_value(jet: Jet, there: Jet, box: Ends, at: Array, *, lower: bool) -> A
 
 
 def _concave(bound: Tape, face: Ends, free: NDArray[np.bool_], limit: Array | float) -> tuple[NDArray[np.bool_], Array]:
-    """The faces that a tangent proves, and the tangent points."""
+    """Return which faces a tangent proves, and the tangent points."""
     points = np.clip(np.zeros_like(face[0]), face[0], face[1])
     good = np.zeros(face[0].shape[1], dtype=bool)
     bend = bound.run(face, order=2).jets[0].bend
@@ -201,21 +202,21 @@ def _bends_down(bend: Ends, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _tangent(bound: Tape, face: Ends, at: Array) -> Array:
-    """The largest value (B,) on the face of the tangent at a point of the face."""
+    """Return the largest value (B,) that the tangent at a point of the face has on the face."""
     read = bound.run(iv.point(at), order=1)
     value = _mean_value(read.jets[0], read.jets[0], face, at, lower=False)
     return np.where(read.defined[0], value, np.inf)
 
 
 def _climbed(bound: Tape, face: Ends, start: Array, free: NDArray[np.bool_]) -> Array:
-    """The end point of Newton's method for the maximum on the face."""
+    """Search the maximum on the face by Newton's method; return the end point."""
     at = start
     n = len(at)
     for _ in range(_NEWTON):
         jet = bound.run(iv.point(at), order=2).jets[0]
         assert jet.slope is not None and jet.bend is not None
         slope, bend = middle(*jet.slope), middle(*jet.bend)
-        # fix a variable at its bound if the step would move it beyond
+        # fix a variable at its bound if the step would move it beyond this bound
         held = ~free | ((at <= face[0]) & (slope < 0)) | ((at >= face[1]) & (slope > 0))
         held |= ~np.isfinite(slope) | np.any(~np.isfinite(bend), axis=0)
         matrix = np.where(held[:, None] | held[None], 0.0, bend)

@@ -1,4 +1,4 @@
-"""Branch and bound: boxes are bisected until a rule proves each of them; the tree of bisections is the proof."""
+"""Branch and bound: boxes are bisected until a rule proves every box; the tree of bisections is the proof."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Task:
     """The inequality to prove on a box.
 
     Attributes:
-        bound: tape of the function to be proved ≤ 0 and of the factors of its denominator.
-        constraints: tape of the constraints.
-        written: tape of the claim as written, which shows where the claim is defined.
+        bound: instruction list of the function to be proved ≤ 0 and of the factors of its denominator.
+        constraints: instruction list of the constraints.
+        written: instruction list of the claim as written; it shows on which boxes the claim is defined.
         box: lower and upper bounds of the root box, each (n,).
-        slack: how far the function divided by its denominator may exceed 0.
+        slack: amount by which the function, divided by its denominator, may exceed 0.
     """
 
     bound: Tape
@@ -45,15 +45,15 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The result of the search.
+    """The result of branch and bound.
 
     Attributes:
-        tree: the boxes in preorder, one letter each: a letter of `DIMENSIONS` for a bisected box, the letter of the
-            rule for a proved one.
+        tree: the boxes in preorder, one letter per box: a letter of `DIMENSIONS` for a bisected box, or the letter of
+            the rule for a proved box.
         points: the tangent points of the boxes proved by rule `c`, in preorder.
         remaining: (n, k) lower and upper bounds of the boxes that are not proved.
         boxes: number of boxes evaluated.
-        reason: why the search stopped; empty if all boxes are proved.
+        reason: reason why the search stopped; empty if all boxes are proved.
     """
 
     tree: str
@@ -69,7 +69,7 @@ class SearchResult:
 
 
 class _Tree:
-    """The boxes by index: letter, first child and tangent point of each."""
+    """The tree of boxes: for the index of a box, its letter, its first child and its tangent point."""
 
     def __init__(self) -> None:
         self.letters = [""]
@@ -99,16 +99,16 @@ class _Tree:
 def search(
     task: Task, *, deadline: float, most: int = 200_000, progress: Callable[[int, int], None] | None = None
 ) -> SearchResult:
-    """Bisect boxes until all are proved, `time.process_time` reaches `deadline`, or `most` boxes were evaluated.
+    """Bisect boxes until all are proved, the deadline has passed, or `most` boxes were evaluated.
 
-    A box is bisected at 0 if its interval contains 0, because many claims hold with equality at 0; otherwise it is
-    bisected in the middle.
+    If the interval of the bisected variable contains 0, it is bisected at 0, because many claims hold with equality at
+    0; otherwise it is bisected in the middle.
 
     Args:
         task: the inequality to prove.
-        deadline: reading of `time.process_time` [s] at which to stop.
+        deadline: value of `time.process_time` [s] at which the search stops.
         most: largest number of boxes to evaluate.
-        progress: function called after each round with the numbers of boxes evaluated and boxes open.
+        progress: function that is called after each round with two numbers: boxes evaluated, and boxes not proved yet.
     """
     lower, upper = task.box
     tree = _Tree()
@@ -144,7 +144,7 @@ def search(
 def _decide(
     task: Task, box: Ends, ids: NDArray[np.int_], tree: _Tree, everywhere: bool
 ) -> tuple[tuple[Array, Array, NDArray[np.int_]], Ends]:
-    """Record the proved boxes in the tree; return the boxes too narrow to bisect, and the halves of the others."""
+    """Record the proved boxes; return the unproved boxes too narrow to bisect, and the halves of the other boxes."""
     count = ids.size
     defined = np.ones(count, dtype=bool)
     if not everywhere:
@@ -172,7 +172,7 @@ def _decide(
 
 
 def _dimension(task: Task, low: Array, high: Array, smear: Array) -> NDArray[np.int_]:
-    """The variable along which each box is bisected; −1 if none is wide enough."""
+    """Return, for every box, the index of the variable to bisect; −1 if no variable is wide enough."""
     width = task.box[1] - task.box[0]
     share = (high - low) / np.where(width > 0, width, 1.0)[:, None]
     wide = share > _NARROWEST
@@ -183,7 +183,7 @@ def _dimension(task: Task, low: Array, high: Array, smear: Array) -> NDArray[np.
 
 
 def corners(boxes: Ends, names: Sequence[str], most: int = 3) -> list[dict[str, list[float]]]:
-    """Return the largest open boxes as plain data, (lower, upper) by variable."""
+    """Return the largest unproved boxes as plain data: for each box, (lower, upper) by variable."""
     volume = np.prod(np.maximum(boxes[1] - boxes[0], 1e-300), axis=0)
     order = np.argsort(-volume, kind="stable")[:most]
     return [{name: [float(boxes[0][i, k]), float(boxes[1][i, k])] for i, name in enumerate(names)} for k in order]

@@ -1,4 +1,4 @@
-"""A claim as exact expressions, and its cases: in each case, every min, max, abs and select takes one branch."""
+"""Claims as exact expressions, split into cases: in a case, every min, max, abs and select takes one branch."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ class Statement:
 
     @property
     def parts(self) -> tuple[Node, ...]:
-        """The expressions left, right and the constraints."""
+        """All expressions of the statement: left, right and the constraints."""
         return (self.left, self.right, *self.constraints)
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A statement in which every branching expression takes one of its branches.
+    """A case of a statement: every branching expression (min, max, abs, select) takes one of its branches.
 
     Attributes:
-        choice: "0" or "1" for each branching expression, in the order in which they occur in left, right and the
-            constraints; empty if there is nothing to choose.
+        choice: "0" or "1" for each branching expression, in the order in which the expressions occur in left, right and
+            the constraints; empty if there is no branching expression.
         margin: left − right.
-        constraints: the constraints of the statement, then one constraint for each choice.
+        constraints: the constraints of the statement, then one constraint for each chosen branch.
     """
 
     choice: str
@@ -78,7 +78,7 @@ def statement_of(claim: Claim) -> Statement:
 
 
 def substituted(statement: Statement) -> tuple[Node, ...]:
-    """Return the parts of the statement; a variable with equal bounds is replaced by its decimal value."""
+    """Return left, right and constraints; a variable with equal bounds is replaced by its decimal value."""
     ends = zip(statement.names, statement.lower, statement.upper, strict=True)
     fixed = {name: number(Fraction(repr(float(low)))) for name, low, high in ends if low == high}
 
@@ -89,7 +89,7 @@ def substituted(statement: Statement) -> tuple[Node, ...]:
 
 
 def cases_of(parts: Sequence[Node]) -> list[Case]:
-    """Return one case for each choice of branches; a single case without choices if there are too many branches."""
+    """Return one case for each choice of branches; if there are too many branches, one case that chooses no branch."""
     branches = _branches(parts)
     left, right, *constraints = parts
     if len(branches) > MOST_BRANCHES:
@@ -103,7 +103,7 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
 
 
 def _branches(parts: Iterable[Node]) -> list[Node]:
-    """The distinct branching expressions, in the order in which they occur."""
+    """Return the distinct branching expressions (min, max, abs, select), in the order in which they occur."""
     met: dict[Node, None] = {}
     visited: set[Node] = set()
     stack = list(reversed(list(parts)))
@@ -119,7 +119,7 @@ def _branches(parts: Iterable[Node]) -> list[Node]:
 
 
 def _chosen(parts: Sequence[Node], choice: dict[Node, str]) -> tuple[list[Node], list[Node]]:
-    """The parts with the chosen branches, and the conditions (expressions ≤ 0) under which the choice is valid."""
+    """Return the parts with the chosen branches, and the conditions (expressions ≤ 0) under which the choice holds."""
     conditions: dict[Node, Node] = {}
 
     def change(node: Node, args: tuple[Node, ...]) -> Node:

@@ -1,4 +1,4 @@
-"""Expressions as a list of operations that is evaluated on many boxes at once."""
+"""Instruction lists of expressions, which are evaluated on many boxes at once."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """The result of a tape on B boxes.
+    """The result of evaluating an instruction list on B boxes.
 
     Attributes:
-        jets: the enclosures of each expression.
-        defined: for each expression (B,), whether all its operations are defined on the whole box.
+        jets: for each expression, the enclosures of its value and derivatives.
+        defined: for each expression, an array (B,): whether all operations of the expression are defined on the whole
+            box.
     """
 
     jets: tuple[Jet, ...]
@@ -34,12 +35,12 @@ class Read:
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """The operations of several expressions in evaluation order.
+    """An instruction list: the operations of several expressions in evaluation order.
 
     Attributes:
-        names: names of the variables, in the order of the boxes' rows.
-        steps: every distinct node, with the indices of its operands.
-        roots: indices of the expressions.
+        names: names of the variables, in the order of the first axis of the box arrays (n, B).
+        steps: every distinct node of the expressions, with the indices of its operands.
+        roots: for each expression, the index of its last step.
     """
 
     names: tuple[str, ...]
@@ -47,7 +48,7 @@ class Tape:
     roots: tuple[int, ...]
 
     def run(self, box: Ends, *, order: int = 0) -> Read:
-        """Return the enclosures on boxes (n, B), with derivatives up to `order` ≤ 2."""
+        """Evaluate the expressions on boxes (n, B); return enclosures, with derivatives up to `order` ≤ 2."""
         count = box[0].shape[1]
         jets: list[Jet] = []
         defined: list[NDArray[np.bool_]] = []
@@ -62,7 +63,7 @@ class Tape:
         return Read(tuple(jets[r] for r in self.roots), tuple(defined[r] for r in self.roots))
 
     def trouble(self, box: Ends) -> str:
-        """Describe the first operation that is not defined on a box (n, 1); empty if there is none."""
+        """Describe the first operation that is undefined somewhere on a box (n, 1); empty if all are defined."""
         jets: list[Jet] = []
         with np.errstate(all="ignore"):
             for node, args in self.steps:
@@ -122,7 +123,7 @@ class Tape:
 
 
 def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
-    """Return the tape of several expressions; shared subexpressions are computed once."""
+    """Return the instruction list of several expressions; shared subexpressions are computed only once."""
     nodes = list(ordered(*roots))
     at = {node: k for k, node in enumerate(nodes)}
     steps = tuple((node, tuple(at[a] for a in node.args)) for node in nodes)
@@ -139,7 +140,7 @@ _TROUBLES = {
 
 
 def _undefined(node: Node, args: list[Jet], count: int) -> NDArray[np.bool_]:
-    """Whether the operation is undefined somewhere on the box, (B,)."""
+    """Return (B,) whether the operation is undefined at some point of the box."""
     if node.op == "sqrt":
         return ~(args[0].value[0] >= 0)
     if node.op == "div" or (node.op == "pow" and node.value < 0):
@@ -162,7 +163,7 @@ def _jet(value: Ends, slope: Ends, n: int, order: int) -> Jet:
 
 
 def _enclosed(node: Node) -> tuple[float, float]:
-    """The nearest doubles below and above an exact number or π."""
+    """Return two doubles that enclose an exact number or π: the nearest below and the nearest above."""
     if node.op == "pi":
         return float(np.pi), float(np.nextafter(np.pi, 4.0))  # the double lies below π
     near = float(node.value)
