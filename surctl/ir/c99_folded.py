@@ -130,7 +130,7 @@ def folded_lines(
 
 
 def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> list[str]:
-    """Return declarations of local variables, filled into lines; successive variables of one type share a declaration."""
+    """Return declarations of local variables; successive variables of one type share a declaration."""
     lines: list[str] = []
     for truth, group in groupby(named, key=itemgetter(0)):
         start = f"{indent}const {'int' if truth else kind} "

@@ -21,7 +21,7 @@ __all__ = ["Block", "Call", "Gather", "Loop", "Routine", "Step"]
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A step of a routine that calls a program or routine: results = block(args), with an array for each input and output."""
+    """A step that calls a program or routine: results = block(args), with one array for each input and output."""
 
     block: Block
     args: tuple[str, ...]
@@ -134,7 +134,7 @@ class Routine:
 
     @cached_property
     def libm(self) -> frozenset[str]:
-        """Return the names of the routine's operations that call libm (such as sin), whose last bits vary by machine."""
+        """Return names of the routine's operations that call libm (such as sin), whose last bits vary by machine."""
         return frozenset().union(*(block.libm for block in nested(self).values() if isinstance(block, Program)))
 
     def text(self) -> str:
