@@ -66,7 +66,7 @@ class Bundle:
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """Return the names of the public and the private header; only the controller's C files include the private one."""
+        """Return the names of the public header and of the header that only the controller's C files include."""
         return (f"{self.name}.h", f"{self.name}_internal.h")
 
 

@@ -101,7 +101,7 @@ class Controller:
         return np.dtype(self.bundle.real)
 
     def run_faults(self, record: Vector, at: Vector, values: Vector) -> FaultResults:
-        """Run K steps from `record` (state, input, gains end to end); in step k, entry `at[k]` is set to `values[k]`."""
+        """Run K steps from `record` (state, input, gains end to end); step k sets entry `at[k]` to `values[k]`."""
         numbers = np.concatenate([record, np.column_stack([at, values]).ravel()])
         n_tau = thrust(self.law).size
         with np.errstate(over="ignore"):

@@ -46,8 +46,8 @@ Vector = NDArray[np.float64]
 _TOOL = "frama-c"
 _OPTIONS = ("-eva", "-eva-no-show-progress", "-eva-msg-key=-final-states", "-main", "proof")
 _BOUNDED = ("-eva-precision", "3", "-warn-special-float", "non-finite")
-# Precision 0: a higher one gains nothing and does not finish. Loops over rows are unrolled; otherwise Eva assumes that
-# rows which one loop filled may be empty in the next loop.
+# Precision 0: higher precision gains nothing and does not finish. Loops over rows are unrolled; otherwise Eva assumes
+# that rows which one loop filled may be empty in the next loop.
 _UNBOUNDED = ("-eva-precision", "0", "-warn-special-float", "none", "-eva-auto-loop-unroll")
 _LEAST_UNROLLED = 24
 _INSIDE = "every intermediate number is finite, no divisor is zero"
@@ -194,7 +194,7 @@ def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
     within = bundle.envelope or anywhere(law)
     if (np.abs(within.state) < _ANY).all() and isinstance(law.block, Program):
         return _BOUNDED
-    turns = [loop.count for loop in _loops(law.block) if loop.until is None]  # loops with `until` fill no constraint rows
+    turns = [loop.count for loop in _loops(law.block) if loop.until is None]  # loops with `until` fill no rows
     return (*_UNBOUNDED, str(max(_LEAST_UNROLLED, *turns, 0)))
 
 

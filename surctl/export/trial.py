@@ -104,7 +104,7 @@ def _switches(run: Records) -> NDArray[np.bool_]:
 
 
 def _shift(rows: Vector, at: NDArray[np.intp], rng: np.random.Generator, real: Real, *, share: float) -> None:
-    """Move each number of these steps, with probability `share`, to the next float up or down in the precision `real`."""
+    """Move each number of these steps, with probability `share`, to the next float of `real` up or down."""
     part = rows[at].astype(np.float64 if real == "float64" else np.float32)
     up = rng.random(part.shape) < 0.5
     near = np.nextafter(part, np.where(up, np.inf, -np.inf).astype(part.dtype))

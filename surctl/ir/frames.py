@@ -25,7 +25,7 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
     Args:
         block: program or routine.
         real: type of the numbers.
-        flags: compiler flags, used after `FLAGS`.
+        flags: compiler flags in addition to those of `compile_program`.
 
     Raises:
         ToolMissing: there is no compiler, or it does not report its frames (`-fstack-usage`).

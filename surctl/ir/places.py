@@ -115,7 +115,7 @@ class Places:
 
     @cached_property
     def pool(self) -> tuple[dict[str, int], int]:
-        """Return the start of each own array in shared memory, and its size; without starts if each array is separate."""
+        """Return the start of each own array in shared memory, and its size; no starts if each array is separate."""
         lives: dict[str, tuple[int, int, int]] = {}
         end = len(self.routine.steps)
         last = dict.fromkeys(self.routine.results, end)
