@@ -71,7 +71,7 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
 def _snapshots(run: Run) -> list[int]:
     """Return indices of control periods at evenly spaced round times (hulls hardly overlap), and the last index."""
     time, m = run.record.time, run.metrics
-    apart = 1.4 * run.vehicle["radius"] * m.time_s / max(m.length_m, 1e-9)  # [s] time in which the robot travels 0.7 diameters
+    apart = 1.4 * run.vehicle["radius"] * m.time_s / max(m.length_m, 1e-9)  # [s] to travel 0.7 diameters
     least = max(m.time_s / _SNAPSHOTS, apart)
     step = next((s for s in _NICE if s >= least), _NICE[-1])
     steps = {int(np.argmin(np.abs(time - t))) for t in np.arange(0.0, m.time_s - 0.4 * step, step)}
@@ -123,7 +123,7 @@ def body_middle(body: Body) -> NDArray[np.float64]:
 
 
 def _draw_obstacles(ax: Axes, run: Run, steps: list[int]) -> None:
-    """Draw each obstacle at the times of the hulls; moving obstacles are fainter earlier, drifting ones are outlines."""
+    """Draw obstacles at the times of the hulls; moving obstacles are fainter earlier, drifting ones are outlines."""
     for name in dict.fromkeys(body.name for bodies in run.record.obstacles for body in bodies):
         history = {k: b for k, bodies in enumerate(run.record.obstacles) for b in bodies if b.name == name}
         middles = np.array([body_middle(body) for body in history.values()])

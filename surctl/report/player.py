@@ -65,7 +65,7 @@ def player_frames(run: Run, *, apart: float = _APART) -> str:
 
 
 def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
-    """Return name, outline and centres of each obstacle: a centre for each frame, or a single one if it does not move."""
+    """Return name, outline and centres of each obstacle: one centre per frame, or a single centre if it is fixed."""
     entries: list[dict[str, object]] = []
     for name in dict.fromkeys(body.name for bodies in frames for body in bodies):
         history = [next((body for body in bodies if body.name == name), None) for bodies in frames]

@@ -1,4 +1,4 @@
-"""Plots of region certificates: level sets, the flow of the closed loop, and points at which the certified rate fails."""
+"""Plots of region certificates: level sets, flow of the closed loop, and points at which the certified rate fails."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
 
 
 def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the clearance of the hull to the nearest obstacle or wall [m]: true clearance, and clearance known to the law."""
+    """Plot the clearance from hull to nearest obstacle or wall [m]: the true value, and the value known to the law."""
     ax = _axes(run, ax, title="clearance", unit="m")
     time = run.record.time
     known = run.telemetry("nearest")[:, 0]

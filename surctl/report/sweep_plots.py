@@ -21,7 +21,7 @@ _LINES = 2000  # largest number of lines drawn, because more lines would merge
 
 
 def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: Axes | None = None) -> Axes:
-    """Plot parallel coordinates: one line per point of the sweep over its parameters and columns, each with its own scale.
+    """Plot a sweep in parallel coordinates: one line for each point, one scale for each parameter and column.
 
     Feasible points are drawn over infeasible ones, and the picked point on top. The line of a point is interrupted at a
     column without a number. If there are very many points, an evenly spaced selection is drawn.

@@ -68,7 +68,7 @@ def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     ax.grid(visible=True, color="#DADCE0", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.tick_params(labelsize=8.5, colors=INK, length=3)
-    ax.tick_params(which="minor", labelsize=8.5, colors=INK)  # a logarithmic axis within a decade writes minor tick labels too
+    ax.tick_params(which="minor", labelsize=8.5, colors=INK)  # a logarithmic axis within a decade has minor labels
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     for side in ("bottom", "left"):

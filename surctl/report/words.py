@@ -40,7 +40,7 @@ def file_size(path: Path) -> str:
 
 
 def gains_argument(gains: Gains, gains_file: str) -> str | None:
-    """Return the `--gains` argument for these gains: `gains_file`, or their source if unchanged; None if neither fits."""
+    """Return the `--gains` argument: `gains_file`, or the gains' source if they are unchanged; None if neither fits."""
     try:
         for source in filter(None, (gains_file, gains.source)):
             if load_gains(source).values == gains.values:
