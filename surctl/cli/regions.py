@@ -24,7 +24,7 @@ class Regions(NamedTuple):
 
 
 def is_region(word: str) -> bool:
-    """Whether a word is the name of a region claim or a file of kind region.
+    """Return whether a word is the name of a region claim or a file of kind region.
 
     Raises:
         InputError: the file cannot be read.

@@ -171,7 +171,7 @@ def check_builds(
     untried: Mapping[str, tuple[str, ...]] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> CheckReport:
-    """Build the bundle for each target, and compare its results byte by byte with the law evaluated in Python.
+    """Build the bundle for each target, and compare the results of C byte by byte with the law in Python.
 
     First, each build receives the recorded inputs in order and carries its own state, as on the robot. Then each build
     runs single steps near the recorded runs, where the law switches in these runs, and far from the recorded runs

@@ -104,7 +104,7 @@ class Exportable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Base of a law that wraps another law, with the same name, period and layouts."""
+    """Base of a law that wraps another law, whose name, period and layouts it shares."""
 
     law: Exportable
 

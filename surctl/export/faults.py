@@ -46,7 +46,7 @@ class Fault(NamedTuple):
 
 
 def fault_cases(law: Exportable, within: Envelope | None = None, *, real: Real = "float64") -> list[Fault]:
-    """Return the invalid inputs; each entry of state, input and gains is once NaN, ±inf, and just outside its range.
+    """Return the invalid inputs, each with an entry of state, input or gains at NaN, ±inf, or just out of range.
 
     The last faults follow a valid step: a repeated sample, an older sample, and NULL for state, gains, input or output.
     """

@@ -6,8 +6,8 @@ value is read, no array index is out of bounds, no conversion overflows, and eac
 For a law in closed form with bounded memory, Eva also shows that no NaN or infinity is computed and nothing is divided
 by zero. The absence of NaN, infinities and divisions by zero is not proved for a law that loops over constraint rows
 `(n·v ≤ b)` with possibly infinite bounds, or whose state is unbounded. IEEE 754 defines the operations of such a law on
-infinities and NaN, and the exported step checks every result of the law. The ranges are those of the guard, which
-refuses all other numbers before the law reads them. The proof therefore covers every step on the robot.
+infinities and NaN, and the exported step checks every result of the law. The analysis uses the ranges of the guard,
+which refuses all numbers outside before the law reads them. The proof therefore covers every step on the robot.
 """
 
 from __future__ import annotations

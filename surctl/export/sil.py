@@ -46,7 +46,7 @@ class Difference:
     Attributes:
         absolute: max |C − Python|.
         relative: max |C − Python| / |Python|, over numbers that are not 0 in Python.
-        mixed: max |C − Python| / max(1, |Python|); it is compared with `TOLERANCE`.
+        mixed: max |C − Python| / max(1, |Python|), which is compared with `TOLERANCE`.
         step: index of the step with the largest mixed difference, None if all numbers are equal.
     """
 

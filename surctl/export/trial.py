@@ -36,10 +36,10 @@ def trial_steps(
 ) -> Records:
     """Return up to `count` steps (at most `MOST_NUMBERS` numbers), which vary recorded steps in eight ways in turn.
 
-    The eight ways are: (0) as recorded; (1) and (2) a recorded step at which the law switches, with all numbers or
-    about one number moved to the next float up or down; (3) and (6) slightly perturbed; (4) widely perturbed; (5) some
-    numbers replaced by 0, 1 or their negative; (7) one number NaN or infinite. In every second group of 256 steps, the
-    gains change by up to 10 %.
+    The eight ways are: (0) the step as recorded; (1) and (2) a recorded step at which the law switches, with all
+    numbers (1) or about one number (2) moved to the next float up or down; (3) and (6) the step slightly perturbed; (4)
+    the step widely perturbed; (5) some numbers replaced by 0, 1 or their negative; (7) one number NaN or infinite. In
+    every second group of 256 steps, the gains change by up to 10 %.
 
     Args:
         law: the law.

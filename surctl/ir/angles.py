@@ -14,9 +14,10 @@ _COS = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800)
 def nearby_angles(program: Program, source: int, entry: int) -> Program:
     """Replace sin and cos of a + d, where a is an input entry, by the angle-sum formula with a Taylor series in d.
 
-    This formula costs a third of a general sine. It is meant for the stages of an integrator, whose angle changes
-    little within a call: the series errors are |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in the last place of 1 up
-    to d = 0.18, and 1e-11 at d = 0.5. Only sines and cosines of sums that contain a are replaced.
+    This formula costs a third of a general sine. The formula is meant for the stages of a Runge-Kutta integrator, whose
+    angle changes little within a call. The errors of the series are |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in
+    the last place of 1 up to d = 0.18, and 1e-11 at d = 0.5. Only sines and cosines of sums that contain a are
+    replaced.
 
     Args:
         program: the instruction list.

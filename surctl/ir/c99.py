@@ -100,7 +100,7 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
     """Write `static void <symbol>(const double *in0, …, double *out0, …)` with one local variable on each line.
 
     The text contains only locals and exact literals. All outputs are computed before any is stored, so outputs may
-    alias inputs. It needs <math.h> and, for identical bytes, the compiler flag `-ffp-contract=off`.
+    alias inputs. The C text needs <math.h> and, for identical bytes, the compiler flag `-ffp-contract=off`.
 
     Args:
         program: the instruction list, without dead instructions (`lower` leaves none).

@@ -1,4 +1,4 @@
-"""Writer of an instruction list as readable, compact C99: nested expressions instead of one local per operation.
+"""Writer of an instruction list as readable, compact C99: nested expressions instead of a variable per operation.
 
 A value that is used once is inlined at its use, truth values are `int`, and one declaration covers several locals. The
 computed numbers equal those of the C text of `emit_c99`, operation by operation, if double is computed as double
@@ -120,7 +120,7 @@ def folded_lines(
         stores: (left-hand side, list position of the value) of each store, in order.
         address: returns the C text of an entry of an input.
         real: type of the numbers.
-        apart: whether a store may read inputs, because no store overwrites one.
+        apart: whether a store may read inputs, because no store overwrites an input.
         indent: indentation of every line.
     """
     folder = _Folder(instructions, stores, address, real, apart)

@@ -44,8 +44,8 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
         symbol: name of the last function, and prefix of the other names.
         real: "float32" writes float instead of double.
         folded: True writes readable text with nested expressions for any C99 compiler (see `c99_folded`). This text has
-            a third of the length; a file can hold only one. False writes text for speed, with vectors where the
-            compiler supports them.
+            a third of the length of the text for speed; a file can hold only one block in this form. False writes text
+            for speed, with vectors where the compiler supports them.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
@@ -104,7 +104,7 @@ def run_alone(block: Block) -> set[str]:
 
 @dataclass
 class Part:
-    """The functions of one file, callees first, and the programs among them."""
+    """The C functions of one file, callees first, and those of these functions that are programs."""
 
     functions: list[str] = field(default_factory=list)
     programs: list[Program] = field(default_factory=list)

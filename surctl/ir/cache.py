@@ -90,7 +90,7 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
         wide: whether to use the widest vectors of the processor, see `tuned_flags`.
 
     Returns:
-        The bytes of the library. So the caller can load exactly the library that was checked.
+        The bytes of the library, so that the caller can load exactly the library that was checked.
 
     Raises:
         ToolMissing, InputError, SurctlError: as in `compile_program`.

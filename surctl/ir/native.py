@@ -31,7 +31,7 @@ _SYMBOL = "surctl_block"
 class Workspace:
     """Buffers of one caller, bound to a compiled function: write `inputs`, call `run`, read `outputs`.
 
-    Do not share a workspace between threads; `Native.workspace` creates any number of them.
+    Do not share a workspace between threads; `Native.workspace` creates any number of workspaces.
 
     Attributes:
         inputs, outputs: for each named input or output, a view of the common buffer, in the order of the compiled

@@ -71,8 +71,8 @@ class Gather:
     """A step that copies piece `index` of the source, which is divided into pieces of `width`.
 
     The index (1,) is rounded down; an index outside the array selects the nearest piece, and a NaN selects piece 0.
-    With `lanes`, the source is an array stacked by a loop with as many SIMD lanes. It consists of groups of `lanes`
-    pieces; each group is stored entry by entry.
+    With `lanes`, the source is an array stacked by a loop with as many SIMD lanes. The source then consists of groups
+    of `lanes` pieces, and each group is stored entry by entry.
     """
 
     source: str

@@ -28,8 +28,8 @@ def write_block(block: Block) -> str:
     """Return a program or routine as text for `read_block`: first `block.text()`, then `block.digest()`.
 
     Raises:
-        InputError: the text would not be read as the same block: a constant is a NaN, a name contains a blank, or an
-            array of a loop has the name of a keyword of the text ("fixed").
+        InputError: the text would not be read back as an equal program or routine: a constant is a NaN, a name contains
+            a blank, or an array of a loop has the name of a keyword of the text ("fixed").
 
     Example:
         >>> import casadi as ca
@@ -56,7 +56,7 @@ def read_block(text: str) -> Block:
     """Return the program or routine that `write_block` wrote; an inner block used by several steps is one object.
 
     Raises:
-        InputError: the text differs in a character from that of a block; the message names the line.
+        InputError: the text differs in a character from the text of a program or routine; the message names the line.
 
     Example:
         >>> import casadi as ca

@@ -55,7 +55,7 @@ class _Loop:
 
 
 class Recording:
-    """Traces loops while it is open (`with`), and lowers expressions over their results to a block.
+    """Traces loops while it is open (`with`), and lowers expressions over loop results to a program or routine.
 
     Example:
         >>> import casadi as ca

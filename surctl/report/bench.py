@@ -55,7 +55,7 @@ _DIGITS = 4  # significant digits of slider values; the start value is not round
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Responses to unit steps in the references, with all loops closed.
+    """Responses of the closed loop to unit steps in the references.
 
     Attributes:
         time: (n,) times [s] by name of the stepped reference.

@@ -23,7 +23,7 @@ def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -
 
     Args:
         one: the calibration of one sensor in one medium.
-        ax: two axes, for errors and residuals; None creates them.
+        ax: two axes, for errors and residuals; None creates new axes.
 
     Returns:
         The figure that holds the axes.
