@@ -1,4 +1,4 @@
-"""The option of `surctl simulate` that writes an animation of a run."""
+"""The option `--animate` of `surctl simulate`, which writes an animation of a run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ animate_option = click.option(
 
 
 def check_animate(path: Path | None, *, runs: int, campaign: bool) -> None:
-    """Create the folder of the animation; InputError, before any simulation, if the runs cannot be animated."""
+    """Create the folder of the animation; raise InputError before any simulation if the runs cannot be animated."""
     if path is None:
         return
     from surctl.errors import InputError

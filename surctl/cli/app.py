@@ -1,4 +1,4 @@
-"""The application: it registers the commands and turns every error into one line and an exit status."""
+"""The command-line application, which registers the commands and turns every error into a line and an exit status."""
 
 from __future__ import annotations
 
@@ -69,10 +69,10 @@ def main() -> None:
         surctl, version ...
         status 0
     """
-    # set before NumPy is loaded: for small matrices, OpenBLAS's threads only wait for each other
+    # set before NumPy is loaded: with small matrices, OpenBLAS's threads only wait for each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     warnings.showwarning = lambda message, *_: _print_message(str(message))
-    warnings.filterwarnings("always", category=OldName)  # a line each, whatever the filters
+    warnings.filterwarnings("always", category=OldName)  # one line for each warning, whatever the warning filters are
     prepare_stdout()
     try:
         status = app(current_arguments(sys.argv[1:]), prog_name="surctl", standalone_mode=False)

@@ -1,4 +1,4 @@
-"""Braking claims of `surctl verify`: certificates for the guarantee of the barrier with inertia."""
+"""Braking claims of `surctl verify`; their certificates prove that the barrier accounts for the robot's inertia."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KINDS = ("braking-rule", "braking-inertia", "braking-simple")
 
 
 class Braking(NamedTuple):
-    """The result of the braking claims: plain data, lines to print, certificate files, and whether all are proved."""
+    """The result of the braking claims: plain data, lines to print, certificate files, whether all are proved."""
 
     claims: list[dict[str, Any]]
     lines: list[str]
@@ -23,7 +23,7 @@ class Braking(NamedTuple):
 
 
 def is_braking(name: str) -> bool:
-    """Whether a claim name denotes a braking claim; the names of the steps of its proof do not."""
+    """Return whether a name denotes a braking claim; names of the steps of a claim's proof do not."""
     return name.startswith(_KINDS)
 
 

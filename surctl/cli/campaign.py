@@ -1,4 +1,4 @@
-"""The options of `surctl simulate` for campaigns of random runs, and for repeating one of these runs."""
+"""The options of `surctl simulate` for campaigns of random runs, and for repeating one run of a campaign."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CampaignOptions", "campaign_options", "simulate_again"]
 
-MOST_ROWS = 100  # largest number of runs printed as JSON; the files in DIR hold all runs
+MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
 
 campaign_options = together(
     click.option("--monte-carlo", is_flag=True, help="Draw vehicle and obstacles of each run at random."),
@@ -61,11 +61,11 @@ class CampaignOptions:
 
     @property
     def any(self) -> bool:
-        """Whether the options request a campaign."""
+        """Return whether the options request a campaign of random runs."""
         return self.monte_carlo or self.worlds is not None
 
     def check(self, *, scenarios: tuple[str, ...], runs: int, explained: bool, out: Path | None) -> None:
-        """Raise InputError for options that exclude each other or lack another option."""
+        """Raise InputError for options that exclude each other, or that require another option that is not given."""
         from surctl.errors import InputError
 
         if not self.any:
@@ -110,7 +110,7 @@ class CampaignOptions:
         sensing: str,
         seed: int,
     ) -> list[Plan]:
-        """Return the requested campaigns.
+        """Return the plans of the requested campaigns.
 
         Raises:
             InputError: a name is unknown, or the law or a scenario does not support an option.
@@ -199,7 +199,7 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
 
 
 def _claim(case: Case) -> SafetyClaim:
-    """The safety claim of the law's barrier for the scenario as in its file and the ranges of the vehicle."""
+    """Return the safety claim of the law's barrier, for the unchanged scenario and the vehicle's parameter ranges."""
     from math import inf
 
     from surctl.simulation import safety_claim, turn_rate
@@ -227,9 +227,9 @@ def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
 
 
 def simulate_again(path: Path, *, explained: bool, out: Path | None, animate: Path | None, as_json: bool) -> None:
-    """Simulate the run of a file in the reference loop, compare it with the campaign, and end the command.
+    """Simulate a saved run in the reference loop, compare the result with the campaign, and end the command.
 
-    The exit status is 1 if the two differ or if the run does not arrive.
+    The exit status is 1 if the result differs from the campaign or if the run does not arrive.
     """
     from surctl.files import prepare_folder
     from surctl.simulation.campaign import load_replay
@@ -261,7 +261,7 @@ SAME = 1e-9
 
 
 def _typed() -> dict[str, bool]:
-    """Whether each parameter of the command was given on the command line, by name."""
+    """Return, for each parameter of the command by name, whether it was given on the command line."""
     context = click.get_current_context()
     default = (click.core.ParameterSource.DEFAULT, click.core.ParameterSource.DEFAULT_MAP)
     return {name: context.get_parameter_source(name) not in default for name in context.params}

@@ -41,7 +41,7 @@ controller_options = together(
 
 @dataclass(frozen=True)
 class ControllerOptions:
-    """The controller and link options of the command line; None for options that are not given."""
+    """The options for the controller process and its connection; None for options that are not given."""
 
     controller: str | None
     loss: float | None
@@ -50,7 +50,7 @@ class ControllerOptions:
     timeout: float | None
 
     def check(self, *, campaign: bool) -> None:
-        """Raise InputError for options that exclude each other or lack another option."""
+        """Raise InputError for options that exclude each other, or that require another option that is not given."""
         from surctl.errors import InputError
 
         options = {"loss": self.loss, "delay": self.delay, "deadline": self.deadline, "timeout": self.timeout}
@@ -108,10 +108,10 @@ class ControllerOptions:
     def linked(
         self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, vehicle: Vehicle, *, seed: int
     ) -> LinkedLaw | None:
-        """Return the stepper of a run that uses the open connection; None without a connection.
+        """Return the stepper that simulates a run over the open connection; None without a connection.
 
         Raises:
-            InputError: the connected controller is not the one of this run.
+            InputError: the connected controller is not the controller of this run.
         """
         if line is None:
             return None

@@ -244,13 +244,13 @@ _RUN_OPTIONS = (
 
 
 def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
-    """The command that starts the exported controller as a process, and the command that simulates with it."""
+    """Return the command that starts the exported controller as a process, and the command that simulates with it."""
     words = [context.params["scenario"]]
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
     for name in _RUN_OPTIONS:
         setting = context.params[name]
         typed = context.get_parameter_source(name) != ParameterSource.DEFAULT
-        if setting != "truth" if name == "sensing" else typed:  # simulate has another default for --sensing
+        if setting != "truth" if name == "sensing" else typed:  # surctl simulate has another default for --sensing
             values = setting if isinstance(setting, tuple) else (setting,)
             words += [word for value in values for word in (options[name], str(value))]
     port = 5555

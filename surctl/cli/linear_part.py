@@ -13,10 +13,11 @@ __all__ = ["LinearPart", "linear_part", "over_speeds"]
 
 
 class LinearPart(NamedTuple):
-    """Linear analysis at one cruise speed: lines to print, data for JSON, and figures to compare over speeds.
+    """Linear analysis at one cruise speed: lines to print, data for JSON, and metrics to compare over speeds.
 
-    `stable` is None if no straight cruise is possible. `cruise` is the speed [m/s]. `delay_s` and `disk` are the least
-    delay margin [s] and the least disk margin of one loop; `peak` is the largest S of all loops together.
+    `stable` is None if no straight cruise is possible. `cruise` is the cruise speed [m/s]. `delay_s` is the least delay
+    margin [s] of a single loop, and `disk` the least disk margin of a single loop; `peak` is the peak of the
+    sensitivity S of all loops together.
     """
 
     lines: list[str]
@@ -31,7 +32,7 @@ class LinearPart(NamedTuple):
 def linear_part(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, uncertainty: float
 ) -> LinearPart:
-    """Return the linear analysis about a cruise speed [m/s], for the nominal vehicle and the worst uncertain one.
+    """Return the linear analysis about a cruise speed [m/s], for the nominal and the worst uncertain vehicle.
 
     Raises:
         InputError: a gain is missing or not positive.
@@ -87,7 +88,7 @@ def linear_part(
 
 
 def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
-    """Combine the linear parts of several cruise speeds, slowest first: a comparison, then the last part in full."""
+    """Combine analyses of several cruise speeds (slowest first) to a comparison and the full last analysis."""
     import numpy as np
 
     from surctl.verification import worst_place, worst_text

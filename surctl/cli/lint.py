@@ -1,4 +1,4 @@
-"""`surctl lint`: find entries of a file that cannot work."""
+"""`surctl lint`: find entries of an input file that cannot work."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NEXT = {
 
 
 def _file_findings(loaded: object) -> list[Finding]:
-    """The entries of a vehicle or a region claim that cannot work."""
+    """Return findings about the entries of a vehicle or a region claim that cannot work."""
     from surctl.simulation import Finding
     from surctl.vehicle import Vehicle
     from surctl.verification.region import RegionStatement

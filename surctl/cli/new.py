@@ -1,4 +1,4 @@
-"""`surctl new`: write a commented file to start from."""
+"""`surctl new`: write a commented vehicle, scenario, study or task file for the user to edit."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def write_new(target: Path, text: str, *, force: bool) -> Path:
 
     try:
         there = target.exists()
-    except OSError as error:  # a name too long
+    except OSError as error:  # a file name that is too long
         raise InputError(f"cannot be written ({error.strerror})", file=target, remedy="choose another --out") from None
     if there and not force:
         raise InputError("already exists", file=target, remedy="choose another --out, or add --force")

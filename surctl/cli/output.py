@@ -39,7 +39,7 @@ C = TypeVar("C", bound=Callable[..., Any])
 
 
 def together(*options: Callable[[C], C]) -> Callable[[C], C]:
-    """Combine several options into one decorator; the help lists them in this order."""
+    """Combine several options into one decorator; the help lists the options in this order."""
 
     def decorate(command: C) -> C:
         for option in reversed(options):
@@ -56,7 +56,7 @@ out_folder = click.option(
 
 
 def finite(value: Any) -> Any:
-    """Return the same data with null for every number that JSON cannot represent (NaN and infinities)."""
+    """Return the data with null for every number that JSON cannot represent (NaN and infinities)."""
     if isinstance(value, Mapping):
         return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, str):
@@ -95,7 +95,7 @@ class Stopped(click.Abort):
 
 @contextmanager
 def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False) -> Iterator[None]:
-    """Turn Ctrl-C in the block into `Stopped`; the lines collected so far are printed first, except with --json."""
+    """Turn Ctrl-C inside the `with` statement into `Stopped`, after `lines` are printed (except with --json)."""
     try:
         yield
     except KeyboardInterrupt:
@@ -106,7 +106,7 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
 
 
 def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
-    """Return the options that give a next command the same mission, vehicle and gain file."""
+    """Return the command-line options that select the given mission, vehicle and gain file."""
     from surctl.simulation import LIBRARY as SCENARIOS
     from surctl.vehicle import LIBRARY as VEHICLES
 

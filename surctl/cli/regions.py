@@ -15,7 +15,7 @@ __all__ = ["Regions", "is_region", "prove_regions", "region_of"]
 
 
 class Regions(NamedTuple):
-    """The result of the region claims: plain data, lines to print, certificate files, and whether all are proved."""
+    """The result of the region claims: plain data, lines to print, certificate files, whether all claims are proved."""
 
     claims: list[dict[str, Any]]
     lines: list[str]
@@ -24,7 +24,7 @@ class Regions(NamedTuple):
 
 
 def is_region(word: str) -> bool:
-    """Whether a word is the name of a region claim or a file of kind region.
+    """Return whether a word is the name of a region claim or a file of kind region.
 
     Raises:
         InputError: the file cannot be read.
@@ -60,9 +60,9 @@ def prove_regions(
 
     Args:
         words: names and files of the claims.
-        vehicle, gains: names or files.
-        speeds: cruise speed and speed limit [m/s], for claims that do not set their own.
-        seed: seed of the search.
+        vehicle, gains: name or file of the vehicle, and name or file of the gains.
+        speeds: (cruise speed, speed limit) [m/s] for claims that do not set these speeds.
+        seed: seed of the search for a certificate.
         out: folder of the certificates.
 
     Raises:

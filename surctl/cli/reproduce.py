@@ -1,4 +1,4 @@
-"""`surctl reproduce`: compare our results with the paper's, row by row."""
+"""`surctl reproduce`: compare our results with the results in the paper, one by one."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path |
 
 
 def row_lines(row: Row) -> list[str]:
-    """Return the lines of one row: the paper's result, our result, the verdict and the command."""
+    """Return the lines of one comparison: the paper's result, our result, the verdict and the command."""
     item, mark = row.item, "ok  " if row.as_expected else "FAIL"
     return [
         f"{mark} {item.id:<26} {item.what}",

@@ -1,4 +1,4 @@
-"""The sensor options of `surctl simulate` and `surctl export`; they override the sensor tables of a scenario."""
+"""The sensor options of `surctl simulate` and `surctl export`, which override a scenario's `[sonar]` table."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SensorOptions:
         faults: faults in the form of `parse_fault`; they replace all faults of the scenario.
         chances: fault probabilities in the form of `parse_chances`; they replace all probabilities of the scenario.
         beam: full opening angle of the sonars [°].
-        own_state: `measured` or `truth`.
+        own_state: whether the law uses its own state as `measured`, or the `truth`.
     """
 
     faults: Sequence[str] = ()
@@ -67,7 +67,7 @@ class SensorOptions:
     own_state: str | None = None
 
     def check(self, *, law: str, sensing: str) -> None:
-        """Raise InputError for an option that has no effect on these runs, or for an unknown value."""
+        """Raise InputError for an option that has no effect on the runs, or for an unknown value."""
         from surctl.errors import InputError, nearest
 
         options = {"--fault": self.faults, "--chance": self.chances, "--beam": self.beam, "--own-state": self.own_state}
@@ -113,7 +113,7 @@ class SensorOptions:
 
 
 def parse_fault(text: str) -> Fault:
-    """Read a fault from KIND:SENSOR[:START[:DURATION]] with times in s; for a delay, KIND is `delay=SECONDS`.
+    """Return the fault written as KIND:SENSOR[:START[:DURATION]], times in s; for a delay, KIND is `delay=SECONDS`.
 
     Raises:
         InputError: the kind is unknown, or a part is missing, superfluous, not a number or out of range.
@@ -149,7 +149,7 @@ def parse_fault(text: str) -> Fault:
 
 
 def parse_chances(texts: Sequence[str]) -> FaultChances:
-    """Read the fault probabilities from several texts KIND=P.
+    """Return the fault probabilities written as several texts KIND=P.
 
     Raises:
         InputError: a kind is unknown, does not occur at random or is given twice, P is not a number in [0, 1], or the

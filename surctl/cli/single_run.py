@@ -13,7 +13,7 @@ __all__ = ["further_output", "linear_part", "run_line"]
 
 
 def run_line(run: Run) -> str:
-    """Return one line with the scenario, the vehicle, the end of the run and its main metrics."""
+    """Return one line with the scenario, the vehicle, how the run ended, and its main metrics."""
     m = run.metrics
     missed = (
         f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.arrival_radius else ""
@@ -25,7 +25,7 @@ def run_line(run: Run) -> str:
 
 
 def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
-    """Add the stability of the linear loop at the cruise speed to `result`; return lines if the loop is unstable."""
+    """Add the stability of the linear loop at cruise speed to `result`; return lines to print if it is unstable."""
     from surctl.errors import InputError
     from surctl.verification.cascade import build_cascade, has_cascade
     from surctl.verification.linear import slowest_mode
@@ -54,7 +54,7 @@ def further_output(
 ) -> list[str]:
     """Return lines about depth changes, explanations, animation and plots, and write the plots to the folder `out`.
 
-    Explanations and the animation are added to `result` too.
+    Explanations and the path of the animation are also added to `result`.
     """
     from surctl.simulation import depth_changes
 

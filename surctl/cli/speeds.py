@@ -13,7 +13,7 @@ class Speeds(click.ParamType[tuple[float, ...]]):
     name = "V1,V2,...|LOW..HIGH:COUNT"
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        """Return the speeds, slowest first; InputError if the text has another form."""
+        """Return the cruise speeds, slowest first; InputError if the text is not a list or range of speeds."""
         from surctl.errors import InputError
         from surctl.tuning import Span, parse_axis
         from surctl.verification import cruise_speeds

@@ -1,4 +1,4 @@
-"""Handle standard output of any encoding, on a full disk, or closed by its reader."""
+"""Handling of standard output: any encoding, a full disk, or a reader that closes it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LOSES_TEXT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 def prepare_stdout() -> None:
-    r"""Write characters that the encoding of stdout lacks as \uXXXX instead of failing.
+    r"""Set up stdout to write characters that its encoding lacks as \uXXXX instead of failing.
 
     An error handler that the user has set (PYTHONIOENCODING=ascii:ignore) stays active.
     """
@@ -26,13 +26,13 @@ def prepare_stdout() -> None:
 
 
 def is_utf8() -> bool:
-    """Whether stdout can write every character unchanged."""
+    """Return whether stdout can write every character unchanged."""
     named = getattr(sys.stdout, "encoding", None) or "utf-8"
     return codecs.lookup(named).name == "utf-8"
 
 
 def failed_write(error: OSError) -> str | None:
-    """Return the message for an error that lost output on stdout or in a file; None for any other error."""
+    """Return the message for an error by which output to stdout or a file was lost; None for any other error."""
     if error.errno not in _LOSES_TEXT:
         return None
     where = f"{error.filename}: " if error.filename else ""

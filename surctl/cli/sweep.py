@@ -26,8 +26,8 @@ __all__ = ["sweep"]
 
 _SHOWN = 40  # largest number of points in the text output; the file holds all points
 _MOST_JSON = 100_000  # largest number of points printed as JSON
-_LOCUS = 61  # number of values at which poles are computed
-_SMOOTH = 0.02  # values are added where a pole moves further than this share of its modulus
+_LOCUS = 61  # number of parameter values at which poles are computed
+_SMOOTH = 0.02  # parameter values are added where a pole moves further than this share of its modulus
 _PRINTED = (  # columns of the text output
     "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
     "disk_margin_at_m_per_s", "reached_worst", "score", "feasible",
@@ -235,7 +235,7 @@ def _pictures(table: SweepTable, sobol: Sensitivity | None, out: Path) -> list[P
 def _locus(
     cases: Sequence[Case], gains: Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
 ) -> Locus:
-    """The poles of the first vehicle at its largest cruise speed over the range of an axis, about a point."""
+    """Return the poles of the first vehicle at its largest cruise speed over one parameter, about the point `at`."""
     import numpy as np
 
     from surctl.verification import sweep_locus
@@ -256,7 +256,7 @@ def _locus(
 
 
 def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
-    """The text output for the points, or for the Sobol' indices."""
+    """Return the text output for the points of the sweep, or for the Sobol' indices."""
     if sobol is not None:
         if sobol.constant:
             return [f"{sobol.column} is constant over these ranges: it does not depend on any axis"]

@@ -24,7 +24,7 @@ def serve_page(
     port: int | None,
     browser: bool,
 ) -> None:
-    """Run the page until Ctrl-C; arguments that are None take the study's values."""
+    """Serve the tuning page until Ctrl-C; arguments that are None take the study's values."""
     from importlib.util import find_spec
 
     from surctl.control import load_gains

@@ -200,9 +200,9 @@ def verify(
 
 
 def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tuple[float, float]:
-    """The cruise speed and the speed limit [m/s] from the options or the scenario; a default limit is scaled up.
+    """Return the cruise speed and the speed limit [m/s] from the options or the scenario.
 
-    The default limit is the scenario's, or larger in proportion if the cruise speed exceeds it.
+    The default speed limit is that of the scenario; it is scaled up in proportion if the cruise speed exceeds it.
     """
     from surctl.cli.export import MISSION
     from surctl.errors import InputError
@@ -219,7 +219,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
 
 
 def _export(scenario: str | None, vehicle: str, gains: str, certificates: Sequence[Path], law: Law) -> list[str]:
-    """The export command with the certificates that apply; empty if the vehicle cannot start the mission."""
+    """Return the export command with the certificates that apply; empty if the vehicle cannot start the mission."""
     from surctl.cli.export import MISSION
     from surctl.control import load_gains
     from surctl.errors import InputError
@@ -297,9 +297,9 @@ def _stack(name: str) -> StackConditions:
 def _chosen(
     words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
-    """The claims with the given names and files, in this order, and the claims that do not apply.
+    """Return the claims with the given names and files, in this order, and the claims that do not apply.
 
-    Without names and files, all claims of the library are returned.
+    Without names and files, the claims are all claims of the library.
     """
     from surctl.errors import InputError
     from surctl.verification import applicable_claims, load_claim

@@ -1,4 +1,4 @@
-"""The exported controller as a set of files: header, source, SIL program, Makefile, README, manifest."""
+"""The exported controller as files: header, C sources, program for software in the loop, Makefile, README, manifest."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class Bundle:
     Attributes:
         name: prefix of files and C symbols.
         id: SHA-256 of what the controller computes (see `law_id`).
-        files: text by file name, in the order of writing; the manifest is last.
-        real: precision of every number in the C.
-        envelope: ranges and rates that its guard accepts.
+        files: text of each file by its name, in the order of writing; the manifest is last.
+        real: precision of every number in the C text.
+        envelope: ranges and rates of change that the guard of the controller accepts.
     """
 
     name: str
@@ -52,12 +52,12 @@ class Bundle:
 
     @property
     def selftest(self) -> str:
-        """Name of the C file with the self-test, which a program may leave out."""
+        """Return the name of the C file with the self-test, which a program may leave out."""
         return f"{self.name}_selftest.c"
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Names of the controller's C files, without the self-test."""
+        """Return the names of the controller's C files, without the self-test."""
         begins = (f"{self.name}.", f"{self.name}_")
         others = {self.selftest, *(f"{file}.c" for file in FILES)}
         return tuple(
@@ -66,13 +66,13 @@ class Bundle:
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """Names of the public header, and of the header that only the controller's C files include."""
+        """Return the names of the public header and of the header that only the controller's C files include."""
         return (f"{self.name}.h", f"{self.name}_internal.h")
 
 
 @dataclass(frozen=True)
 class ExportedFile:
-    """A file on disk and the SHA-256 of its bytes."""
+    """An exported file on disk and the SHA-256 of its bytes."""
 
     path: Path
     sha256: str
@@ -91,15 +91,15 @@ def build_bundle(
 
     Args:
         law: the control law.
-        gains: values by gain port; a port that is not named keeps its default.
+        gains: values of the gains by port name; a port without a value keeps its default.
         name: prefix of files and C symbols instead of the law's own name.
-        real: "float32" for a processor with a single-precision unit; every number in the C is then a float.
+        real: "float32" for a processor with a single-precision unit; every number in the C text is then a float.
         envelope: ranges that the guard accepts; None accepts any finite number.
         origin: vehicle and certificates to record in the bundle.
 
     Raises:
         InputError: a name is not a valid C identifier, a gain is unknown or not finite, the law does not fit its
-            layouts, a certificate is about another controller, or a float32 law uses the mathematical library.
+            layouts, a certificate is about another controller, or a float32 law uses libm functions such as sin.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -142,7 +142,7 @@ def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vec
 
 
 def law_id(law: Exportable, gains: Vector, *, real: Real = "float64") -> str:
-    """Return the SHA-256 of the instruction list, period, precision, gains and initial state, all to the last bit.
+    """Return the SHA-256 of the law's instruction list, period, precision, gains and initial state, to the last bit.
 
     The instruction list, the gains and the initial state enter by their own hashes. A comparison of these hashes shows
     in which part two controllers differ.
@@ -172,7 +172,7 @@ def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Env
 
 
 def manifest_with(table: Mapping[str, object], files: Mapping[str, str], *, proof: Mapping[str, object]) -> str:
-    """Return the text of a manifest with the hashes of these files and the outcome of the proof."""
+    """Return the text of the manifest, completed with the hashes of these files and the outcome of the proof."""
     full = {**table, "proof": proof, "sha256": {file: _sha256(text) for file, text in files.items()}}
     return json.dumps(full, indent=2, sort_keys=True) + "\n"
 
@@ -184,8 +184,9 @@ def _sha256(text: str) -> str:
 def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
     """Write the files of the bundle to a folder; no file is ever half-written.
 
-    All files are first written to a sibling folder. If `directory` does not exist, that folder is renamed to it. If it
-    exists, each file is replaced by a rename, the manifest last, and other files stay unchanged.
+    All files are first written to a sibling folder. If `directory` does not exist, the sibling folder is renamed to
+    `directory`. If `directory` exists, each file is replaced by a rename, the manifest last, and other files stay
+    unchanged.
 
     Raises:
         InputError: the folder cannot be written.

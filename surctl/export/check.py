@@ -40,12 +40,12 @@ __all__ = [
 STEPS = 100_000
 """Default number of single steps that a check tries in addition to the recorded runs."""
 
-_AT_ONCE = 4  # targets that are checked in parallel; each keeps its results in memory
+_AT_ONCE = 4  # number of targets checked in parallel; each target keeps its results in memory
 
 
 @dataclass(frozen=True)
 class Instructions:
-    """Number of instructions per step on an emulated processor, over all accepted steps."""
+    """Numbers of instructions per step on an emulated processor, over all accepted steps."""
 
     least: int
     mean: float
@@ -54,7 +54,7 @@ class Instructions:
 
 @dataclass(frozen=True)
 class BuildReport:
-    """Result of the check of one target.
+    """Result of the check of the exported C on one target (compiler and processor).
 
     Attributes:
         target: name of the target.
@@ -64,9 +64,9 @@ class BuildReport:
         first: index of the first differing step, None if there is none.
         code_bytes: size of the controller's code and constants, None if unknown.
         runtime_bytes: size of code and constants without the self-test, None if unknown.
-        stack_bytes: stack that one step uses, on emulated processors only.
+        stack_bytes: stack that one step uses [bytes], on emulated processors only.
         instructions: number of instructions per step, on emulated processors only.
-        failure: why the target could not be built or run, None if it ran.
+        failure: why the controller could not be built or run for the target, None if it ran.
     """
 
     target: str
@@ -82,7 +82,7 @@ class BuildReport:
 
     @property
     def same(self) -> bool:
-        """Whether the target ran and every byte equals Python's."""
+        """Return whether the controller ran on the target and every byte of its results equals Python's."""
         return self.failure is None and self.steps > 0 and self.differing == 0
 
     def to_dict(self) -> dict[str, Any]:
@@ -125,9 +125,9 @@ class CheckReport:
     Attributes:
         real: precision of the bundle.
         simulated: number of compared steps that come from recorded closed-loop runs.
-        tried: number of single steps that were compared in addition.
-        builds: one report per target.
-        untried: targets that were not tried, with their missing tools.
+        tried: number of single steps that were compared in addition to the recorded runs.
+        builds: reports of the targets, one for each target.
+        untried: targets that were not tried, each with its missing tools.
     """
 
     real: str
@@ -138,7 +138,7 @@ class CheckReport:
 
     @property
     def passed(self) -> bool:
-        """Whether at least one build was tried, and every build gave the same bytes as Python."""
+        """Return whether at least one build was tried, and every build gave the same bytes as Python."""
         return bool(self.builds) and all(build.same for build in self.builds)
 
     def to_dict(self) -> dict[str, Any]:
@@ -171,22 +171,23 @@ def check_builds(
     untried: Mapping[str, tuple[str, ...]] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> CheckReport:
-    """Build the bundle for each target, and compare its results byte by byte with the law evaluated in Python.
+    """Build the bundle for each target, and compare the results of C byte by byte with the law in Python.
 
-    First, each build receives the recorded inputs in order and carries its own state, as on the robot. Then it runs
-    single steps: near the recorded runs, at their switches, and far from them (`trial_steps`). Python computes each
-    step from the state that `controller` reached before it. If all steps agree, the whole runs agree, by induction.
+    First, each build receives the recorded inputs in order and carries its own state, as on the robot. Then each build
+    runs single steps near the recorded runs, where the law switches in these runs, and far from the recorded runs
+    (`trial_steps`). Python computes each step from the state that `controller` reached before this step. If all steps
+    agree, the whole runs agree, by induction.
 
     Args:
         controller: the bundle, compiled on this machine.
-        runs: recorded closed-loop runs of its law.
+        runs: recorded closed-loop runs of the exported law.
         targets: compilers and processors to try.
         steps: largest number of single steps.
-        untried: targets whose tools are missing, for the report.
+        untried: targets whose tools are missing, to be listed in the report.
         progress: called with one line of text before each piece of work.
 
     Raises:
-        InputError: there is no run, a run does not fit the law, or the law uses the mathematical library.
+        InputError: there is no run, a run does not fit the law, or the law uses libm functions such as sin.
 
     Example:
         >>> from pathlib import Path
@@ -270,7 +271,7 @@ def _tried(
 
 
 def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[np.bool_]:
-    """Whether each row (T,) has the same bytes; any two NaN are equal, because IEEE 754 leaves their bits open."""
+    """Return whether the results of each step (T,) have the same bytes; any two NaN count as equal."""
     equal = have == want
     rows: NDArray[np.bool_] = equal.all(axis=1)
     for k in np.flatnonzero(~rows):
@@ -281,9 +282,10 @@ def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]
 
 
 def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None, list[Path]]:
-    """Compile the bundle for a target; return the controller, the file of its instruction counts, and its objects.
+    """Compile the bundle for a target; return the controller, the file of its instruction counts, and its object files.
 
-    The file gets one line per step; it is None if instructions are not counted. The last object is the self-test's.
+    The file of instruction counts gets one line per step; it is None if instructions are not counted. The last object
+    file is that of the self-test.
 
     Args:
         host: the law and its bundle.
@@ -312,7 +314,7 @@ def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controlle
 
 
 def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, ...]:
-    """Options that make the emulator count instructions; empty if the counter cannot be built."""
+    """Return options that make the emulator count instructions; empty if the counter cannot be built."""
     if shutil.which("arm-none-eabi-nm") is None:
         return ()
     source = Path(str(files("surctl.export").joinpath("templates", "count_steps.c")))
@@ -329,7 +331,7 @@ def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, 
 
 
 def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructions | None:
-    """Return the counts over the accepted steps (a refused step is shorter), None if there are none."""
+    """Return instruction counts over the accepted steps (a refused step is shorter), None if there is no count."""
     if counts is None or not counts.exists() or not accepted.any():
         return None
     per_step = np.array([int(line) for line in counts.read_text(encoding="ascii").split()])

@@ -1,4 +1,4 @@
-"""A law rewritten for its target: polynomials and tolerances for its precision, and optionally constant gains."""
+"""Rewriting of a law for a target: polynomials and tolerances for its precision, and optionally constant gains."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ class ClosedForm(Around):
 
     Attributes:
         law: the original law.
-        block: (x, u, p) → (tau, x_next, status, telemetry); an instruction list for a law in closed form.
-        gains: layout of p; empty if its numbers became constants.
-        constants: gains that became constants (np,), in the order of the law's gains; None if they stayed inputs.
+        block: the function (x, u, p) → (tau, x_next, status, telemetry) as a program or routine; for a law in closed
+            form it is an instruction list.
+        gains: layout of the gains p; empty if the gains became constants.
+        constants: gains that became constants (np,), in the order of the law's gains; None if the gains stayed inputs.
     """
 
     law: Law
@@ -37,17 +38,17 @@ class ClosedForm(Around):
 
     @cached_property
     def constant_table(self) -> tuple[tuple[Port, Vector], ...]:
-        """Port and values of every constant."""
+        """Return the port and the values of every constant."""
         if self.constants is None:
             return ()
         return tuple((port, self.constants[self.law.gains.slice(port.name)]) for port in self.law.gains)
 
     def initial_state(self) -> Vector:
-        """State before the first step (nx,)."""
+        """Return the controller state before the first step (nx,)."""
         return self.law.initial_state()
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """One guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
+        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
         if all(np.isfinite(v).all() for v in (x, u, p)):
             parts = [np.asarray(part, dtype=np.float64) for part in replay(self.block, x, u, p)]
             if all(np.isfinite(part).all() for part in parts):
@@ -58,13 +59,13 @@ class ClosedForm(Around):
 def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = None) -> Exportable:
     """Return the law rewritten for a target, or the law itself if nothing has to change.
 
-    A law that is not in closed form gets the solver tolerances of the precision, see `in_real`.
+    A law that is not in closed form gets the solver tolerances of the target's precision, see `in_real`.
 
     Args:
         law: the law.
-        real: precision; in float32, shorter polynomials of float accuracy compute sin, cos and atan2.
-        constants: gains (np,) that become constants of the code; values that follow from them are computed at export.
-            None leaves the gains as inputs.
+        real: precision of the target; in float32, shorter polynomials of float accuracy compute sin, cos and atan2.
+        constants: gains (np,) that become constants of the code; values that follow from these constants are computed
+            at export. None leaves the gains as inputs.
 
     Raises:
         InputError: constants are given for a law with perception, or their number is not np.
@@ -101,14 +102,14 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
 
 
 def _without_gains(block: Block, constants: Vector) -> Block:
-    """The law's block with these constants in place of its third input, which is then empty."""
+    """Return the law's program or routine with these constants in place of its third input, which is then empty."""
     x, u, p = block.inputs
     folded = _with_constant_input(block, 2, constants)
     return replace(folded, inputs=(x, u, (p[0], 0)))
 
 
 def _with_constant_input(block: Block, at: int, constants: Vector) -> Block:
-    """A block in which constants replace one input; if a loop reads this input, the constants become an array."""
+    """Return a block in which constants replace one input; if a loop reads this input, the constants form an array."""
     name = block.inputs[at][0]
     left = tuple(entry for k, entry in enumerate(block.inputs) if k != at)
     if isinstance(block, Program):

@@ -45,23 +45,23 @@ _HEADERS = frozenset(f"{_HEADERS_OF_C} {_HEADERS_OF_POSIX} {_HEADERS_OF_FMI}".sp
 
 
 class Step(Protocol):
-    """Result of one step."""
+    """Result of one step of a control law."""
 
     @property
     def tau(self) -> Vector:
-        """Thrust (4,): F_u, F_v, F_w [N] and F_r [N m], body frame."""
+        """Return the thrust (4,) in the body frame: F_u, F_v, F_w [N] and F_r [N m]."""
 
     @property
     def x_next(self) -> Vector:
-        """Next controller state (nx,)."""
+        """Return the controller state after the step (nx,)."""
 
     @property
     def status(self) -> int:
-        """Code of `STATUS`."""
+        """Return the status code of the step, a code of `STATUS`."""
 
     @property
     def telemetry(self) -> Vector:
-        """Telemetry (k,)."""
+        """Return the telemetry of the step (k,)."""
 
 
 class Exportable(Protocol):
@@ -69,68 +69,68 @@ class Exportable(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the law, a C identifier."""
+        """Return the name of the law, a C identifier."""
 
     @property
     def dt(self) -> float:
-        """Control period [s]."""
+        """Return the control period [s]."""
 
     @property
     def state(self) -> Layout:
-        """Layout of x (nx,)."""
+        """Return the layout of the controller state x (nx,)."""
 
     @property
     def inputs(self) -> Layout:
-        """Layout of u (nu,)."""
+        """Return the layout of the inputs u (nu,)."""
 
     @property
     def gains(self) -> Layout:
-        """Layout of p (np,)."""
+        """Return the layout of the gains p (np,)."""
 
     @property
     def outputs(self) -> Layout:
-        """Layout of tau (4,), then of the telemetry (k,)."""
+        """Return the layout of the outputs: the thrust tau (4,), then the telemetry (k,)."""
 
     @property
     def block(self) -> Block:
-        """(x, u, p) → (tau, x_next, status (1,), telemetry), flat vectors: a program, or a routine with loops."""
+        """Return the law as a program or routine of flat vectors: (x, u, p) → (tau, x_next, status (1,), telemetry)."""
 
     def initial_state(self) -> Vector:
-        """State before the first step (nx,)."""
+        """Return the controller state before the first step (nx,)."""
 
     def step(self, x: Vector, u: Vector, p: Vector) -> Step:
-        """One guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
+        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
 
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Base of a law that wraps another law, with the same name, period and layouts."""
+    """Base of a law that wraps another law, whose name, period and layouts it shares."""
 
     law: Exportable
 
     @property
     def name(self) -> str:
-        """Name of the law, a C identifier."""
+        """Return the name of the law, a C identifier."""
         return self.law.name
 
     @property
     def dt(self) -> float:
-        """Control period [s]."""
+        """Return the control period [s]."""
         return self.law.dt
 
     @property
     def state(self) -> Layout:
-        """Layout of x (nx,)."""
+        """Return the layout of the controller state x (nx,)."""
         return self.law.state
 
     @property
     def inputs(self) -> Layout:
-        """Layout of u (nu,)."""
+        """Return the layout of the inputs u (nu,)."""
         return self.law.inputs
 
     @property
     def outputs(self) -> Layout:
-        """Layout of tau (4,), then of the telemetry (k,)."""
+        """Return the layout of the outputs: the thrust tau (4,), then the telemetry (k,)."""
         return self.law.outputs
 
 
@@ -140,7 +140,7 @@ def thrust(law: Exportable) -> Port:
 
 
 def telemetry_ports(law: Exportable) -> tuple[Port, ...]:
-    """Return the output ports after the thrust."""
+    """Return the output ports that follow the thrust."""
     return law.outputs.ports[1:]
 
 
@@ -148,8 +148,8 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
     """Check every name that the C text uses, and return the bundle's name.
 
     Raises:
-        InputError: a name is not a C identifier or collides with another file's, the first output is not `tau`, the
-            period is not positive, or the block's sizes differ from the layouts'.
+        InputError: a name is not a C identifier or collides with that of another file, the first output is not `tau`,
+            the period is not positive, or the sizes of the law's program or routine differ from its layouts.
     """
     chosen = identifier(law.name if name is None else name)
     _check_files(chosen)
@@ -165,7 +165,7 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
 
 
 def _check_files(name: str) -> None:
-    """Raise InputError if a file or macro of the bundle would collide with another one, on any file system."""
+    """Raise InputError if the names of two files or macros of the bundle would collide, on any file system."""
     small = name.lower()
     if small in FILES:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Processor in the loop: the exported controller runs on an emulated processor, behind a connection."""
+"""Processor in the loop: the exported controller runs on an emulated processor that is connected by messages."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class EmulatedLine(Line):
 
 
 def emulated_target(name: str) -> Target:
-    """Return the emulated processor of that name, e.g. cortex-m4f.
+    """Return the emulated processor with the given name, for example cortex-m4f.
 
     Raises:
-        InputError: no emulated processor has that name.
+        InputError: no emulated processor has the given name.
         ToolMissing: QEMU or the cross compiler is not installed.
 
     Example:
@@ -66,9 +66,9 @@ def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
     """Compile the bundle for an emulated processor, start it in QEMU, and connect to its console.
 
     Args:
-        bundle: the controller.
+        bundle: the exported controller.
         target: an emulated processor.
-        folder: folder for source and program; keep it while the emulator runs.
+        folder: folder for the sources and the program; do not delete the folder while the emulator runs.
 
     Raises:
         SurctlError: the compiler reports an error.

@@ -30,8 +30,8 @@ class Rate:
 
     Attributes:
         entry: index in the flat input vector.
-        per_second: largest rate of change [unit/s].
-        at_once: additional change that noise may cause [unit].
+        per_second: largest accepted rate of change [unit of the input/s].
+        at_once: additional change that noise may cause [unit of the input].
         turn: True for an angle [rad], whose whole turns do not count as a change.
     """
 
@@ -50,12 +50,13 @@ class Rate:
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Bounds of all numbers that enter a step.
+    """Bounds of all numbers that enter a step of the law.
 
     Attributes:
-        state, inputs, gains: (n, 2) smallest and largest accepted value; ±inf accepts any finite number.
-        rates: largest rates of inputs.
-        reasons: source of the bounds by bounded quantity, printed in the header.
+        state, inputs, gains: arrays (n, 2) with the smallest and the largest accepted value of each number; ±inf
+            accepts any finite number.
+        rates: largest rates of change of inputs.
+        reasons: for each bounded quantity, where its bounds come from; printed in the C header.
     """
 
     state: Vector
@@ -74,7 +75,7 @@ class Envelope:
             raise InputError("has a rate of an input that does not exist", key="envelope.rates")
 
     def fitted(self, law: Exportable, real: Real) -> Envelope:
-        """Return the envelope with bounds rounded to that precision; InputError if its sizes are not the law's."""
+        """Return the envelope with bounds rounded to `real`; InputError if its sizes are not those of the law."""
         largest, parts = float(np.finfo(real).max), []
         for name in ("state", "inputs", "gains"):
             box, size = getattr(self, name), getattr(law, name).size
@@ -85,7 +86,7 @@ class Envelope:
         return Envelope(state, inputs, gains, self.rates, self.reasons)
 
     def refusals(self, records: Records) -> NDArray[np.int64]:
-        """Return the status (T,) of each row: 0 if all its numbers are in range, else `NONFINITE` or `RANGE`."""
+        """Return the status (T,) of each step: 0 if all its numbers are in range, else `NONFINITE` or `RANGE`."""
         rows = np.hstack([records.X, records.U, records.P])
         box = np.vstack([self.state, self.inputs, self.gains])
         with np.errstate(invalid="ignore"):
@@ -93,7 +94,7 @@ class Envelope:
         return np.where(inside, 0, np.where(np.isfinite(rows).all(axis=1), RANGE, NONFINITE))
 
     def jumped(self, u: Vector, before: Vector, gap: int, *, dt: float, real: Real) -> bool:
-        """Whether an input changed more in `gap` samples than its rate allows; operations are rounded to `real`."""
+        """Return whether an input changed more in `gap` samples than its rate allows, with operations in `real`."""
         number = np.dtype(real).type
         turn, count = number(2.0 * np.pi), number(min(gap, LONGEST_GAP))
         for rate in self.rates:
@@ -114,15 +115,15 @@ class Envelope:
         real: Real,
         counts: NDArray[np.int64] | None = None,
     ) -> Rows:
-        """Return the rows with status `RANGE` where an input jumped since the last accepted row.
+        """Return the results with status `RANGE` at steps where an input jumped since the last accepted step.
 
         Args:
-            rows: results without the check for jumps.
-            records: state, inputs and gains of each row.
-            load: (T,) whether a row starts a new run.
+            rows: results of the steps, without the check for jumps.
+            records: state, inputs and gains of each step.
+            load: (T,) whether a step starts a new run.
             dt: control period [s].
             real: precision of the check.
-            counts: (T,) sample number of each row; None means one sample per row.
+            counts: (T,) sample number of each step; None means one sample per step.
         """
         counts = np.arange(len(records)) if counts is None else counts
         if not self.rates:

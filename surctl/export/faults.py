@@ -21,7 +21,7 @@ __all__ = ["Fault", "fault_cases", "fault_failures"]
 Vector = NDArray[np.float64]
 
 _BAD = (np.nan, np.inf, -np.inf)
-_AFTER = (  # cases after a valid step, in the order of the SIL program
+_AFTER = (  # faults that follow a valid step, in the order of the software-in-the-loop program
     ("the same sample again", STALE),
     ("an older sample", STALE),
     *((f"{what} = NULL", NULL) for what in ("state", "gains", "input", "output")),
@@ -33,9 +33,10 @@ class Fault(NamedTuple):
 
     Attributes:
         label: description such as "u.clearance[2] = nan".
-        at: index in (state, input, gains) end to end; larger indices are the cases after a valid step.
-        value: invalid number to put there.
-        status: required status, None if Python computes it.
+        at: index of the invalid number in (state, input, gains) end to end; larger indices mean faults that follow a
+            valid step.
+        value: the invalid number.
+        status: required status, None if Python computes the required status.
     """
 
     label: str
@@ -45,9 +46,9 @@ class Fault(NamedTuple):
 
 
 def fault_cases(law: Exportable, within: Envelope | None = None, *, real: Real = "float64") -> list[Fault]:
-    """Return the invalid inputs: each entry of state, input and gains NaN, ±inf, and just outside its range.
+    """Return the invalid inputs, each with an entry of state, input or gains at NaN, ±inf, or just out of range.
 
-    The last cases come after a valid step: a repeated sample, an older one, and NULL for state, gains, input or output.
+    The last faults follow a valid step: a repeated sample, an older sample, and NULL for state, gains, input or output.
     """
     within = within or anywhere(law).fitted(law, real)
     layouts = (("x", law.state), ("u", law.inputs), ("p", law.gains))
@@ -66,7 +67,7 @@ def fault_cases(law: Exportable, within: Envelope | None = None, *, real: Real =
 
 
 def _jumps(law: Exportable, within: Envelope, u: Vector) -> Iterator[Fault]:
-    """Cases in which an input changes by more than its rate allows, in either direction, within its range."""
+    """Yield faults in which an input changes by more than its rate allows, up or down, within its range."""
     first = law.state.size + law.inputs.size + law.gains.size + len(_AFTER)
     members = [member for member, _ in entries(law.inputs)]
     for rate in within.rates:
@@ -80,10 +81,10 @@ def _jumps(law: Exportable, within: Envelope, u: Vector) -> Iterator[Fault]:
 
 
 def fault_failures(law: Exportable, controller: Controller, records: Records) -> tuple[int, tuple[str, ...]]:
-    """Return (number of cases, labels of the failed ones); all cases use the record in the middle of the run.
+    """Return (number of faults tried, labels of the faults whose check failed).
 
-    A case passes with a negative status, zero thrust and an unchanged state in both Python and C, and the
-    same status in both.
+    All faults change the record in the middle of the run. The check of a fault passes if Python and C both return a
+    negative status, zero thrust and an unchanged state, and the two statuses are equal.
     """
     real = controller.bundle.real
     within = controller.bundle.envelope or anywhere(law).fitted(law, real)
@@ -105,7 +106,7 @@ def fault_failures(law: Exportable, controller: Controller, records: Records) ->
 
 
 def _in_python(law: Exportable, within: Envelope, record: Vector, fault: Fault) -> tuple[int, bool]:
-    """(status, whether the step is refused with zero thrust and an unchanged state) of a case in Python."""
+    """Return (status, whether the step is refused with zero thrust and an unchanged state) of a fault in Python."""
     if fault.status is not None:
         return fault.status, True
     faulty, ends = record.copy(), np.cumsum([law.state.size, law.inputs.size])

@@ -1,4 +1,4 @@
-"""C text that accesses the numbers of a layout: declarators, members, and loops over them."""
+"""C text that accesses the numbers of a layout: declarators, struct members, and loops over struct members."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def entries(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, in
 
 
 def transfers(ports: Layout | Sequence[Port], base: int = 0) -> list[tuple[str, str, str]]:
-    """Return C loops over every number of the ports in layout order, one item per port.
+    """Return C loops over every number of the ports in layout order, one loop for each port.
 
     Returns:
-        (loop header, C member access, C text of the flat index) of each port. The header is empty for a single number,
-        and otherwise leaves one brace open. The index starts at `base`.
+        (loop header, C member access, C text of the flat index) of each port. The loop header is empty for a single
+        number, and otherwise leaves one brace open. The index starts at `base`.
     """
     items, at = [], base
     for port in ports:

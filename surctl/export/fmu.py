@@ -1,7 +1,7 @@
-"""Export of a controller as a functional mock-up unit (FMI 2.0, co-simulation), built from the same C files.
+"""Export of a controller as a functional mock-up unit (FMI 2.0, co-simulation), built from the C files of the bundle.
 
-Standard: FMI 2.0.4 (Modelica Association, 2022). Libraries that build such units put an interpreter inside, so this
-module writes the model description and the C functions itself. The tests validate the units with fmpy.
+Standard: FMI 2.0.4 (Modelica Association, 2022). Libraries that build functional mock-up units put an interpreter
+inside, so this module writes the model description and the C functions itself. The tests validate the units with fmpy.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _DATE = (1980, 1, 1, 0, 0, 0)  # fixed date: the same bundle gives the same byte
 
 
 def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | str) -> ExportedFile:
-    """Compile the bundle for this machine, and write it with its C sources as the FMU `<name>.fmu`.
+    """Compile the bundle for this machine, and write the result with its C sources as the FMU `<name>.fmu`.
 
     Inputs and outputs are the fields of the C structs, gains are tunable parameters, and `status` is an integer output.
     Every communication step is one step of the controller. The controller's state is not visible from outside.
@@ -46,7 +46,7 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
         law: the control law.
         bundle: the bundle that was exported from this law.
         gains: tuned gains (np,), as in the bundle.
-        directory: output folder; it is created if it does not exist.
+        directory: output folder; the folder is created if it does not exist.
 
     Returns:
         The written file; an incomplete file never appears.
@@ -118,7 +118,7 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
 
 
 def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str]) -> bytes:
-    """Content of modelDescription.xml."""
+    """Return the content of modelDescription.xml."""
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -181,7 +181,7 @@ def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequen
 
 
 def _members(layout: Layout) -> Iterator[tuple[str, str]]:
-    """(name, description) of every number; indices in names start at 1, as FMI requires."""
+    """Yield (name, description) of every number; indices in names start at 1, as FMI requires."""
     for port in layout:
         said = f"[{port.unit}] {port.meaning}"
         if port.size == 1:

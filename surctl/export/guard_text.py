@@ -1,4 +1,4 @@
-"""C text of the guard, which checks the range of every number and jumps since the last accepted input."""
+"""C text of the guard, which checks that numbers are in range and that inputs have not jumped since the last step."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Vector = NDArray[np.float64]
 
 ANY_NUMBER = "any finite number"
 
-_FEW = 4  # up to this many numbers, each gets its own line
+_FEW = 4  # up to this many numbers, each number gets its own line
 _REFUSE = "return 0;"
 
 
 def range_text(box: Vector) -> str:
-    """Return ranges (n, 2) as text such as "0 to 1", or as a list if they differ."""
+    """Return ranges (n, 2) as text such as "0 to 1", or as a list if the ranges differ."""
     texts = [_interval_text(low, high) for low, high in box]
     if len(set(texts)) == 1:
         return texts[0]
@@ -42,12 +42,12 @@ def _interval_text(low: float, high: float) -> str:
 
 
 def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], real: Real) -> list[str]:
-    """Return C lines that leave their function with 0 unless every number is in its range (NaN is in none).
+    """Return C lines that return 0 from their function unless every number is in its range (NaN is in no range).
 
     Args:
         layout: layout of the numbers.
         box: smallest and largest accepted values (n, 2).
-        member: returns the C text of a number for (member access, flat index).
+        member: function that returns the C text of a number for (member access, flat index).
         real: precision of the numbers.
     """
     lines: list[str] = []
@@ -59,7 +59,7 @@ def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], re
 
 
 def flat_lines(layout: Layout, box: Vector, array: str, real: Real) -> list[str]:
-    """Return the lines of `box_lines` for numbers in one array; ports with the same bounds share a loop."""
+    """Return the C lines of `box_lines` for numbers in one array; ports with equal bounds share a loop."""
     lines: list[str] = []
     ports = [(port, layout.slice(port.name)) for port in layout if port.size]
 
@@ -139,7 +139,7 @@ def jump_lines(layout: Layout, envelope: Envelope, dt: float, real: Real) -> lis
 
 
 def keep_lines(layout: Layout, envelope: Envelope) -> list[str]:
-    """Return C lines that store the inputs with a largest rate in `state->last`."""
+    """Return C lines that store, in `state->last`, the inputs whose rate of change is limited."""
     lines = []
     for _, first, members in _alike(layout, envelope):
         if len(members) >= _LOOP:
@@ -156,7 +156,7 @@ _LOOP = 4  # from this many inputs with equal rates on, a loop is shorter
 
 
 def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str]]]:
-    """Groups of successive inputs with equal rates: (rate, index of the first in `last`, C member accesses)."""
+    """Return groups of successive inputs with equal rates as (rate, first index in `last`, C member accesses)."""
     members = [member for member, _ in entries(layout)]
     groups: list[tuple[Rate, int, list[str]]] = []
     for k, rate in enumerate(envelope.rates):
@@ -171,7 +171,7 @@ def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str
 
 
 def _each(members: list[str], first: int) -> list[tuple[str, str]]:
-    """(loop header, C text of the difference) of a group; `@` marks where the assignment begins."""
+    """Return (loop header, C text of the difference) of a group; `@` marks where the assignment begins."""
     if len(members) < _LOOP:
         return [("", f"@{member} - state->last[{first + k}];") for k, member in enumerate(members)]
     stem, at = members[0].rstrip("]").rsplit("[", 1)

@@ -39,16 +39,16 @@ _REFUSALS = {
 
 
 class LineDown(SurctlError):
-    """Error of the connection: it ended, was silent for too long, or carried an invalid message."""
+    """Error: the connection ended, was silent for too long, or carried an invalid message."""
 
 
 class Identity(NamedTuple):
-    """Identity and sizes that a controller reports.
+    """Identity of a controller and numbers of its values, as the controller reports them.
 
     Attributes:
         id: hash of what the controller computes, see `law_id`.
         real: "float64" or "float32".
-        inputs, thrusts, states, telemetry: number of values of each kind.
+        inputs, thrusts, states, telemetry: numbers of inputs, thrusts, states and telemetry values.
     """
 
     id: str
@@ -60,7 +60,7 @@ class Identity(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """Result of one step, with the bytes that were received.
+    """Reply of the controller to one step, with the bytes that were received.
 
     Attributes:
         status: status code of the step.
@@ -79,13 +79,13 @@ class Reply(NamedTuple):
 
 @dataclass
 class Line:
-    """Connection to one controller; call `close` at the end, or use it in a `with` statement.
+    """Connection to one controller; call `close` at the end, or use the connection in a `with` statement.
 
     Attributes:
         wire: a connected stream socket.
         name: name of the controller in error messages.
         patience: longest wait for a reply [s].
-        identity: what the controller reported of itself; None before `request`.
+        identity: identity that the controller reported; None before `request`.
     """
 
     wire: socket.socket
@@ -107,7 +107,7 @@ class Line:
         """Request the identity and the sizes of the controller.
 
         Raises:
-            LineDown: the other end is not such a controller, or the connection is down.
+            LineDown: the other process is not an exported controller, or the connection is down.
         """
         body = self._exchange(_REQUEST, 0, b"", _IDENTITY, _SIZES.size)
         name, width, *counts = _SIZES.unpack(body)
@@ -120,7 +120,7 @@ class Line:
         """Make the controller set its initial state and its tuned gains.
 
         Raises:
-            LineDown: the controller has another identity, or the connection is down.
+            LineDown: the controller's identity differs from `identity`, or the connection is down.
         """
         self._exchange(_START, 0, identity.encode("ascii"), _STARTED, 0)
 
@@ -128,11 +128,11 @@ class Line:
         """Run one step of the controller; call `request` and `start` before the first step.
 
         Args:
-            sequence: number of the step, at least 1 and larger than that of every step since `start`.
-            inputs: u (nu,); it is rounded to the controller's precision.
+            sequence: number of the step, at least 1 and larger than the number of every earlier step since `start`.
+            inputs: inputs u of the law (nu,), which are rounded to the controller's precision.
 
         Raises:
-            LineDown: there is no valid reply.
+            LineDown: the controller sent no valid reply.
         """
         who = self.identity
         assert who is not None

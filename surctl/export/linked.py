@@ -1,8 +1,8 @@
 """Simulation of a robot whose control law runs in another process, with lost and delayed messages.
 
-The robot applies the newest command that it received until this command is too old; then it applies zero thrust
-(fail-safe). Losses and delays are simulated in this module, from a seed and in whole control periods. The other process
-receives and sends its messages at once, and simulated time stops meanwhile.
+The robot applies the newest command that it received until this command is too old; then the robot applies zero thrust
+(fail-safe). This module simulates losses and delays: a seed determines them, and delays are whole control periods. The
+other process receives and sends its messages at once, and simulated time stops meanwhile.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class LinkFaults:
     """Simulated faults of the connection, and the largest age of a command that the robot applies.
 
     Attributes:
-        loss: probability in [0, 1] that a message is lost, independent in each direction.
+        loss: probability in [0, 1] that a message is lost; losses are independent in each direction.
         delay: time from a request to the arrival of its reply [s], rounded up to whole control periods.
         deadline: age of a command beyond which the robot applies zero thrust [s].
         seed: seed of the random losses.
@@ -65,16 +65,16 @@ class LinkReport:
     """Statistics of the connection over one run.
 
     Attributes:
-        name, id, real: name, hash and precision of the controller.
+        name, id, real: name of the controller, hash of what it computes, and its precision.
         steps: number of control periods.
         answered: number of steps that the controller computed.
         lost: number of lost messages, to and from the controller.
         failsafe: number of control periods with fail-safe thrust, because no valid command was available.
-        gone_s: simulated time at which the connection ended [s], None if it did not.
+        gone_s: simulated time at which the connection ended [s], None if the connection did not end.
         gone_because: reason why the connection ended.
-        round_trip_ms: mean and largest time from request to reply [ms] on this machine's clock.
+        round_trip_ms: (mean, largest) time from request to reply [ms], on this machine's clock.
         differing: number of computed steps whose bytes differ from the law in Python.
-        first: index of the first differing step, None if there is none.
+        first: index of the first differing step, None if no step differs.
     """
 
     name: str
@@ -135,7 +135,7 @@ class LinkedLaw:
 
     Attributes:
         law: the exported law in Python.
-        p: gains of the run, as exported (np,).
+        p: gains of the run (np,), equal to the exported gains.
         line: connection to the controller.
         faults: simulated faults of the connection.
         envelope: ranges that the controller's guard accepts; None accepts any finite number.
@@ -148,10 +148,10 @@ class LinkedLaw:
     envelope: Envelope | None = None
 
     def __post_init__(self) -> None:
-        """Check the identity of the controller, and start it.
+        """Check the identity of the controller, and start the controller.
 
         Raises:
-            InputError: the other end is another controller, or not a controller of this link.
+            InputError: the other process is a different controller, or not an exported controller.
         """
         try:
             who = self.line.request()
@@ -188,7 +188,7 @@ class LinkedLaw:
         self._telemetry = np.zeros(self.law.outputs.size - thrust(self.law).size)
 
     def _shipped(self, identity: str) -> tuple[Exportable, Vector]:
-        """The exported law and its gains; the variant with constant gains if the controller has its id."""
+        """Return the exported law and its gains; its variant with constant gains if `identity` is the variant's id."""
         if not isinstance(self.law, Law):
             return self.law, self.p
         if self.law.perception is None:
@@ -198,7 +198,7 @@ class LinkedLaw:
         return closed_form(self.law, real=self.real), self.p
 
     def __call__(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """Return thrust, controller state and newest telemetry of this period; the controller keeps its own x and p."""
+        """Return thrust, controller state and newest telemetry of this period; the controller uses its own x and p."""
         if self._gone is None:
             self._request(u)
         while self._pending and self._pending[0].arrives <= self._period:
@@ -214,7 +214,7 @@ class LinkedLaw:
         )
 
     def _request(self, u: Vector) -> None:
-        """Exchange one request and reply, with the simulated losses and delay."""
+        """Send one request and receive its reply, with the simulated losses and delay."""
         to, back = (number < self.faults.loss for number in self._noise.uniforms(2))
         if to:
             self._lost[0] += 1
@@ -249,7 +249,7 @@ class LinkedLaw:
         )  # fmt: skip
 
     def _differing(self) -> NDArray[np.intp]:
-        """Indices of the replies that differ from Python in some byte; a NaN may have any bits."""
+        """Return the indices of the replies that differ from Python in some byte; a NaN may have any bits."""
         if not self._log:
             return np.zeros(0, dtype=np.intp)
         X, U = (np.array([row[k] for row in self._log]) for k in (0, 1))

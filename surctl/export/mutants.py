@@ -1,4 +1,4 @@
-"""Wrong versions of the exported C (sign, gain, operator or guard), to test that the checks detect them."""
+"""Deliberately wrong versions of the exported C (wrong sign, gain, operator or guard), to test the checks."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _LEAST = 2e-3  # smaller constants only keep divisors from zero: a change of 1 %
 
 @dataclass(frozen=True)
 class Mutant:
-    """A bundle with one change to its C.
+    """A bundle with one deliberate error in its C text.
 
     Attributes:
         kind: sign, operator, gain, guard or memory.
         file: name of the changed C file.
         line: number of the changed line, from 1.
-        old, new: text before and after the change.
+        old, new: `old` is the text before the change, `new` the text after the change.
         bundle: the changed bundle.
     """
 
@@ -120,7 +120,7 @@ def _mutant(bundle: Bundle, file: str, lines: list[str], kind: str, at: int, mat
 def caught_by(
     law: Exportable, mutant: Mutant, recording: Records, folder: Path, *, limit: NDArray[np.float64] | None = None
 ) -> str | None:
-    """Return the check that detects the mutant first: "compiler", "SIL", "single steps" or "proof"; None if none does.
+    """Return the first check that detects the mutant: "compiler", "SIL", "single steps" or "proof"; None if undetected.
 
     Args:
         law: the exported law.

@@ -27,13 +27,13 @@ _SURPRISE = 0.3  # [m/s], [rad/s] by which a measured velocity may jump at once
 
 
 def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Layout) -> Envelope:
-    """Return the ranges of states and inputs; those that nothing bounds may be any finite number.
+    """Return the ranges of states and inputs; a state or input that nothing bounds may be any finite number.
 
     Args:
         law: the law to export.
         mission: scenario; its site, path and sensors bound positions, progress and ranges.
         vehicle: vehicle model; its thrust and drag bound the speed.
-        gains: layout of the gains that remain inputs of the exported law; they may be any finite numbers.
+        gains: layout of the gains that remain inputs of the exported law; these gains may be any finite numbers.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -86,13 +86,13 @@ def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Lay
 
 
 def _steady(vehicle: Vehicle) -> Vector:
-    """Speed (4,) [m/s, rad/s] at which drag equals the largest thrust of each axis."""
+    """Return the speed (4,) [m/s, rad/s] of each axis at which drag equals the largest thrust."""
     linear, quadratic, most = vehicle.linear_drag, vehicle.quadratic_drag, vehicle.thrust_limit
     return np.asarray(2 * most / (linear + np.sqrt(linear**2 + 4 * quadratic * most)), dtype=float)
 
 
 def _integral(vehicle: Vehicle, fast: Vector) -> Vector:
-    """Bound (4,) of the velocity loops' integral: beyond it the thrust saturates, and the integral stays constant."""
+    """Return the bound (4,) of the velocity loops' integrals, at which the thrust saturates and integration stops."""
     drag = vehicle.linear_drag * fast + vehicle.quadratic_drag * fast**2
     return np.asarray((vehicle.thrust_limit + drag) / vehicle.mass + 100.0 * fast, dtype=float)
 
@@ -106,7 +106,7 @@ def _box(layout: Layout, known: Mapping[str, list[tuple[float, float]]]) -> Vect
 
 
 def _rates(inputs: Layout, fast: Vector) -> tuple[Rate, ...]:
-    """Largest rates of pose and velocity, if the law has their current values as inputs."""
+    """Return the largest rates of change of pose and velocity, if the law has these as inputs."""
     rates: list[Rate] = []
     if "eta" in inputs:
         first = inputs.slice("eta").start

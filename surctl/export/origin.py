@@ -1,4 +1,4 @@
-"""Origin of a bundle, as its manifest records it: law, gains, vehicle, claims about them, and certificates."""
+"""Origin of a bundle, as recorded in its manifest: law, gains, vehicle, claims about these, and certificates."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ _AVOIDANCE: Mapping[str, AvoidanceForm] = {
 
 @dataclass(frozen=True)
 class Origin:
-    """Where an exported controller comes from.
+    """Origin of an exported controller: its vehicle, its law without perception, and its certificates.
 
     Attributes:
         vehicle: vehicle model that the controller is designed for.
-        ground_truth: the same law without perception; the certificates are about this law.
+        ground_truth: the exported law without perception; the certificates are about this law.
         certificates: certificates by their file name in the bundle.
     """
 
@@ -57,7 +57,7 @@ class Origin:
 
     @property
     def files(self) -> dict[str, str]:
-        """Text of the certificates by file name."""
+        """Return the text of the certificates by file name."""
         return {
             name: json.dumps(document, ensure_ascii=False, indent=1) + "\n"
             for name, document in sorted((self.certificates or {}).items())
@@ -97,7 +97,7 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
 
 
 def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
-    """Read certificates, and return them by the file name that they get in a bundle.
+    """Read certificates, and return each certificate by the file name that it gets in a bundle.
 
     Raises:
         InputError: a file is not a certificate, the checker rejects it, or two files have the same name.
@@ -130,7 +130,7 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
 
 
 def manifest_entries(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]:
-    """Return the manifest's entries for law and gains and, if the origin is known, for vehicle and claims."""
+    """Return the manifest's entries for law and gains and, if `origin` is given, for vehicle and claims."""
     own = law.block.digest()
     digest = own if origin is None else origin.ground_truth.block.digest()
     rows = [{"name": port.name, "values": p[law.gains.slice(port.name)].tolist()} for port in law.gains]
@@ -172,13 +172,13 @@ def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
 
 
 def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: Vector) -> list[Path]:
-    """Return the certificates that are about a law with these parameters, and so can be exported with it.
+    """Return the certificates that are about this law with these parameters, and so can be exported with the law.
 
     Args:
         paths: certificate files.
         law: the law, with or without perception.
         vehicle: the vehicle that the law controls.
-        p: parameters of the law, as `law_numbers` gives them.
+        p: parameters of the law, in the order of `law_numbers`.
 
     Raises:
         InputError: see `load_certificates`.
@@ -207,7 +207,7 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
 
 
 def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]:
-    """Hashes of the library's claims about parts of this law, for its gains, cruise speed and speed cap."""
+    """Return hashes of the library's claims about parts of this law, for its gains, cruise speed and speed cap."""
     values = {row["name"]: row["values"][0] for row in rows if len(row["values"]) == 1}
     if "cruise" in values:
         values["speed"] = values["cruise"]
@@ -224,7 +224,7 @@ def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]
 
 
 def _has_part(law: Law, claim: str) -> bool:
-    """Whether the law contains the part that a claim of the library is about."""
+    """Return whether the law contains the part that a claim of the library is about."""
     if claim in _AVOIDANCE:
         return law.name == "surctl_paper" and law.avoidance == _AVOIDANCE[claim]
     if claim.startswith("braking-"):
@@ -233,7 +233,7 @@ def _has_part(law: Law, claim: str) -> bool:
 
 
 def _stated(claim: Claim) -> dict[str, Any]:
-    """The statement of a claim, as its certificate contains it."""
+    """Return the statement of a claim in the form in which its certificate contains the statement."""
     left, right, *constraints = (text_of(part) for part in statement_of(claim).parts)
     ranges = [
         {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)} for v in claim.variables

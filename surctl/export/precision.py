@@ -26,39 +26,39 @@ _NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64
 
 @dataclass(frozen=True, eq=False)
 class _Same(Around):
-    """Base of a law that wraps another law, with the same gains and instructions."""
+    """Base of a law that wraps another law, whose gains and instruction list it shares."""
 
     @property
     def gains(self) -> Layout:
-        """Layout of p (np,)."""
+        """Return the layout of the gains p (np,)."""
         return self.law.gains
 
     @property
     def block(self) -> Block:
-        """The law's own instructions."""
+        """Return the program or routine of the wrapped law."""
         return self.law.block
 
 
 @dataclass(frozen=True, eq=False)
 class Rounded(_Same):
-    """An exportable law evaluated instruction by instruction, with every number rounded to `real`.
+    """An exportable law that Python evaluates instruction by instruction, with every number rounded to `real`.
 
-    It is the reference for the exported C in that precision, because IEEE 754 defines each operation to the last bit.
-    All vectors are arrays of doubles; for float32 their values are floats.
+    `Rounded` is the reference for the exported C in this precision, because IEEE 754 defines each operation to the last
+    bit. All vectors are arrays of doubles; for float32 their values are floats.
 
     Attributes:
-        law: the law; its block must not use the mathematical library, whose last bits no standard defines.
-        real: the precision.
+        law: the law, which must not use libm functions such as sin, whose last bits no standard defines.
+        real: the precision of every number.
     """
 
     real: Real = "float32"
 
     def initial_state(self) -> Vector:
-        """State before the first step (nx,)."""
+        """Return the controller state before the first step (nx,)."""
         return rounded(self.law.initial_state(), self.real)
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """One guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
+        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
         rows = self.steps(*(np.atleast_2d(v) for v in (x, u, p)))
         return LawStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
@@ -97,7 +97,7 @@ class Rounded(_Same):
 
 @dataclass(frozen=True, eq=False)
 class Guarded(_Same):
-    """A law behind the same guard as in the exported C.
+    """A law in Python behind a guard that equals the guard of the exported C.
 
     Attributes:
         envelope: ranges that the guard accepts, in the law's precision.
@@ -108,11 +108,11 @@ class Guarded(_Same):
     real: Real = "float64"
 
     def initial_state(self) -> Vector:
-        """State before the first step (nx,)."""
+        """Return the controller state before the first step (nx,)."""
         return self.law.initial_state()
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """One step without a predecessor; a number out of range gives tau = 0, x_next = x and a negative status."""
+        """Run a step without predecessor; a number out of range gives tau = 0, x_next = x and a negative status."""
         x, u, p = (rounded(np.asarray(v, dtype=float), self.real) for v in (x, u, p))
         refused = int(self.envelope.refusals(Records(*(v[None] for v in (x, u, p))))[0])
         if refused == RANGE:  # the law itself refuses numbers that are not finite
@@ -123,7 +123,7 @@ class Guarded(_Same):
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
-    """Return the law as a target computes it: `Rounded` for float32, and `Guarded` if there is an envelope."""
+    """Return the law as a target computes it: inside `Rounded` for float32, inside `Guarded` if `envelope` is given."""
     inner = law if real == "float64" else Rounded(law)
     return inner if envelope is None else Guarded(inner, envelope, real)
 
@@ -136,7 +136,7 @@ def plain(law: Exportable) -> Exportable:
 
 
 def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
-    """Run one step of the law in Python from each row; the rows are independent."""
+    """Run independent steps of the law in Python, step k from row k of X, U and P."""
     if isinstance(law, Guarded):
         return _let_in(law, Records(*(rounded(v, law.real) for v in (X, U, P))))
     if isinstance(law, Rounded):
@@ -172,9 +172,9 @@ def _let_in(law: Guarded, records: Records) -> Rows:
 def replayed(
     law: Exportable, records: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
 ) -> Rows:
-    """Run `evaluated`, then refuse jumps: each row follows the row before it unless `load` (T,) is set.
+    """Run `evaluated`, then refuse input jumps between successive steps; `load` (T,) marks steps that start a new run.
 
-    `counts` (T,) are the sample numbers of the rows; None means that no sample is missing.
+    `counts` (T,) are the sample numbers of the steps; None means that no sample is missing.
     """
     rows = evaluated(law, records.X, records.U, records.P)
     if not isinstance(law, Guarded):
@@ -183,6 +183,6 @@ def replayed(
 
 
 def rounded(values: Vector, real: Real = "float32") -> Vector:
-    """Return the nearest numbers of that precision, stored as doubles."""
+    """Return the nearest numbers of the precision `real`, stored as doubles."""
     with np.errstate(over="ignore"):
         return np.asarray(values, dtype=_NUMPY[real]).astype(np.float64)

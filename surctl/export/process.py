@@ -52,7 +52,7 @@ class Controller:
     Attributes:
         law: the law in Python, in the bundle's precision.
         bundle: the bundle that was compiled.
-        command: command that runs the program.
+        command: command that runs the compiled program.
         code_bytes: size of the controller's code and constants, None without the `size` tool.
     """
 
@@ -62,12 +62,12 @@ class Controller:
     code_bytes: int | None
 
     def run(self, records: Records, *, load: NDArray[np.bool_]) -> Rows:
-        """Run one step per record; where `load` (T,) is set, the state comes from the record."""
+        """Run one step for each record; where `load` (T,) is set, the state comes from the record."""
         return self.parsed(self.output(self.stream(records, load=load), len(records)), len(records))
 
     def stream(self, records: Records, *, load: NDArray[np.bool_]) -> bytes:
-        """Return the records as bytes for the program; they depend on its precision but not on its target."""
-        fresh = np.ones(len(records), dtype=bool)  # gains equal to those of the row before are not sent again
+        """Return the records as input bytes of the program; they depend on its precision but not on its target."""
+        fresh = np.ones(len(records), dtype=bool)  # gains that equal those of the previous step are not sent again
         fresh[1:] = (records.P[1:] != records.P[:-1]).any(axis=1)
         parts: list[NDArray[np.float64]] = []
         for k, (with_state, with_gains) in enumerate(zip(load, fresh, strict=True)):
@@ -81,14 +81,14 @@ class Controller:
         return self._output([], stream, count, sum(self._widths))
 
     def parsed(self, raw: bytes, count: int) -> Rows:
-        """Return the rows that bytes of the program contain."""
+        """Return the step results that the program wrote as bytes."""
         rows = self._rows(raw, count, sum(self._widths))
         status, tau, state, telemetry = np.split(rows, np.cumsum(self._widths)[:-1], axis=1)
         return Rows(status[:, 0].astype(np.int64), tau, state, telemetry)
 
     @property
     def row_bytes(self) -> int:
-        """Number of bytes in one row of results."""
+        """Return the number of bytes in the results of one step."""
         return sum(self._widths) * self._dtype.itemsize
 
     @property
@@ -101,7 +101,7 @@ class Controller:
         return np.dtype(self.bundle.real)
 
     def run_faults(self, record: Vector, at: Vector, values: Vector) -> FaultResults:
-        """Run a step from `record` (state, input, gains end to end) for each entry `at` (K,) set to `values` (K,)."""
+        """Run K steps from `record` (state, input, gains end to end); step k sets entry `at[k]` to `values[k]`."""
         numbers = np.concatenate([record, np.column_stack([at, values]).ravel()])
         n_tau = thrust(self.law).size
         with np.errstate(over="ignore"):
@@ -111,7 +111,7 @@ class Controller:
         return FaultResults(status, rows[:, 1 : 1 + n_tau], changed)
 
     def _output(self, options: list[str], sent: bytes, count: int, width: int) -> bytes:
-        """Run the program; return the bytes of `count` rows of `width` numbers."""
+        """Run the program; return its output bytes, `count` results of `width` numbers each."""
         raw = _run([*self.command, *options], sent, count)
         if len(raw) != self._dtype.itemsize * count * width:
             raise SurctlError(f"{Path(self.command[0]).name} returned {len(raw)} bytes for {count} records")
@@ -129,7 +129,7 @@ class Controller:
 
 
 def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Controller:
-    """Write the bundle to `directory` and compile it there.
+    """Write the bundle to `directory`, compile it there, and return the compiled controller.
 
     Raises:
         ToolMissing: there is no compiler.
@@ -158,11 +158,11 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
 def compile_controller(
     bundle: Bundle, folder: Path, *, flags: Sequence[str] = (), compiler: str | None = None
 ) -> list[Path]:
-    """Compile the controller's files; return the objects in the order of `bundle.sources`, then the self-test's.
+    """Compile the controller's files; return the object files in the order of `bundle.sources`, then the self-test.
 
     Args:
         bundle: the controller, written to `folder`.
-        folder: folder with its files.
+        folder: folder with the files of the bundle.
         flags: additional compiler flags.
         compiler: see `compile_program`.
 

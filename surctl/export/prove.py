@@ -1,13 +1,13 @@
 """Proof by abstract interpretation (Frama-C's Eva) that the exported C has no run-time error.
 
-The analysed program (`proof.c`) sets every state, input, gain and last accepted input to any number of its range, sets
-any sample, and calls the step once. If Eva reports no alarm, then in every such step no uninitialised value is read, no
-array index is out of bounds, no conversion overflows, and each thrust is a number within its limit. For a law in closed
-form with bounded memory, Eva also shows that no NaN or infinity is computed and nothing is divided by zero.
-This last part is not proved for a law that loops over rows with possibly infinite bounds, or whose state is unbounded.
-IEEE 754 defines its operations on such numbers, and the exported step checks every result of the law.
-The ranges are those of the guard, which refuses all other numbers before the law reads them. The proof therefore covers
-every step on the robot.
+The analysed program (`proof.c`) sets every state, input, gain and last accepted input to any number in its range, sets
+an arbitrary sample number, and calls the step once. If Eva reports no alarm, then in every such step no uninitialised
+value is read, no array index is out of bounds, no conversion overflows, and each thrust is a number within its limit.
+For a law in closed form with bounded memory, Eva also shows that no NaN or infinity is computed and nothing is divided
+by zero. The absence of NaN, infinities and divisions by zero is not proved for a law that loops over constraint rows
+`(n·v ≤ b)` with possibly infinite bounds, or whose state is unbounded. IEEE 754 defines the operations of such a law on
+infinities and NaN, and the exported step checks every result of the law. The analysis uses the ranges of the guard,
+which refuses all numbers outside before the law reads them. The proof therefore covers every step on the robot.
 """
 
 from __future__ import annotations
@@ -46,26 +46,27 @@ Vector = NDArray[np.float64]
 _TOOL = "frama-c"
 _OPTIONS = ("-eva", "-eva-no-show-progress", "-eva-msg-key=-final-states", "-main", "proof")
 _BOUNDED = ("-eva-precision", "3", "-warn-special-float", "non-finite")
-# Precision 0: a higher one gains nothing and does not finish. Loops over rows are unrolled; otherwise Eva assumes that
-# rows which one loop filled may be empty in the next loop.
+# Precision 0: higher precision gains nothing and does not finish. Loops over rows are unrolled; otherwise Eva assumes
+# that rows which one loop filled may be empty in the next loop.
 _UNBOUNDED = ("-eva-precision", "0", "-warn-special-float", "none", "-eva-auto-loop-unroll")
 _LEAST_UNROLLED = 24
 _INSIDE = "every intermediate number is finite, no divisor is zero"
 _OUTSIDE = "a result that overflows or is not a number is refused"
 _PROVED = ("Valid", "Considered valid", "Dead")
-_OF_SHOWING = ("assigns clause", "from clause")  # of Eva's printing function; the exported C has no contracts
+_OF_SHOWING = ("assigns clause", "from clause")  # alarms of Eva's printing function; the exported C has no contracts
 _ANY = 1e38  # a larger bound means no bound
 _LIMIT = 3600.0  # s, time limit; a law with sonars takes 13 minutes
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """A property that could not be proved.
+    """A property of the exported C that could not be proved.
 
     Attributes:
-        file, line: place of the property in the C text.
-        kind: kind of the property, such as "division_by_zero", or "user assertion" for a thrust beyond its limit.
-        text: the property, in ACSL.
+        file, line: C file and line number of the property.
+        kind: kind of the property, such as "division_by_zero"; "user assertion" means that the thrust is within its
+            limit.
+        text: the property, in the specification language ACSL.
     """
 
     file: str
@@ -76,7 +77,7 @@ class Alarm:
 
 @dataclass(frozen=True)
 class ProofReport:
-    """Outcome of one analysis.
+    """Outcome of one analysis of the exported C by abstract interpretation.
 
     Attributes:
         alarms: properties that could not be proved, in order of file and line.
@@ -98,18 +99,18 @@ class ProofReport:
 
     @property
     def proved(self) -> bool:
-        """Whether every property was proved, and the guard accepts some step."""
+        """Return whether every property was proved, and the guard accepts some step."""
         return not self.alarms and self.properties > 0 and self.accepts
 
     @property
     def accepts(self) -> bool:
-        """Whether the guard accepts some step; if it refused every step, the law would not be analysed."""
+        """Return whether the guard accepts some step; if it refused every step, the law would not be analysed."""
         match = re.search(r"show_each_status: (.*)", self.log)
         return match is not None and any(not number.startswith("-") for number in re.findall(r"-?\d+", match.group(1)))
 
     @property
     def claim(self) -> str:
-        """The statement that holds if every property is proved."""
+        """Return the statement that holds if every property is proved."""
         common = "no uninitialised read, no index out of bounds, no conversion overflow, each thrust within its limit"
         return f"{common}; {_INSIDE if self.inside else _OUTSIDE}"
 
@@ -137,8 +138,8 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
 
     Args:
         law: the exported law.
-        bundle: the bundle; the ranges are those of its guard.
-        limit: largest thrust (n_tau,) of each axis, both signs [N, N m].
+        bundle: the exported files; the analysis covers the ranges that their guard accepts.
+        limit: largest absolute thrust of each axis (n_tau,) [N, N m].
 
     Raises:
         ToolMissing: Frama-C is not installed.
@@ -189,7 +190,7 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
 
 
 def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
-    """Options of Eva; the docstring of this module explains the two cases."""
+    """Return the options of Eva, with or without the proof that all numbers are finite (see the module docstring)."""
     within = bundle.envelope or anywhere(law)
     if (np.abs(within.state) < _ANY).all() and isinstance(law.block, Program):
         return _BOUNDED
@@ -226,7 +227,7 @@ def _first_error(log: str) -> str:
 
 
 def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
-    """Text of proof.c."""
+    """Return the text of the analysed program, proof.c."""
     name, real = bundle.name, bundle.real
     within = bundle.envelope or anywhere(law).fitted(law, real)
     lines = [f"state.x[{k}] = {_any(bounds, real)};" for k, bounds in enumerate(within.state)]
@@ -270,7 +271,7 @@ def _any(bounds: Vector, real: Real) -> str:
 
 
 def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
-    """Return the bundle with the analysed program, the analyser's log, and the outcome in the manifest.
+    """Return the bundle with the analysed program and the analyser's log added, and with the outcome in the manifest.
 
     Example:
         >>> import json
@@ -295,7 +296,7 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
 
 
 def gain_box(law: Exportable, values: Vector, ranges: Mapping[str, tuple[float, float]]) -> Vector:
-    """Return the ranges (np, 2) of the gains in the proof: the range in a gain file, or else the value itself.
+    """Return the ranges (np, 2) of the gains in the proof; a gain without a range in `ranges` is constant.
 
     Raises:
         InputError: a value is outside its range.

@@ -32,7 +32,7 @@ class Records:
     P: Vector
 
     def __len__(self) -> int:
-        """Number of steps T."""
+        """Return the number of recorded steps T."""
         return len(self.X)
 
 

@@ -1,4 +1,4 @@
-"""Fill in the templates of the exported files with the layouts, values and C text of a law."""
+"""Rendering of the exported files: templates are filled in with the layouts, values and C text of a law."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def render_files(
     Args:
         law: the law, whose names are already checked.
         gains: tuned gains (np,).
-        within: ranges that the guard accepts, in this precision.
+        within: ranges that the guard accepts, rounded to `real`.
         name: prefix of files and symbols.
-        identity: the law's id.
-        tests: vectors of the built-in self-test.
+        identity: id of the law (see `law_id`).
+        tests: inputs and expected results of the built-in self-test.
         real: precision of every number.
     """
     block = law.block
@@ -92,7 +92,7 @@ _PARTS: Mapping[str, tuple[str, str]] = MappingProxyType(
 
 
 def _law_files(name: str, parts: Parts) -> list[tuple[str, str, str]]:
-    """(file name, contents, text) of each part of the law."""
+    """Return (file name, description of the contents, C text) of each part of the law."""
     named = {part: _PARTS.get(part, (f"law_{part}", f"{part}, a part of the law")) for part in parts.files}
     return [(f"{name}_{named[part][0]}.c", named[part][1], text) for part, text in parts.files.items()]
 
@@ -130,7 +130,7 @@ def _environment() -> Environment:
 
 
 def _words(real: Real) -> dict[str, Any]:
-    """Names of C types, constants and functions in that precision."""
+    """Return the names of C types, constants and functions in the precision `real`."""
     double = real == "float64"
     return {
         "real": C_TYPE[real],
@@ -143,7 +143,7 @@ def _words(real: Real) -> dict[str, Any]:
 def _values(
     law: Exportable, gains: Vector, within: Envelope, name: str, identity: str, tests: SelfTest, real: Real
 ) -> dict[str, Any]:
-    """Values of the templates' variables."""
+    """Return the values of all variables of the templates."""
     n_tau = thrust(law).size
     literal = partial(c_literal, real=real)
     return {
@@ -204,7 +204,7 @@ def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:
 
 
 def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
-    """Values of the templates' variables that describe the guard."""
+    """Return the values of the template variables that describe the guard."""
     boxes = ((law.state, within.state), (law.inputs, within.inputs), (law.gains, within.gains))
     ranges = {
         port.name: range_text(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
@@ -232,7 +232,7 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
 
 
 def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
-    """Index of an input and a number outside its range, for the self-test; None if no input has a range."""
+    """Return (index of an input, number outside its range) for the self-test; None if no input has a range."""
     largest = 1e38
     for at, (_, high) in enumerate(within.inputs):
         if high < largest:
@@ -241,7 +241,7 @@ def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
 
 
 def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
-    """Bytes of RAM by struct or array, without temporaries of the compiler; a number has `width` bytes."""
+    """Return the bytes of RAM of each struct or array, without compiler temporaries; a number has `width` bytes."""
     other = law.inputs.size + law.gains.size + law.outputs.size
     arrays = 0 if isinstance(law.block, Program) else memory(law.block) - 2 * law.state.size
     held = {"state": 2 * law.state.size + len(within.rates), "structs": other, "arrays": arrays}
@@ -250,7 +250,7 @@ def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
 
 
 def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:
-    """Return C initialisers {number, how often it repeats}; for no numbers one zero, as C has no empty array."""
+    """Return C initialisers {number, repetitions}; if `values` is empty, return one zero, as C has no empty array."""
     literals = [text(float(v)) for v in values]
     initialisers = [f"{{{number}, {len(list(same))}}}" for number, same in itertools.groupby(literals)]
     return initialisers or ["{0.0, 1}"]
@@ -273,7 +273,7 @@ def _rows(table: Vector, real: Real) -> list[str]:
 
 
 def _decimal(value: float, real: Real) -> str:
-    """Decimal text of a number of the self-test; the sign of a zero is left out, because it is not compared."""
+    """Return a self-test number as decimal text; the sign of a zero is left out, because it is not compared."""
     return repr(value + 0.0) if real == "float64" else f"{np.float32(value + 0.0)!s}f"
 
 

@@ -1,4 +1,4 @@
-"""Results of controller steps, one row per step."""
+"""Results of controller steps as arrays with one row for each step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["Rows"]
 
 
 class Rows(NamedTuple):
-    """Results of T steps of a controller, compiled or in Python.
+    """Results of T steps of a controller that is compiled or evaluated in Python.
 
     Attributes:
         status: status codes (T,).

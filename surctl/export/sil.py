@@ -35,7 +35,7 @@ Vector = NDArray[np.float64]
 TOLERANCE = 1e-12
 """Largest difference that passes: relative for numbers above 1, absolute for others."""
 
-_BLOCK = 256  # rows compared at once
+_BLOCK = 256  # number of steps that are compared at once
 _JUMP = 1e-9  # a recorded state that differs more than this from the law's own next state was set from outside
 
 
@@ -46,8 +46,8 @@ class Difference:
     Attributes:
         absolute: max |C − Python|.
         relative: max |C − Python| / |Python|, over numbers that are not 0 in Python.
-        mixed: max |C − Python| / max(1, |Python|); it is compared with `TOLERANCE`.
-        step: step of the largest mixed difference, None if all numbers are equal.
+        mixed: max |C − Python| / max(1, |Python|), which is compared with `TOLERANCE`.
+        step: index of the step with the largest mixed difference, None if all numbers are equal.
     """
 
     absolute: float
@@ -64,8 +64,9 @@ class SilReport:
         name: the bundle's name.
         id: the law's id.
         steps: number of steps T.
-        resets: steps at which the recorded state does not follow from the step before, so that C was loaded with it.
-        tau, state, telemetry: largest differences.
+        resets: number of steps at which the recorded state does not follow from the previous step, so that C was loaded
+            with the recorded state.
+        tau, state, telemetry: largest differences of thrust, of state and of telemetry.
         status_mismatches: number of steps at which C and Python return different status codes.
         fault_cases: number of invalid inputs tried in C and in Python, see `faults`.
         fault_failures: invalid inputs that did not give zero thrust, a negative status and an unchanged state.
@@ -90,13 +91,13 @@ class SilReport:
 
     @property
     def passed(self) -> bool:
-        """Whether every difference is within `TOLERANCE` and every other check holds."""
+        """Return whether every difference is within `TOLERANCE` and every other check holds."""
         near = all(d.mixed <= TOLERANCE for d in (self.tau, self.state, self.telemetry))
         return near and self.status_mismatches == 0 and not self.fault_failures and self.self_test
 
     @property
     def conclusive(self) -> bool:
-        """Whether the test passed, and C carried its own state from the first step to the last."""
+        """Return whether the test passed, and C carried its own state from the first step to the last."""
         return self.passed and not self.resets
 
     def to_dict(self) -> dict[str, Any]:
@@ -141,8 +142,8 @@ def software_in_the_loop(
     """Export the law, compile it, and compare it with Python over a recorded run.
 
     C starts from the first recorded state and then steps on its own; only the inputs come from the record.
-    Python is evaluated on each recorded state. If a recorded state does not follow from the step before
-    (a reset, another run), C is loaded with it; the report counts these loads.
+    Python is evaluated on each recorded state. If a recorded state does not follow from the previous step (a reset,
+    another run), C is loaded with the recorded state; the report counts these loads.
 
     Args:
         law: the control law.
@@ -180,7 +181,7 @@ def software_in_the_loop_runs(
 ) -> tuple[SilReport, ...]:
     """Return one report per recorded run; all runs use one bundle with the gains of the first run's first record.
 
-    Arguments and errors are those of `software_in_the_loop`; it is also an InputError if there is no run.
+    Arguments and errors are those of `software_in_the_loop`; an InputError is also raised if there is no run.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -232,7 +233,7 @@ def compare_runs(
 
 
 def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
-    """Gains of the first record by port; the bundle is built with them."""
+    """Return the gains of the first record by port name; the bundle is built with these gains."""
     if not np.all(np.isfinite(run.P[0])):
         raise InputError("the first record's gains are not finite", key="records.P", remedy="give finite gains")
     return law.gains.unpack(run.P[0])
@@ -265,9 +266,10 @@ def _compare(controller: Controller, run: Records) -> SilReport:
 
 
 def _on_its_own(controller: Controller, run: Records) -> Records:
-    """The recorded inputs with the states that C reaches; a law in floats does not reach the states of doubles.
+    """Return the recorded inputs with the states that C reaches; a float32 law does not reach the states of float64.
 
-    Python computes each step from these states, so every wrong step of C shows. Without one, the whole runs agree.
+    Python computes each step from these states, so every wrong step of C shows. If no step is wrong, the whole runs
+    agree.
     """
     first = np.zeros(len(run), dtype=bool)
     first[0] = True
@@ -276,7 +278,7 @@ def _on_its_own(controller: Controller, run: Records) -> Records:
 
 
 def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
-    """Whether C must be loaded at each step (T,): at the first, and if the state does not follow from the last step."""
+    """Return whether C must be loaded at each step (T,): the first step, and any whose state does not follow."""
     load = np.zeros(len(run), dtype=bool)
     load[0] = True
     for k in range(1, len(run)):
@@ -285,7 +287,7 @@ def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
 
 
 def _difference(mine: Vector, theirs: Vector) -> Difference:
-    """Largest differences over all rows, computed in blocks of `_BLOCK` rows to bound the memory."""
+    """Return the largest differences over all steps, computed for `_BLOCK` steps at a time to bound the memory."""
     absolute = relative = worst = 0.0
     step = None
     for first in range(0, len(mine) if mine.size else 0, _BLOCK):
@@ -299,7 +301,7 @@ def _difference(mine: Vector, theirs: Vector) -> Difference:
 
 
 def _gap(have: Vector, want: Vector) -> Vector:
-    """|have − want|; 0 for two equal or two NaN entries, inf when only one is finite."""
+    """Return |have − want|; 0 for two equal or two NaN entries, inf if only one of the two entries is finite."""
     same = (have == want) | (np.isnan(have) & np.isnan(want))
     with np.errstate(invalid="ignore"):
         gap: Vector = np.where(same, 0.0, np.abs(have - want))

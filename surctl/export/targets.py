@@ -22,7 +22,7 @@ class Target:
     Attributes:
         name: short name on the command line.
         compiler: command of the compiler.
-        flags: compiler flags in addition to the usual ones.
+        flags: compiler flags of the target, used after those of `compile_program`.
         machine: QEMU's name of the emulated board; None runs the program on this machine.
     """
 
@@ -33,17 +33,17 @@ class Target:
 
     @property
     def tools(self) -> tuple[str, ...]:
-        """Programs that the target needs."""
+        """Return the programs that the target needs."""
         return (self.compiler,) if self.machine is None else (self.compiler, "qemu-system-arm")
 
     @property
     def size_tool(self) -> str:
-        """Name of the `size` tool for the target's object files."""
+        """Return the name of the `size` tool for the target's object files."""
         return "size" if self.machine is None else "arm-none-eabi-size"
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Tools of the target that are not installed."""
+        """Return the tools of the target that are not installed."""
         return tuple(tool for tool in self.tools if shutil.which(tool) is None)
 
     def board(self, program: str) -> tuple[str, ...]:
@@ -81,7 +81,7 @@ TARGETS: dict[str, Target] = {target.name: target for target in _BUILT_IN}
 
 
 def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, tuple[str, ...]]]:
-    """Return the targets to try, and the missing tools of those that cannot be tried on this machine.
+    """Return the targets to try, and the missing tools of each target that cannot be tried on this machine.
 
     Args:
         names: names of targets; if empty, all targets whose tools are installed.

@@ -1,4 +1,4 @@
-"""Single steps to try on every build: near recorded runs, at their switches, far from them, and with NaN."""
+"""Single steps to try on every build: near recorded runs, where the law switches, far from the runs, and with NaN."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def trial_steps(
     seed: int = 0,
     within: Envelope | None = None,
 ) -> Records:
-    """Return up to `count` steps (at most `MOST_NUMBERS` numbers) that vary rows of the runs in eight kinds in turn.
+    """Return up to `count` steps (at most `MOST_NUMBERS` numbers), which vary recorded steps in eight ways in turn.
 
-    The kinds: (0) as recorded; (1) and (2) at rows where something switches, with all numbers or about one number moved
-    to the next float up or down; (3) and (6) slightly perturbed; (4) widely perturbed; (5) some numbers replaced by 0,
-    1 or their negative; (7) one number NaN or infinite. In every second block of 256 steps, the gains change by up to
-    10 %.
+    The eight ways are: (0) the step as recorded; (1) and (2) a recorded step at which the law switches, with all
+    numbers (1) or about one number (2) moved to the next float up or down; (3) and (6) the step slightly perturbed; (4)
+    the step widely perturbed; (5) some numbers replaced by 0, 1 or their negative; (7) one number NaN or infinite. In
+    every second group of 256 steps, the gains change by up to 10 %.
 
     Args:
         law: the law.
@@ -47,8 +47,8 @@ def trial_steps(
         count: largest number of steps.
         real: precision of the target, which defines the next float.
         seed: seed of the random numbers.
-        within: ranges that the guard accepts. Perturbed numbers stay inside, and widely perturbed ones cover the whole
-            ranges, so that the steps test the law and not only the guard.
+        within: ranges that the guard accepts. Perturbed numbers stay inside these ranges, and widely perturbed numbers
+            cover the whole ranges, so that the steps test the law and not only the guard.
     """
     rng = np.random.default_rng(seed)
     X = np.concatenate([run.X for run in runs])
@@ -87,7 +87,7 @@ def trial_steps(
 
 
 def _anywhere(rows: Vector, at: NDArray[np.intp], box: Vector, rng: np.random.Generator) -> None:
-    """Replace the bounded numbers of these rows by random ones in their range, more often near the old value."""
+    """Replace the bounded numbers of these steps by random numbers in their range, more often near the old value."""
     bounded = np.flatnonzero(np.abs(box).max(axis=1) < 1e30)
     low, high = box[bounded].T
     part = np.clip(rows[np.ix_(at, bounded)], low, high)
@@ -96,7 +96,7 @@ def _anywhere(rows: Vector, at: NDArray[np.intp], box: Vector, rng: np.random.Ge
 
 
 def _switches(run: Records) -> NDArray[np.bool_]:
-    """Whether an integer in the state or input changes after each row (T,), which shows that the law switches."""
+    """Return whether an integer of state or input changes after each step (T,), which shows that the law switches."""
     rows = np.hstack([run.X, run.U])
     whole = np.all(rows == np.floor(rows), axis=0)
     flips = (rows[1:, whole] != rows[:-1, whole]).any(axis=1)
@@ -104,7 +104,7 @@ def _switches(run: Records) -> NDArray[np.bool_]:
 
 
 def _shift(rows: Vector, at: NDArray[np.intp], rng: np.random.Generator, real: Real, *, share: float) -> None:
-    """Move each number of these rows, with probability `share`, to the next float of the precision up or down."""
+    """Move each number of these steps, with probability `share`, to the next float of `real` up or down."""
     part = rows[at].astype(np.float64 if real == "float64" else np.float32)
     up = rng.random(part.shape) < 0.5
     near = np.nextafter(part, np.where(up, np.inf, -np.inf).astype(part.dtype))

@@ -29,7 +29,7 @@ _GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True)
 class SelfTest:
-    """Inputs and expected results of a run of the law from its initial state.
+    """Inputs and expected results of the self-test, a run of the law from its initial state.
 
     Attributes:
         inputs: u of each step (T, nu).
@@ -45,11 +45,11 @@ class SelfTest:
 
 
 def self_test_vectors(law: Exportable, gains: Vector, within: Envelope) -> SelfTest:
-    """Run `law` on its default inputs in the first step, and on perturbed inputs in the others; return the results.
+    """Run `law` on default inputs in the first step, then on perturbed inputs; return inputs and results as `SelfTest`.
 
     The perturbation is a low-discrepancy sequence of ±0.1 to ±2 times 1 + |default|, so nothing is random. Expected
-    values are rounded to 12 digits, so that the bundle does not depend on the last bits of a machine's sine. Inputs are
-    rounded to 6 digits to be short, and limited to the guard's ranges, so that every step is accepted.
+    values are rounded to 12 digits, so that the bundle does not depend on the last bits of the machine's sine function.
+    Inputs are rounded to 6 digits to be short, and limited to the guard's ranges, so that every step is accepted.
     """
     default = law.inputs.pack()
     inputs = np.array([_perturbed(default, k, spread) for k, spread in enumerate(_SPREADS)])

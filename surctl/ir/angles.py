@@ -12,16 +12,17 @@ _COS = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800)
 
 
 def nearby_angles(program: Program, source: int, entry: int) -> Program:
-    """Replace sin and cos of a + d by the angle-sum formula with a Taylor series in d, for the entry a of an input.
+    """Replace sin and cos of a + d, where a is an input entry, by the angle-sum formula with a Taylor series in d.
 
-    This costs a third of a general sine. It is meant for the stages of an integrator, whose angle changes little within
-    a call: the series errors are |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in the last place of 1 up to d = 0.18,
-    and 1e-11 at d = 0.5. Only angles that are sums with a are changed.
+    This formula costs a third of a general sine. The formula is meant for the stages of a Runge-Kutta integrator, whose
+    angle changes little within a call. The errors of the series are |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in
+    the last place of 1 up to d = 0.18, and 1e-11 at d = 0.5. Only sines and cosines of sums that contain a are
+    replaced.
 
     Args:
         program: the instruction list.
-        source: index of the input.
-        entry: index of the entry in that input.
+        source: index of the input vector that contains the reference angle a.
+        entry: index of the angle a in this input vector.
 
     Example:
         >>> import casadi as ca
@@ -55,7 +56,7 @@ def nearby_angles(program: Program, source: int, entry: int) -> Program:
 
 
 def _turned(text: Numbering, op: str, angle: int, distance: int) -> int:
-    """Position of sin or cos of angle + distance."""
+    """Return the list position of sin or cos of angle + distance."""
     square = text.add("sq", (distance,))
 
     def series(coefficients: tuple[float, ...]) -> int:

@@ -1,4 +1,4 @@
-"""Repeated evaluation of a compiled step for many runs side by side."""
+"""Repeated evaluation of a compiled simulation step for many runs in parallel."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _TURN = 0.05  # s; approximate length of one call into C; interrupts are handled
 
 
 class Batch:
-    """A compiled step (state, parameters) → state, for any number of runs.
+    """A compiled simulation step, (state, parameters) → next state, for any number of runs.
 
     Attributes:
-        step: the block that was compiled.
+        step: the program or routine that was compiled.
         lanes: number of runs that one thread processes at a time.
     """
 
@@ -46,7 +46,7 @@ class Batch:
         self.lanes = int(self._library.surctl_lanes())
 
     def run(self, state: Array, parameters: Array, *, steps: int, threads: int = 1) -> Array:
-        """Return the final states. A run ends after the first step that sets its flag, or after `steps` steps.
+        """Return the final states; a run ends after the first step that sets its flag, or after `steps` steps.
 
         Args:
             state: (runs, n); entry 0 of each run is its flag: 0 while the run continues. If the flag is set at the
@@ -80,7 +80,7 @@ class Batch:
 
 
 def _blocks(runs: int, threads: int, lanes: int) -> Iterator[tuple[int, int]]:
-    """Blocks (first run, end) of the runs, which the threads take one after another."""
+    """Yield groups of consecutive runs as (first run, run after the last); the threads process one group at a time."""
     size = runs if threads == 1 else max(lanes, min(1024, runs // (16 * threads)))
     for first in range(0, runs, max(1, size)):
         yield first, min(runs, first + size)
@@ -96,7 +96,7 @@ class _Job:
         self.lock, self.stop = threading.Lock(), threading.Event()
 
     def share(self, threads: int) -> None:
-        """Work in this many threads, and stop all of them when one fails or the user interrupts."""
+        """Run `work` in `threads` threads; stop all threads when a thread fails or the user interrupts."""
         with ThreadPoolExecutor(threads) as pool:
             try:
                 for done in [pool.submit(self.work) for _ in range(threads)]:
@@ -105,7 +105,7 @@ class _Job:
                 self.stop.set()
 
     def work(self) -> None:
-        """Process blocks of runs until none is left, with short calls into C."""
+        """Process groups of runs until no group is left, with short calls into C."""
         lanes = int(self.library.surctl_lanes())
         # next run, end, whether more may follow, active runs, then for each lane its run and its remaining steps
         book = np.zeros(4 + 2 * lanes, dtype=np.dtype(ctypes.c_long))
@@ -135,7 +135,7 @@ class _Job:
 
 
 def _aligned(size: int) -> Array:
-    """Zeros whose address is a multiple of the vector length."""
+    """Return an array of zeros whose address is a multiple of the vector length."""
     memory = np.zeros(size + _WIDEST)
     skip = (-memory.ctypes.data // memory.itemsize) % _WIDEST
     return memory[skip : skip + size]
@@ -144,17 +144,18 @@ def _aligned(size: int) -> Array:
 def compile_batch(
     step: Block, *, lanes: int | None = None, flags: Sequence[str] = (), folder: Path | None = None
 ) -> Batch:
-    """Compile a step for many runs, or load it from the cache.
+    """Compile a simulation step for many runs, or load the compiled step from the cache.
 
     Args:
         step: inputs (state (n,), parameters (m,)), output (state (n,)); entry 0 of the state is the flag.
-        lanes: runs side by side in one thread, 1, 2, 4 or 8; None selects the vector width of this machine. The
-            resulting bytes do not depend on it, unless the step uses the mathematical library (see `without_libm`).
+        lanes: number of runs that one thread processes in parallel: 1, 2, 4 or 8; None selects the vector width of this
+            machine. The resulting bytes do not depend on this number, unless the step uses libm functions such as sin
+            (see `without_libm`).
         flags: additional compiler flags; none may change results.
         folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
 
     Raises:
-        InputError: the block has other inputs or outputs, `lanes` is invalid, or a flag changes results.
+        InputError: the step has other inputs or outputs, `lanes` is invalid, or a flag changes results.
         ToolMissing: there is no compiler, or no folder from which a library can be loaded.
         SurctlError: the compiler reports an error.
 

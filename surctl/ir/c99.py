@@ -75,7 +75,7 @@ def identifier(name: str) -> str:
 
 
 def c_literal(value: float, real: Real = "float64") -> str:
-    """C99 literal with exactly this value (rounded to `real`): decimal if that is exact and short, else hexadecimal.
+    """Return a C99 literal of exactly this value (rounded to `real`), in decimal if exact and short, else hexadecimal.
 
     Example:
         >>> from surctl.ir import c_literal
@@ -100,13 +100,13 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
     """Write `static void <symbol>(const double *in0, …, double *out0, …)` with one local variable on each line.
 
     The text contains only locals and exact literals. All outputs are computed before any is stored, so outputs may
-    alias inputs. It needs <math.h> and, for identical bytes, the compiler flag `-ffp-contract=off`.
+    alias inputs. The C text needs <math.h> and, for identical bytes, the compiler flag `-ffp-contract=off`.
 
     Args:
         program: the instruction list, without dead instructions (`lower` leaves none).
         symbol: name of the C function, checked by `identifier`.
-        real: "float32" writes float instead of double, with literals and functions of that type.
-        moves: pieces to copy as a whole, see `handed_on`; then no output may alias an input.
+        real: "float32" writes float instead of double, with literals and functions of type float.
+        moves: pieces of inputs to copy as a whole, see `handed_on`; if there are any, no output may alias an input.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
@@ -139,7 +139,7 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
 
 
 def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> list[str]:
-    """Return comment and signature of a program's function; `apart` means that no output may alias an input."""
+    """Return comment and signature of a program's C function; `apart` means that no output may alias an input."""
     alias = "" if apart else "; outputs may alias inputs"
     read, written = ([size for _, size in arrays] for arrays in (program.inputs, program.outputs))
     return [f"/* {program.operations} operations{alias} */", *signature(f"static void {symbol}", read, written, c_type)]
@@ -175,7 +175,7 @@ def broken(start: str, items: Sequence[str], end: str, *, indent: str = "    ") 
 
 
 def expression(instruction: Instruction, real: Real = "float64", *, operand: str = "v{}") -> str:
-    """Right-hand side of one assignment; `operand` formats the position of an operand."""
+    """Return the C text of an instruction's right-hand side; `operand` formats the list position of an operand."""
     if instruction.op == "const":
         return c_literal(instruction.number, real)
     if instruction.op == "input":

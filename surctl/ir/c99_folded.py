@@ -1,8 +1,9 @@
-"""Writer of an instruction list as readable, compact C99: nested expressions instead of one local per operation.
+"""Writer of an instruction list as readable, compact C99: nested expressions instead of a variable per operation.
 
 A value that is used once is inlined at its use, truth values are `int`, and one declaration covers several locals. The
-numbers equal those of `emit_c99`, operation by operation, if double is computed as double (FLT_EVAL_METHOD 0). A
-C99 pragma keeps products and sums separate; GCC does not support this pragma and needs the flag `-ffp-contract=off`.
+computed numbers equal those of the C text of `emit_c99`, operation by operation, if double is computed as double
+(FLT_EVAL_METHOD 0). A C99 pragma keeps products and sums separate; GCC does not support this pragma and needs the flag
+`-ffp-contract=off`.
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ PRAGMA = "#if !defined(__GNUC__) || defined(__clang__)\n#pragma STDC FP_CONTRACT
 _CALLS = {"fmin": "min_of", "fmax": "max_of", "sq": "square_of"}
 
 _ATOM, _SIGNED, _TEST, _CHOICE = 9, 8, 5, 2
-_OPERAND = 6  # from here on, an operand of a comparison, a choice or a logical operation needs no parentheses
+_OPERAND = 6  # from this rank on, an operand of a comparison, a choice or a logical operation needs no parentheses
 _LONGEST = 90  # largest number of characters of an expression that is inlined
 _SHORT = 8  # up to this many characters, an expression is inlined at more than one use
-_LONG_LITERAL = 12  # a longer constant [characters] that is used twice gets a name
+_LONG_LITERAL = 12  # a constant with more characters that is used twice gets a name
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ class _Text:
 
 
 def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
-    """Return the text that must precede these programs: the pragma and the small functions that they call."""
+    """Return the C text that must precede these programs: the pragma and the small functions that they call."""
     return f"{PRAGMA}\n{helpers(programs, real)}"
 
 
@@ -82,7 +83,7 @@ def emit_folded(
         program: the instruction list, without dead instructions.
         symbol: name of the C function, checked by `identifier`.
         real: type of the numbers.
-        moves: pieces to copy as a whole, see `handed_on`; only with `apart`.
+        moves: pieces of inputs to copy as a whole, see `handed_on`; allowed only with `apart`.
         apart: whether outputs never overlap inputs.
 
     Raises:
@@ -112,14 +113,14 @@ def folded_lines(
     apart: bool = False,
     indent: str = "    ",
 ) -> list[str]:
-    """Return the declarations, then the stores.
+    """Return the C lines of an instruction list: the declarations of local variables, then the stores to outputs.
 
     Args:
         instructions: the instruction list.
-        stores: (left-hand side, position of the value) in order.
+        stores: (left-hand side, list position of the value) of each store, in order.
         address: returns the C text of an entry of an input.
         real: type of the numbers.
-        apart: whether a store may read inputs, because no store overwrites one.
+        apart: whether a store may read inputs, because no store overwrites an input.
         indent: indentation of every line.
     """
     folder = _Folder(instructions, stores, address, real, apart)
@@ -129,7 +130,7 @@ def folded_lines(
 
 
 def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> list[str]:
-    """Declarations with as many assignments on a line as fit, and one declaration for successive locals of one type."""
+    """Return declarations of local variables; successive variables of one type share a declaration."""
     lines: list[str] = []
     for truth, group in groupby(named, key=itemgetter(0)):
         start = f"{indent}const {'int' if truth else kind} "
@@ -138,7 +139,7 @@ def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> 
 
 
 def _statements(each: Sequence[str], indent: str) -> list[str]:
-    """Lines of the statements, with as many statements per line as fit."""
+    """Return the lines of C statements, with as many statements per line as fit."""
     lines: list[str] = []
     for text in each:
         if lines and len(lines[-1]) + 1 + len(text) <= WIDTH:
@@ -149,7 +150,7 @@ def _statements(each: Sequence[str], indent: str) -> list[str]:
 
 
 class _Folder:
-    """Builds the text of every instruction, and the local variables that remain."""
+    """Builds the C text of every instruction, and declares local variables for values that are not inlined."""
 
     def __init__(
         self,
@@ -178,7 +179,7 @@ class _Folder:
             self.texts.append(text)
 
     def _stays(self, at: int, instruction: Instruction, text: _Text) -> bool:
-        """Whether the expression is inlined where it is used."""
+        """Return whether the expression is inlined where it is used."""
         if instruction.op == "const":
             return self.uses[at] < 2 or len(text.text) <= _LONG_LITERAL
         if at in self.named:
@@ -192,7 +193,7 @@ class _Folder:
         return self.uses[at] == 1 and len(text.text) <= _LONGEST
 
     def number(self, at: int) -> _Text:
-        """The value as a number, converted from a truth value if necessary."""
+        """Return the text of a value as a number, converted from a truth value if necessary."""
         text = self.texts[at]
         if not text.truth:
             return text
@@ -251,5 +252,5 @@ class _Folder:
 
 
 def _within(text: _Text, least: int) -> str:
-    """The expression, in parentheses if its rank is below `least`."""
+    """Return the C text of an expression, in parentheses if its rank is below `least`."""
     return text.text if text.rank >= least else f"({text.text})"

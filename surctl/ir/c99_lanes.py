@@ -1,7 +1,7 @@
-"""Writer of an instruction list as C99 for several runs side by side: GNU vector types, or an equivalent loop.
+"""Writer of an instruction list as C99 for several runs in parallel, with GNU vector types or an equivalent loop.
 
-Every lane performs the operations of the scalar text in the same order, so both variants give the same bytes. Truth
-values are bit masks until a number is needed.
+Every SIMD lane, which computes one run, performs the operations of the scalar C text in the same order, so the vector
+text and the loop give the same bytes. Truth values are bit masks until a number is needed.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _PLAIN = {
 
 @dataclass(frozen=True)
 class Feed:
-    """How the lanes read one input of the program.
+    """How the SIMD lanes, one for each run, read one input of the program.
 
     Attributes:
-        kind: "lanes": entry by entry, one number for each lane; "spread": lane by lane, all entries of a lane together;
-            "shared": one number for each entry, used by all lanes.
+        kind: memory layout of the input. "lanes" stores entry by entry, with one number for each lane; "spread" stores
+            lane by lane, all entries of a lane together; "shared" stores one number for each entry, used by all lanes.
     """
 
     kind: str = "lanes"
@@ -56,15 +56,15 @@ def emit_lanes(
 ) -> str:
     """Write `static void <symbol>(const double *in0, …, double *out0, …)`, like `emit_c99`, for `lanes` runs at once.
 
-    Outputs are stored entry by entry, one number for each lane. Outputs may alias inputs of kind "lanes".
+    Outputs are stored entry by entry, with one number for each lane (run). Outputs may alias inputs of kind "lanes".
 
     Args:
         program: the instruction list.
         symbol: name of the C function.
-        lanes: number of runs, a power of 2.
-        feeds: one for each input.
+        lanes: number of runs in parallel, a power of 2.
+        feeds: for each input, how the lanes read it.
         real: type of the numbers.
-        folded: write a loop over the lanes in the style of `c99_folded`, without vectors.
+        folded: whether to write a loop over the lanes in the style of `c99_folded`, instead of vectors.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
@@ -106,15 +106,15 @@ _CHOICES = frozenset({"select", "if_else_zero", "fmin", "fmax", "and", "or"})
 
 
 def chooses(program: Program) -> bool:
-    """Whether a compiler might turn an operation into a branch."""
+    """Return whether a compiler might turn an operation of the program into a branch."""
     return any(i.op in _CHOICES for i in program.instructions)
 
 
 def emit_straight(program: Program, *, symbol: str, real: Real = "float64") -> str:
-    """Write the function of `emit_c99` as two equal lanes, so that choices become masks instead of branches.
+    """Write the function of `emit_c99` for two equal runs in parallel, so that choices become masks, not branches.
 
-    A branch that depends on the course of an active-set method is mispredicted half the time, which costs as much as
-    twenty operations.
+    The processor mispredicts half of the branches that depend on the iterations of an active-set method. Each
+    misprediction costs as much as twenty operations.
     """
     plain = emit_c99(program, symbol=symbol, real=real).splitlines()
     body = plain.index("{") + 1
@@ -163,7 +163,7 @@ def _folded_loop(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Re
 
 
 def _vectors(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real, *, single: bool = False) -> list[str]:
-    """Body of the vector variant; with `single` only the first lane is stored."""
+    """Return the body of the C function with vectors; with `single` only the first vector entry is stored."""
     kind, size = C_TYPE[real], lanes * _WIDTH[real]
     ones = ", ".join([c_literal(1.0, real)] * lanes)
     lines = [
@@ -243,7 +243,7 @@ def _chosen(condition: str, then: str, otherwise: str) -> str:
 
 
 def _lane_by_lane(instruction: Instruction, at: int, masks: set[int], lanes: int, real: Real) -> list[str]:
-    """Lines for an operation that has no vector form in C."""
+    """Return the C lines, one for each vector entry, for an operation that has no vector form in C."""
     text = expression(instruction, real, operand="w{}[lane]")
     copies = [f"const vec w{a} = {_number(a, masks)};" for a in sorted(set(instruction.args))]
     return [

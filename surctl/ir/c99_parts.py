@@ -1,4 +1,4 @@
-"""Writer of a block as C99 in several files: a large function shares its file with functions that only it calls."""
+"""Writer of C99 in several files, where a large function shares its file with the functions that only it calls."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _LEAST, _MOST = 16_000, 64_000  # smallest size of a separate file, and size bey
 
 @dataclass(frozen=True)
 class Parts:
-    """C text of a block in several files.
+    """C text of a program or routine in several files.
 
     Attributes:
-        files: text by the name of the file's main function; the file of the last function has the name "".
+        files: C text of each file, by the name of its main function; the file of the last function has the name "".
         prototypes: prototypes of the functions that other files call.
     """
 
@@ -33,7 +33,7 @@ class Parts:
 
 
 def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
-    """Return the folded C99 of `emit_block` in files: a large function is moved with the functions that only it calls.
+    """Return the folded C99 of `emit_block` in files; each large function takes along functions that only it calls.
 
     Functions that another file calls have names that begin with `symbol`; all others are static. Before its text, each
     file needs <math.h>, the pragma FP_CONTRACT and the prototypes.
@@ -71,7 +71,7 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
 
 @dataclass(frozen=True)
 class _Node:
-    """A function to be written: its block's name, the estimated length of its text, and the keys of its callees."""
+    """A C function to be written, with its name, the estimated length of its text, and the keys of its callees."""
 
     name: str
     size: int
@@ -79,7 +79,7 @@ class _Node:
 
 
 def _nodes(block: Block) -> dict[str, _Node]:
-    """All functions of a block by their key (`key_of`)."""
+    """Return all C functions of a program or routine by their key (`key_of`)."""
     nodes: dict[str, _Node] = {}
     todo = [(block.digest(), block)]
     while todo:
@@ -99,7 +99,7 @@ def _called(block: Block) -> dict[str, Block]:
 
 
 def _size(block: Block) -> int:
-    """Estimated number of characters of the function's text."""
+    """Return the estimated number of characters of the function's C text."""
     if isinstance(block, Routine):
         return 300 + 90 * len(block.steps)
     operations = sum(instruction.op not in LEAVES for instruction in block.instructions)
@@ -107,7 +107,7 @@ def _size(block: Block) -> int:
 
 
 def _parted(nodes: Mapping[str, _Node], root: str) -> dict[str, str]:
-    """File of each function outside the root's file; the largest function that can be separated is moved first.
+    """Return the file of each function outside the root's file; the largest function that can be separated moves first.
 
     A function with the root's name does the main work of the root, and stays in the root's file.
     """

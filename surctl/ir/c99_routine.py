@@ -1,4 +1,4 @@
-"""Writer of a routine as C99: one static function for each block, `for` loops over local arrays, no other memory."""
+"""Writer of a routine as C99: one static function for each inner block, `for` loops over local arrays."""
 
 from __future__ import annotations
 
@@ -32,19 +32,20 @@ _TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
 
 
 def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: bool = False) -> str:
-    """Write C99 for the block and every block inside it, callees first.
+    """Write C99 for a program or routine and for all programs and routines that it calls, callees first.
 
     The last function is `static void <symbol>(const double *in0, …, double *out0, …)`. No output of a routine may
     overlap an input or another output: outputs are written before the last use of the inputs, which avoids copies (a
-    single program reads first, see `emit_c99`). Blocks with equal text become one function. The largest stack is that
-    of the local arrays along the deepest chain of calls, see `memory`.
+    single program reads all its inputs before it writes, see `emit_c99`). Programs or routines with equal text become
+    one function. The largest stack holds the local arrays along the deepest chain of calls, see `memory`.
 
     Args:
         block: program or routine.
         symbol: name of the last function, and prefix of the other names.
         real: "float32" writes float instead of double.
-        folded: True: readable text for any C99 compiler with nested expressions (see `c99_folded`), a third of the
-            length, one such block in a file. False: text for speed, with vectors where the compiler supports them.
+        folded: True writes readable text with nested expressions for any C99 compiler (see `c99_folded`). This text has
+            a third of the length of the text for speed; a file can hold only one block in this form. False writes text
+            for speed, with vectors where the compiler supports them.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
@@ -84,7 +85,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
 
 
 def _with_function(block: Block) -> set[str]:
-    """Digests of the blocks that are called by name; two objects with equal text share one function."""
+    """Return the digests of the programs and routines called by name; objects with equal text share one function."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
     return {
@@ -95,7 +96,7 @@ def _with_function(block: Block) -> set[str]:
 
 
 def run_alone(block: Block) -> set[str]:
-    """Digests of the blocks that a step other than a loop over lanes runs."""
+    """Return the digests of the programs and routines that a step other than a loop over SIMD lanes runs."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
     return {step.block.digest() for step in steps if isinstance(step, Call) or step.lanes == 1}
@@ -103,26 +104,26 @@ def run_alone(block: Block) -> set[str]:
 
 @dataclass
 class Part:
-    """The functions of one file, callees first, and the programs among them."""
+    """The C functions of one file, callees first, and those of these functions that are programs."""
 
     functions: list[str] = field(default_factory=list)
     programs: list[Program] = field(default_factory=list)
 
     @property
     def chunks(self) -> list[str]:
-        """The functions, preceded by the macro that they need in addition to `preamble`."""
+        """Return the C functions, preceded by the macro that they need in addition to `preamble`."""
         apart = any("\nAPART " in text for text in self.functions)
         return [*[_APART] * apart, *self.functions]
 
 
 class Writer:
-    """Collects the C functions of a block in files, and the name of each function by its key.
+    """Collects the C functions of a program or routine in files, and the name of each function by its key.
 
     Args:
         symbol: name of the last function.
         real: type of the numbers.
         folded: see `emit_block`.
-        inner: prefix of the other functions' names; `symbol` if it is empty.
+        inner: prefix of the names of all functions but the last; `symbol` if `inner` is empty.
         files: file of a function by its key (`key_of`); a function without an entry goes to file "".
         shared: keys of the functions that other files call; they are not static, and have the prefix `symbol`.
     """
@@ -145,7 +146,7 @@ class Writer:
         self.prototypes: list[str] = []
 
     def write(self, block: Block) -> None:
-        """Write a block and every block inside it, callees first."""
+        """Write a program or routine and all programs and routines that it calls, callees first."""
         self.overlapping = overlapping(block)
         alone = _with_function(block)
         for inner in nested(block).values():
@@ -157,7 +158,7 @@ class Writer:
                 self._block(inner, last=inner is block)
 
     def _block(self, block: Block, *, last: bool) -> None:
-        """Write the function of a block, unless it is already written."""
+        """Write the C function of a program or routine, unless it is already written."""
         key = block.digest()
         if key in self.named:
             return
@@ -189,7 +190,7 @@ class Writer:
         return emit_c99(program, symbol=name, real=self.real, moves=handed_on(program, strided=True) if apart else ())
 
     def _lanes(self, loop: Loop) -> None:
-        """Write the body of a loop over lanes."""
+        """Write the body of a loop over SIMD lanes."""
         key = key_of(loop)
         if key in self.named or not isinstance(loop.block, Program):
             return
@@ -212,7 +213,7 @@ def _feeds(loop: Loop) -> tuple[Feed, ...]:
 
 
 def key_of(step: Call | Loop) -> str:
-    """Return the key of the function that a step calls: the block's digest and, for lanes, how inputs are fed."""
+    """Return the key of the function that a step calls: its digest and, for SIMD lanes, the layout of its inputs."""
     if isinstance(step, Call) or step.lanes == 1:
         return step.block.digest()
     loop = step
@@ -257,7 +258,7 @@ def _routine(routine: Routine, symbol: str, writer: Writer) -> str:
         body += (
             _moved(step, places) if inlined(step) else _step(step, sizes, local, writer, _stays(step, places, overlaps))
         )
-    for k, j in sorted(overlaps):  # a loop that carries an array passes the same array for both, and then needs no copy
+    for k, j in sorted(overlaps):  # a loop passes a carried array as input and as output, and needs no copy
         copied = _copy(f"out{k}", f"in{j}", sizes[routine.results[k]])
         if sizes[routine.results[k]] > _FEW and copied in body:
             body[body.index(copied)] = f"    if (out{k} != in{j}) {{\n{indent(copied, '    ')}\n    }}"
@@ -282,7 +283,7 @@ def _at(array: str, start: int) -> str:
 
 
 def _moved(step: Step, places: Places) -> list[str]:
-    """Copies that remain of a call that only moves data: those whose source and destination differ."""
+    """Return the copies that a call that only moves data still needs because source and destination differ."""
     lines = []
     for move in inlined(step):
         assert isinstance(step, Call)
@@ -294,7 +295,7 @@ def _moved(step: Step, places: Places) -> list[str]:
 
 
 def _copy(to: str, source: str, size: int) -> str:
-    """Copy `size` numbers between arrays; each text names an array, or the start of an entry in it."""
+    """Return C text that copies `size` numbers; `to` and `source` name an array, or the start of an entry in it."""
     to, source = (text if "[" in text else f"{text}[" for text in (to, source))
     if size <= _FEW:
         return "    " + " ".join(f"{to}{k}] = {source}{k}];" for k in range(size))
@@ -302,14 +303,15 @@ def _copy(to: str, source: str, size: int) -> str:
 
 
 def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) -> dict[str, str]:
-    """Inputs that a loop with at most one turn leaves unchanged if it does not run, by the name of the result.
+    """Return, by result name, the inputs that a loop of at most one iteration leaves unchanged if it does not run.
 
-    No copy is needed for them. The result must be a separate local array, because arrays that share it would move too.
+    No copy is needed for these inputs. The result must be a separate local array, because arrays that share its memory
+    would move too.
     """
     if not isinstance(step, Loop) or step.count > 1 or step.until is None:
         return {}
     occupied = [place[0] for place in places.of.values()]
-    # a call that only moves data copies from the place of an array, not through a pointer
+    # a call that only moves data copies from the array itself, not through a pointer
     moved = {name for other in places.routine.steps if inlined(other) for name in reads(other)}
     read = {name for other in places.routine.steps for name in reads(other)}
     safe = {f"in{k}" for k in range(len(places.routine.inputs))} - {f"in{j}" for _, j in overlaps}
@@ -356,7 +358,7 @@ def _gather(step: Gather, count: int, local: Mapping[str, str], writer: Writer) 
 def _loop(
     loop: Loop, sizes: Mapping[str, int], local: dict[str, str], writer: Writer, stays: Mapping[str, str]
 ) -> list[str]:
-    """Lines of a loop; the results in `stays` are then read through a pointer, which is entered in `local`."""
+    """Return the C lines of a loop; results in `stays` are then read through a pointer, which is entered in `local`."""
     state = len(loop.carried)
     function = writer.named[key_of(loop)]
     results = [local[name] for name in loop.results]

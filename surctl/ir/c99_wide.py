@@ -1,7 +1,7 @@
-"""Writer of a block as C99 for `LANES` runs side by side: every number becomes a vector with one entry for each run.
+"""Writer of C99 for `LANES` runs in parallel, where every number becomes a vector with one entry for each run.
 
-The text is the same for every width. A prelude defines its macros (LOAD, ADD, SELECT, …) for the vectors of the
-compiler, or for one number at a time. Entry e of lane l in an array has index e · LANES + l.
+The C text is the same for every vector width. A prelude defines its macros (LOAD, ADD, SELECT, …) for the vectors of
+the compiler, or for one number at a time. Entry e of run l in an array has index e · LANES + l.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ __all__ = ["Wide", "emit_wide"]
 
 
 class Wide:
-    """C text of a block for many runs at once.
+    """C text of a program or routine for many runs in parallel.
 
     Attributes:
         text: functions, callees first; the last is `static void <symbol>(const double *in0, …, double *out0, …,
             double *work)`, whose outputs may alias its inputs.
-        work: required size of `work` in numbers for each lane; it holds the arrays, so that the stack stays small.
+        work: required size of the argument `work`, in numbers for each run; `work` holds the arrays, so that the stack
+            stays small.
     """
 
     def __init__(self, text: str, work: int) -> None:
@@ -33,7 +34,7 @@ class Wide:
 
 
 def emit_wide(block: Block, *, symbol: str) -> Wide:
-    """Write the block and every block inside it. Blocks with equal text become one function.
+    """Write a program or routine and all that it calls as C text; those with equal text become one function.
 
     Args:
         block: program or routine.
@@ -79,7 +80,7 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
 
 
 def _strides(loop: Loop) -> tuple[int, ...]:
-    """Distance between two entries of each input, then of each output, of a body that runs in inner lanes."""
+    """Return the distance of entries in each input, then each output, of a loop body run in inner SIMD lanes."""
     own = loop.index + len(loop.carried) + len(loop.sliced)
     side = (loop.lanes,) * own
     return (
@@ -91,7 +92,7 @@ def _strides(loop: Loop) -> tuple[int, ...]:
 
 
 class _Writer:
-    """Collects the functions written so far, their names by digest, and the memory that they need."""
+    """Collects the C functions written so far, their names by digest, and the memory that they need."""
 
     def __init__(self, symbol: str) -> None:
         self.symbol = symbol
@@ -110,11 +111,11 @@ class _Writer:
                 self.overlapping |= {_key(block, ()) for block in blocks}
 
     def name(self, block: Block, strides: tuple[int, ...] = ()) -> str:
-        """Name of the function of a block that was written before."""
+        """Return the name of the C function of a program or routine that was written before."""
         return self.named[_key(block, strides)]
 
     def program(self, program: Program, strides: tuple[int, ...], *, last: bool = False) -> None:
-        """Write the program, unless a function with the same text exists."""
+        """Write the C function of a program, unless a function with the same text exists."""
         name = self._new(program, strides, last)
         if name:
             key = _key(program, strides)
@@ -122,7 +123,7 @@ class _Writer:
             self.chunks.append(text)
 
     def routine(self, routine: Routine, *, last: bool) -> None:
-        """Write the routine, unless a function with the same text exists."""
+        """Write the C function of a routine, unless a function with the same text exists."""
         name = self._new(routine, (), last)
         if name:
             text, own = _Text(routine, self).function(name)
@@ -144,7 +145,7 @@ def _key(block: Block, strides: tuple[int, ...]) -> str:
 
 
 def _overlaps(step: Step, local: Mapping[str, str]) -> bool:
-    """Whether an output may be an input: outer inputs may alias outer outputs, and loops update arrays in place."""
+    """Return whether an output may be an input: outer inputs may alias outer outputs; loops update arrays in place."""
     if not isinstance(step, Call):
         return isinstance(step, Loop)
     inputs, outputs = {local[name] for name in step.args}, {local[name] for name in step.results}
@@ -177,7 +178,7 @@ class _Text:
                 self._array(self.local[name], self.sizes[name])
 
     def function(self, symbol: str) -> tuple[str, int]:
-        """The function, and the size of its own arrays in numbers for each lane."""
+        """Return the C function, and the size of its own arrays in numbers for each run."""
         routine, local = self.routine, self.local
         read = {name for step in routine.steps for name in reads(step)} | set(routine.results)
         idle = [f"    (void){name};" for name in dict.fromkeys(local[x] for x in local if x not in read)]
@@ -248,7 +249,7 @@ class _Text:
         for name, array in zip(loop.carried, fresh, strict=True):
             self._array(array, self.sizes[name])
         flag = results[loop.until]
-        # the flag is updated last, since it selects the lanes that still run
+        # the flag is updated last, since it selects the runs that have not ended
         order = [k for k in range(state) if k != loop.until] + [loop.until]
         keep = [f"            keep({results[k]}, {fresh[k]}, {flag}, {self.sizes[loop.carried[k]]});" for k in order]
         return [
@@ -288,7 +289,7 @@ class _Text:
 
 
 def _direct(routine: Routine) -> Mapping[str, int]:
-    """Results that the last step may write directly to the outputs, since a program reads all before it writes."""
+    """Return the results that the last step may write to the outputs; a program reads all inputs before it writes."""
     last = routine.steps[-1] if routine.steps else None
     inputs = {name for name, _ in routine.inputs}
     if not isinstance(last, Call) or not isinstance(last.block, Program) or inputs & set(routine.results):

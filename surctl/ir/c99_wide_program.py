@@ -1,4 +1,4 @@
-"""Writer of one instruction list as C99 with the macros of `c99_words`: a function that processes all lanes."""
+"""Writer of one instruction list as a C99 function that processes all parallel runs, with the macros of `c99_words`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _IN_PLACE = {  # operations that some dialects compute number by number
 
 
 def head(block: Block, symbol: str, outputs: int, operations: int) -> list[str]:
-    """Signature of a function, and its opening brace."""
+    """Return the signature of a C function, and its opening brace."""
     arguments = [f"const double *in{k}" for k in range(len(block.inputs))]
     arguments += [f"double *out{k}" for k in range(outputs)]
     apart = "APART " if operations > _INLINE else ""
@@ -42,16 +42,16 @@ def head(block: Block, symbol: str, outputs: int, operations: int) -> list[str]:
 def program_text(
     program: Program, symbol: str, strides: tuple[int, ...] = (), *, overlapping: bool = True
 ) -> tuple[str, int]:
-    """The function, and the size of the memory that it needs in numbers for each lane.
+    """Return the C function, and the size of the memory that it needs in numbers for each run.
 
-    Pieces that the program only copies are copied as a whole. If an output may be an input (`overlapping`), they are
-    copied through `work`, since the function must read before it writes.
+    Pieces of inputs that the program only copies are copied as a whole. If an output may be an input (`overlapping`),
+    these pieces are copied through `work`, since the function must read before it writes.
 
     Args:
         program: the instruction list.
         symbol: name of the function.
-        strides: distance between two entries of each input, then of each output, for a body that runs in inner lanes;
-            then nothing is copied as a whole. Empty means 1 everywhere.
+        strides: distance between two entries of each input, then of each output, for a loop body that runs in inner
+            SIMD lanes; then nothing is copied as a whole. If empty, all distances are 1.
         overlapping: whether the function is called with one array as both an input and an output.
     """
     moves = () if strides else handed_on(program)
@@ -80,7 +80,7 @@ def _text(
     before: Sequence[str],
     after: Sequence[str],
 ) -> str:
-    """The function; the pieces in `moves` are copied by the lines `before` and `after`, around the other lines."""
+    """Return the C function; the lines `before` and `after`, around the other lines, copy the pieces in `moves`."""
     instructions, stored = remaining(program, moves)
     read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
     lines = [

@@ -1,4 +1,4 @@
-"""Macros for the wide C text, defined for the vectors of the compiler: one text, four dialects."""
+"""Macros of the C text for parallel runs, defined for the vector types of the compiler in four dialects."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Cache on disk for results that are costly to build, such as shared libraries and laws; later processes read them.
 
-An entry is trusted only if it lies in a folder of this user to which nobody else may write, and if its digest equals
-the digest stored when it was built. Otherwise it is built again.
+A cache entry is trusted only if it lies in a folder of this user to which nobody else may write, and if its digest
+equals the digest stored when the entry was built. Otherwise the entry is built again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NOTE = hashlib.sha256().digest_size  # size of the digest, stored before the en
 
 
 class CacheUnused(UserWarning):
-    """Warning that the cache cannot be used, so each process builds its own results."""
+    """Warning that the cache on disk cannot be used, so each process builds its own results."""
 
 
 def cache_folder() -> Path:
@@ -49,12 +49,13 @@ def cache_folder() -> Path:
 def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: Path | None = None) -> bytes:
     """Return the bytes that `build` returns now, or returned when this key was first used.
 
-    If several processes build one entry at the same time, each uses its own result, and the last one is stored.
+    If several processes build one entry at the same time, each process uses its own result, and the last result is
+    stored.
 
     Args:
         key: hexadecimal digest of everything that the result depends on.
         suffix: suffix of the entry's file, with the dot.
-        build: called if no entry can be trusted; its exceptions are passed on.
+        build: function that is called if no cache entry can be trusted; its exceptions are passed on.
         folder: cache folder; `cache_folder()` if None. A folder that cannot be written to, or to which another user
             could write, is not used; the warning `CacheUnused` reports this.
 
@@ -86,10 +87,10 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
         source: the C text.
         flags: additional compiler flags, after `FLAGS`, `further_flags` and `tuned_flags`.
         folder: cache folder, as in `cached_bytes`.
-        wide: use the widest vectors, see `tuned_flags`.
+        wide: whether to use the widest vectors of the processor, see `tuned_flags`.
 
     Returns:
-        The bytes of the library, so that the library that was checked is the one that is loaded.
+        The bytes of the library, so that the caller can load exactly the library that was checked.
 
     Raises:
         ToolMissing, InputError, SurctlError: as in `compile_program`.
@@ -115,7 +116,7 @@ def _key(source: str, flags: Sequence[str]) -> str:
 
 
 def _processor() -> str:
-    """Properties of the processor on which -march=native depends."""
+    """Return the properties of the processor on which the compiler flag -march=native depends."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -124,7 +125,7 @@ def _processor() -> str:
 
 
 def _read(path: Path) -> bytes | None:
-    """The entry if it can be trusted, otherwise None."""
+    """Return the cache entry if it can be trusted, otherwise None."""
     try:
         if not (_is_ours(path.parent) and _is_ours(path)):
             return None
@@ -136,7 +137,7 @@ def _read(path: Path) -> bytes | None:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether the path belongs to this user, is not a link, and is writable by nobody else."""
+    """Return whether the path belongs to this user, is not a link, and is writable by nobody else."""
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return False
@@ -144,7 +145,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def _write(path: Path, body: bytes) -> str:
-    """Store the entry; return the reason if the folder cannot be written to or is not ours, otherwise ""."""
+    """Store the cache entry; return "", or the reason if the folder is not writable or belongs to another user."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_ours(path.parent):

@@ -28,11 +28,12 @@ _X86 = ("x86_64", "amd64", "i386", "i686")
 
 
 def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
-    """Return flags for code that stays on this machine: they use all its instructions but do not change results.
+    """Return compiler flags that use all instructions of this machine's processor but do not change results.
 
-    errno is switched off, so that a square root is one instruction. AVX-512 is left out unless `wide`: for vectors of
-    four its masks make a solve a tenth slower than AVX2; vectors of eight need it. For wide code, instructions are
-    scheduled again before register allocation, which saves an eighth of the time of a closed loop.
+    errno is switched off, so that a square root is one instruction. AVX-512 is left out unless `wide`. For vectors of
+    four numbers, the masks of AVX-512 make a solution of the QP a tenth slower than AVX2; vectors of eight numbers need
+    AVX-512. For wide code, instructions are scheduled again before register allocation, which saves an eighth of the
+    time of a closed loop.
 
     Example:
         >>> from surctl.ir import tuned_flags
@@ -46,7 +47,7 @@ def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
 
 
 def further_flags() -> tuple[str, ...]:
-    """Return the flags in $SURCTL_CFLAGS, used after `FLAGS`; for example "-O1" compiles faster, with equal results.
+    """Return the compiler flags in $SURCTL_CFLAGS, used after `FLAGS`; e.g. "-O1" compiles faster, with equal results.
 
     Raises:
         InputError: a quote is not closed, or a flag changes results.
@@ -134,14 +135,14 @@ def compile_program(
         sources: C sources or object files.
         output: the file to write.
         flags: additional flags, after `FLAGS` and `further_flags`.
-        compiler: command of another compiler, instead of that of `find_compiler`.
+        compiler: command of the C compiler; if None, the command that `find_compiler` returns.
 
     Returns:
         `output`.
 
     Raises:
         ToolMissing: there is no compiler.
-        InputError: a flag that changes results, such as -ffast-math, here or in $SURCTL_CFLAGS.
+        InputError: `flags` or $SURCTL_CFLAGS contains a flag that changes results, such as -ffast-math.
         SurctlError: the compiler reports an error; the message has its first error line.
 
     Example:
@@ -176,7 +177,7 @@ def _first_error(text: str) -> str:
 
 
 def compiler_version(compiler: str | None = None) -> str:
-    """Return the first line of the compiler's --version; without a command, that of `find_compiler`.
+    """Return the first line of the compiler's --version; `compiler` None means the compiler of `find_compiler`.
 
     Example:
         >>> from surctl.ir import compiler_version
@@ -194,7 +195,7 @@ def compiler_version(compiler: str | None = None) -> str:
 
 @cache
 def _known_version(command: tuple[str, ...], _file: str, _state: tuple[int, ...]) -> str:
-    """The version, requested once per process for each command and state of its file."""
+    """Return the compiler version, requested once per process for each command and state of the compiler's file."""
     return _reported_version(command)
 
 

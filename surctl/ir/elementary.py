@@ -1,10 +1,10 @@
 """sin, cos, atan2 and acos from exact operations only, so that their bytes are the same on every machine.
 
-The arguments are reduced as by Cody and Waite (1980), to |r| ≤ π/4 for sin and cos and to |t| ≤ tan(π/8) for atan2.
-The polynomials in the square of the reduced argument interpolate (sin r / r − 1) / r², (cos r − 1 + r²/2) / r⁴ and
-(atan t / t − 1) / t² at Chebyshev nodes. They were computed with 60 digits and rounded to double; their errors are
-below 3e-17, 2e-18 and 4e-17. Shorter polynomials for float have errors below 1e-8, 1e-9 and 1e-9, with three parts of
-π/2: they cost half as much, and the errors below do not change in the digits shown.
+The arguments are reduced by the method of Cody and Waite (1980), to |r| ≤ π/4 for sin and cos and to |t| ≤ tan(π/8) for
+atan2. The polynomials in the square of the reduced argument interpolate (sin r / r − 1) / r², (cos r − 1 + r²/2) / r⁴
+and (atan t / t − 1) / t² at Chebyshev nodes. The polynomials were computed with 60 digits and rounded to double; their
+errors are below 3e-17, 2e-18 and 4e-17. Shorter polynomials for float have errors below 1e-8, 1e-9 and 1e-9, and use
+three parts of π/2. They cost half as much, and do not change the errors for float stated below in the digits shown.
 
 Errors in double: 2e-16 for sin and cos with |x| ≤ 1e6, and 5e-16 for atan2 and acos, which is two to three units in the
 last place near 1. In float: 1.5e-7 for sin and cos with |x| ≤ 3000 (beyond, half a unit in the last place of x), and
@@ -52,7 +52,7 @@ _ATAN = (
 
 
 class _Series(NamedTuple):
-    """Coefficients and parts of π/2 that suffice for a precision."""
+    """Polynomial coefficients and parts of π/2 that suffice for one floating-point type."""
 
     sin: tuple[float, ...]
     cos: tuple[float, ...]
@@ -80,14 +80,15 @@ _SERIES: Mapping[Real, _Series] = MappingProxyType(
 
 
 def without_libm(block: Block, real: Real = "float64") -> Block:
-    """Return the block with sin, cos, atan2 and acos written out; a block without them is returned unchanged.
+    """Return the program or routine with sin, cos, atan2 and acos replaced by exact operations.
 
-    The module docstring states the errors and the results for zeros, infinities and NaN. Common parts of several
-    functions, such as the reduction of one angle, are computed once.
+    A block (program or routine) without these functions is returned unchanged. The docstring of the module `elementary`
+    states the errors and the results for zeros, infinities and NaN. Common parts of several functions, such as the
+    reduction of one angle, are computed once.
 
     Args:
         block: program or routine.
-        real: "float32" if the block is evaluated in float only.
+        real: "float32" if the program or routine is evaluated in float only.
 
     Example:
         >>> import casadi as ca
@@ -116,25 +117,25 @@ def _program(program: Program, *, series: _Series) -> Program:
 
 
 class _Formulas(Numbering):
-    """The list under construction; floats stand for constants, ints for positions of computed values."""
+    """The instruction list under construction; floats mean constants, ints mean list positions of computed values."""
 
     def __init__(self, series: _Series) -> None:
         super().__init__()
         self.series = series
 
     def do(self, op: str, *args: int | float) -> int:
-        """Position of one operation; a float operand is a constant."""
+        """Return the list position of one operation; a float operand is a constant."""
         return self.add(op, tuple(self.constant(a) if isinstance(a, float) else a for a in args))
 
     def polynomial(self, z: int, coefficients: tuple[float, ...]) -> int:
-        """Position of the polynomial by Horner's rule; the constant term is first in the list."""
+        """Return the list position of a polynomial in z by Horner's rule; the constant coefficient comes first."""
         value: int | float = coefficients[-1]
         for coefficient in coefficients[-2::-1]:
             value = self.do("add", self.do("mul", value, z), coefficient)
         return int(value)
 
     def reduced(self, x: int) -> tuple[int, int]:
-        """(k, r) with x = k π/2 + r and |r| ≤ π/4 up to rounding."""
+        """Return list positions of (k, r) with x = k π/2 + r and |r| ≤ π/4 up to rounding."""
         inside = self.do("le", self.do("fabs", x), _LARGEST)
         x = self.do("select", inside, x, math.inf)
         k = self.do("floor", self.do("add", self.do("mul", x, _TWO_BY_PI), 0.5))
@@ -146,7 +147,7 @@ class _Formulas(Numbering):
         return k, r
 
     def wave(self, x: int) -> tuple[int, int, int]:
-        """(quadrant 0 to 3, ± sin x, ± cos x); the last two are correct up to their sign."""
+        """Return list positions of (quadrant 0 to 3, ± sin x, ± cos x); only the signs may be wrong."""
         k, r = self.reduced(x)
         z = self.do("sq", r)
         sine = self.do("mul", r, self.do("add", self.do("mul", z, self.polynomial(z, self.series.sin)), 1.0))
@@ -169,7 +170,7 @@ class _Formulas(Numbering):
         return self.do("select", middle, self.do("neg", size), size)
 
     def first_quadrant(self, y: int, x: int) -> int:
-        """atan2 of two non-negative numbers."""
+        """Return the list position of atan2 of two non-negative numbers."""
         # not fmin and fmax, because they may drop a NaN
         steep = self.do("lt", x, y)
         small, large = self.do("select", steep, x, y), self.do("select", steep, y, x)

@@ -1,4 +1,4 @@
-"""Constant folding: known numbers replace an input, and everything that depends only on constants is computed once."""
+"""Constant folding: known numbers replace an input, and every value that depends only on constants is computed once."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ __all__ = ["with_constants"]
 def with_constants(program: Program, source: int, values: Sequence[float]) -> Program:
     """Return the program with constants for an input's entries, and with all results of constants computed.
 
-    The input stays in the signature but is not read. For finite numbers the results are those of the program with that
-    input, except for the sign of a zero: x + 0 becomes x, 0 · x becomes 0. Constants are folded in double, and rounded
-    once if the program is evaluated in another precision.
+    The input stays in the signature but is not read. For finite numbers the results equal those of the original program
+    with `values` as input, except for the sign of a zero: x + 0 becomes x, 0 · x becomes 0. Constants are folded in
+    double, and rounded once if the program is evaluated in another precision.
 
     Args:
-        program: the instruction list, without functions of the mathematical library.
+        program: the instruction list, without libm functions such as sin.
         source: index of the input.
         values: one number for each entry.
 
     Raises:
         InputError: the number of values differs from that of the entries, a value is not finite, or the program uses
-            the mathematical library, whose last bits depend on the machine.
+            libm functions such as sin, whose last bits depend on the machine.
 
     Example:
         >>> import casadi as ca
@@ -57,14 +57,14 @@ def with_constants(program: Program, source: int, values: Sequence[float]) -> Pr
 
 
 class _Folding(Numbering):
-    """A list under construction in which no operation has only constant operands."""
+    """An instruction list under construction in which no operation has only constant operands."""
 
     def value(self, at: int) -> float | None:
-        """The constant at this position, or None for a computed value."""
+        """Return the constant at this list position, or None for a computed value."""
         return self.instructions[at].value
 
     def folded(self, op: str, args: tuple[int, ...]) -> int:
-        """Position of the result of an operation, after folding and simplification."""
+        """Return the list position of the result of an operation, after folding and simplification."""
         known = [self.value(a) for a in args]
         if all(v is not None for v in known):
             with np.errstate(all="ignore"):
@@ -74,19 +74,19 @@ class _Folding(Numbering):
         return self.add(op, args) if simplified is None else simplified
 
     def is_truth(self, at: int) -> bool:
-        """Whether the value is always 0 or 1."""
+        """Return whether the value is always 0 or 1."""
         return self.instructions[at].op in _TRUTHS
 
     def op(self, at: int) -> str:
-        """The operation at this position."""
+        """Return the name of the operation at this list position."""
         return self.instructions[at].op
 
     def args(self, at: int) -> tuple[int, ...]:
-        """The operands of the operation at this position."""
+        """Return the operands of the operation at this list position."""
         return self.instructions[at].args
 
     def is_true(self, at: int) -> int:
-        """Position of the value as 0 or 1."""
+        """Return the list position of the value converted to the truth value 0 or 1."""
         return at if self.is_truth(at) else self.folded("ne", (at, self.constant(0.0)))
 
 
@@ -117,7 +117,7 @@ def _difference(text: _Folding, args: tuple[int, ...]) -> int | None:
 
 
 def _one_condition(text: _Folding, op: str, args: tuple[int, ...]) -> int | None:
-    """The sum or difference of two numbers that are 0 unless the same condition holds, as one conditional number."""
+    """Return the sum or difference of two numbers that are 0 unless a common condition holds, as one `select`."""
     if all(text.op(a) == "if_else_zero" for a in args) and text.args(args[0])[0] == text.args(args[1])[0]:
         inner = text.folded(op, tuple(text.args(a)[1] for a in args))
         return text.folded("if_else_zero", (text.args(args[0])[0], inner))

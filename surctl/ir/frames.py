@@ -20,12 +20,12 @@ _CALL = re.compile(r"\b(\w+)\(")
 
 
 def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = ("-Os",)) -> int:
-    """Return the bytes of stack that the folded C of a block uses on this machine, including all calls.
+    """Return the bytes of stack that the folded C of a program or routine uses on this machine, including all calls.
 
     Args:
         block: program or routine.
         real: type of the numbers.
-        flags: compiler flags in addition to the usual ones.
+        flags: compiler flags in addition to those of `compile_program`.
 
     Raises:
         ToolMissing: there is no compiler, or it does not report its frames (`-fstack-usage`).
@@ -55,9 +55,9 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
 
 
 def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler: str | None = None) -> int:
-    r"""Return the bytes of stack that a function of a C text uses, with all calls; the text must not be recursive.
+    r"""Return the bytes of stack that a C function uses with all its calls; the C text must not be recursive.
 
-    Every function must begin on its own line. Functions of the mathematical library are not counted. A function that
+    Every function must begin on its own line. libm functions such as sin are not counted. A function that
     the compiler inlined counts as part of its caller's frame.
 
     Example:
@@ -114,7 +114,7 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
 
 
 def _callees(text: str) -> dict[str, set[str]]:
-    """The functions of the text, and which of its functions each one calls."""
+    """Return, for each function of a C text, the functions of this text that it calls."""
     functions = _FUNCTION.findall(text)
     names = {name for name, _ in functions}
     return {name: set(_CALL.findall(body)) & names for name, body in functions}

@@ -1,4 +1,4 @@
-"""Fusion of a product with the sum that uses it: half the operations, and one rounding less."""
+"""Fusion of a product and the sum that uses it into one operation with one rounding (`fma`)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ __all__ = ["fused"]
 
 
 def fused(block: Block) -> Block:
-    """Return the block with `fma` for a b + c, a b - c and c - a b if only sums and differences use the product.
+    """Replace a b + c, a b - c and c - a b by `fma` if only sums and differences use the product a b.
 
-    Fusion changes the rounding of results, so `lower` does not fuse. The results have the same bytes on every machine,
-    since `fma` is exact. A machine without the instruction uses the library function, which is slow.
+    The argument and the result are programs or routines. Fusion changes the rounding of results, so `lower` does not
+    fuse. The results have the same bytes on every machine, since `fma` is exact. A machine without an instruction for
+    `fma` calls the C library's function, which is slow.
 
     Example:
         >>> import casadi as ca
@@ -47,7 +48,7 @@ def _program(program: Program) -> Program:
 
 
 def _additive(program: Program) -> set[int]:
-    """Positions of the products that are used only in sums and differences."""
+    """Return the list positions of the products that are used only in sums and differences."""
     products = {at for at, i in enumerate(program.instructions) if i.op in ("mul", "sq")}
     for instruction in program.instructions:
         if instruction.op not in ("add", "sub", "const", "input"):

@@ -29,8 +29,8 @@ def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
 
     Args:
         function: SX function, or an MX function that expands to one.
-        reciprocals: replace several divisions by one number by products with its inverse: faster, with one more
-            rounding. CasADi by itself turns every such product into a division.
+        reciprocals: whether to replace several divisions by an equal divisor by products with its inverse, which is
+            faster but rounds once more. CasADi by itself turns every such product into a division.
 
     Raises:
         UnsupportedOperation: an operation is not in `surctl.ir.ops.OPERATIONS`; the message names a substitute.
@@ -83,7 +83,7 @@ def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca
 
 
 def _with_reciprocals(old: _Builder) -> tuple[_Builder, list[int]]:
-    """The list with each shared divisor inverted once, and the new position of each instruction."""
+    """Return the list with each shared divisor inverted once, and the new list position of each instruction."""
     divisors = [i.args[1] for i in old.instructions if i.op == "div"]
     shared = {at for at in divisors if divisors.count(at) > 1}
     new, moved = _Builder(old.name), list[int]()
@@ -124,7 +124,7 @@ def _dense_size(function: ca.Function, k: int) -> int:
 def _dense_refs(
     function: ca.Function, k: int, stored: Mapping[tuple[int, int], int], builder: _Builder
 ) -> tuple[int, ...]:
-    """Position of each entry of output k, column by column; a structural zero is the constant 0."""
+    """Return the list position of each entry of output k, column by column; a structural zero is the constant 0."""
     sparsity = function.sparsity_out(k)
     at = {entry: nz for nz, entry in enumerate(sparsity.find())}
     return tuple(stored[k, at[entry]] if entry in at else builder.constant(0.0) for entry in range(sparsity.numel()))
@@ -156,14 +156,14 @@ def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int
 
 
 class _Builder(Numbering):
-    """Value numbering and peephole simplifications."""
+    """Builder of an instruction list with value numbering and peephole simplifications."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
         self.name = name
 
     def constant(self, value: float) -> int:
-        """Position of a constant, which must not be a NaN."""
+        """Return the list position of a constant, which must not be a NaN."""
         if math.isnan(value):
             raise UnsupportedOperation(
                 "contains a NaN constant", key=self.name, remedy="find the expression that is undefined"
@@ -171,12 +171,12 @@ class _Builder(Numbering):
         return super().constant(value)
 
     def add(self, op: str, args: tuple[int, ...]) -> int:
-        """Position of an operation on earlier values, after the peephole simplifications."""
+        """Return the list position of an operation on earlier values, after the peephole simplifications."""
         chosen = self._as_select(*args) if op == "add" else None
         return super().add(op, args) if chosen is None else super().add("select", chosen)
 
     def _as_select(self, left: int, right: int) -> tuple[int, int, int] | None:
-        """(condition, then, otherwise) if the sum is `if_else_zero(c, a) + if_else_zero(not c, b)`, otherwise None."""
+        """Return (c, a, b) if the sum is `if_else_zero(c, a) + if_else_zero(not c, b)`, otherwise None."""
         first, second = self.instructions[left], self.instructions[right]
         if first.op != "if_else_zero" or second.op != "if_else_zero":
             return None

@@ -11,7 +11,7 @@ __all__ = ["Move", "copy_loop", "entry", "handed_on", "move_lines", "only_moves"
 
 _FEW = 8  # largest number of pieces of a program of moves that is written inline at its call
 _LEAST = 8  # from this many entries on, one call that copies is shorter than one line for each entry
-_LEAST_LOOP = 4  # same for a loop
+_LEAST_LOOP = 4  # from this many entries on, one loop that copies is shorter than one line for each entry
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Move:
 
 
 def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
-    """Every moved piece of at least 8 entries, by output; with `strided` at least 4, also with steps other than 1."""
+    """Return the moved pieces of at least 8 entries, by output; with `strided`, of at least 4 entries at any step."""
     return tuple(
         move
         for output in range(len(program.outputs))
@@ -42,7 +42,7 @@ def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
 
 
 def only_moves(program: Program) -> tuple[Move, ...]:
-    """The program as a few moves, in the order of the outputs; empty if it computes anything or has too many moves."""
+    """Return the program as a few moves, in output order; empty if it computes a value or has too many moves."""
     if any(i.op != "input" for i in program.instructions) or not all(program.output_refs):
         return ()
     moves = tuple(move for output in range(len(program.outputs)) for move in _of(program, output, 1))
@@ -66,7 +66,7 @@ def _of(program: Program, output: int, least: int = _LEAST) -> Iterator[Move]:
 
 
 def _strided(program: Program, output: int) -> Iterator[Move]:
-    """The pieces of an output, each as long as possible with a step of 1 on one of the two sides."""
+    """Yield the copied pieces of an output, each as long as possible, with step 1 in the input or in the output."""
     loads = {
         at: i.args
         for at, ref in enumerate(program.output_refs[output])
@@ -97,7 +97,7 @@ def _strided(program: Program, output: int) -> Iterator[Move]:
 def remaining(
     program: Program, moves: Sequence[Move]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
-    """The part of the program without the moves: instructions, and (output, entry, position of its value) in order."""
+    """Return the program without the moves, as instructions and as (output, entry, list position of the value)."""
     moved = {(m.output, e) for m in moves for e in m.entries}
     stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
     refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
@@ -106,7 +106,7 @@ def remaining(
 
 
 def move_lines(moves: Sequence[Move]) -> list[str]:
-    """C99 lines of the moves, for outputs that do not alias inputs."""
+    """Return the C99 lines of the moves, for outputs that do not alias inputs."""
     return [
         copy_loop(entry(f"out{m.output}", m.to, m.to_step), entry(f"in{m.input}", m.start, m.step), m.count)
         for m in moves
@@ -114,12 +114,12 @@ def move_lines(moves: Sequence[Move]) -> list[str]:
 
 
 def entry(array: str, first: int, step: int = 1) -> str:
-    """C text of an entry up to the loop counter and the closing bracket, which follow it."""
+    """Return the start of an array entry's C text; the caller appends the loop counter and the closing bracket."""
     return "".join([array, "[", f"{first} + " if first else "", f"{step} * " if step != 1 else ""])
 
 
 def copy_loop(to: str, source: str, count: int) -> str:
-    """C99 loop that copies `count` numbers between two texts from `entry`.
+    """Return a C99 loop that copies `count` numbers; `to` and `source` are results of `entry`.
 
     The comment is for Frama-C, which treats an array as fully written only after it has unrolled the loop.
     """

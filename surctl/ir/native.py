@@ -1,4 +1,4 @@
-"""Compiled blocks that are called from Python with little overhead."""
+"""Compiled programs and routines that are called from Python with little overhead."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ _SYMBOL = "surctl_block"
 
 
 class Workspace:
-    """Buffers of one caller with a compiled block bound to them: write `inputs`, call `run`, read `outputs`.
+    """Buffers of one caller, bound to a compiled function: write `inputs`, call `run`, read `outputs`.
 
-    Do not share a workspace between threads; `Native.workspace` creates any number of them.
+    Do not share a workspace between threads; `Native.workspace` creates any number of workspaces.
 
     Attributes:
-        inputs, outputs: views of one buffer, one for each name, in the block's order.
-        run: the compiled function; no arguments, returns None.
+        inputs, outputs: for each named input or output, a view of the common buffer, in the order of the compiled
+            function.
+        run: the compiled function, which has no arguments and returns None.
     """
 
     def __init__(self, native: Native) -> None:
@@ -50,10 +51,11 @@ class Workspace:
 
 
 class Native:
-    """A block compiled by the system's C compiler; same bytes as `replay` for programs without `libm` operations.
+    """A program or routine compiled by the system's C compiler.
 
     Attributes:
-        block: the block that was compiled.
+        block: the program or routine that was compiled. Without `libm` operations, its results have the bytes of
+            `replay`.
         dtype: type of every array, np.float64 or np.float32.
     """
 
@@ -68,18 +70,18 @@ class Native:
         self._library.surctl_run_many.argtypes = [ctypes.c_long, *[ctypes.c_void_p] * count]
 
     def workspace(self) -> Workspace:
-        """Return new buffers, bound to the compiled function."""
+        """Return a workspace: new buffers, bound to the compiled function."""
         return Workspace(self)
 
     def bound(self, memory: Array) -> Callable[[], None]:
-        """The function bound to a flat buffer: all inputs, then all outputs. The caller must keep the buffer alive."""
+        """Return the function bound to a flat buffer (all inputs, then all outputs) that the caller must keep."""
         if memory.dtype != self.dtype or not memory.flags.c_contiguous:
             raise InputError(f"is not a contiguous {self.dtype} buffer", key=self.block.name)
         function: Any = self._library.surctl_run
         return partial(function, ctypes.c_void_p(memory.ctypes.data))
 
     def __call__(self, *inputs: ArrayLike) -> list[Array]:
-        """Evaluate like `replay`: inputs of shape (n,) or (batch, n) give outputs of shape (m,) or (batch, m)."""
+        """Evaluate the compiled function; inputs (n,) or (batch, n) give outputs (m,) or (batch, m), as in `replay`."""
         expected = self._inputs
         if len(inputs) != len(expected):
             raise InputError(f"takes {len(expected)} inputs, got {len(inputs)}", key=self.block.name)
@@ -96,7 +98,7 @@ class Native:
 
 
 def loaded(library: bytes) -> ctypes.CDLL:
-    """Load a shared library; after that its file is no longer needed."""
+    """Load a shared library from its bytes; the file that this writes is not needed after loading."""
     try:
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             path = Path(folder) / "block.so"
@@ -114,13 +116,13 @@ def loaded(library: bytes) -> ctypes.CDLL:
 def compile_block(
     block: Block, *, flags: Sequence[str] = (), folder: Path | None = None, real: Real = "float64"
 ) -> Native:
-    """Compile a block, or load it from the cache.
+    """Compile a program or routine, or load the compiled library from the cache.
 
     Args:
         block: program or routine.
         flags: additional compiler flags; none may change results.
         folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
-        real: "float32" computes in float; inputs are rounded to it.
+        real: "float32" computes in float and rounds the inputs to float.
 
     Raises:
         ToolMissing: there is no compiler, or no folder from which a library can be loaded; use `replay` instead.
@@ -139,7 +141,7 @@ def compile_block(
 
 
 def runnable(block: Block) -> Callable[..., list[Array]]:
-    """Return the compiled block; without a compiler, its replay, which gives the same numbers but is slower.
+    """Return the compiled program or routine; without a compiler, return its slower `replay`, with equal numbers.
 
     Example:
         >>> import casadi as ca

@@ -1,7 +1,7 @@
-"""Conversion of instructions with regions to nested routines: programs between loops, and the arrays between them.
+"""Conversion of a flat instruction list with loop regions to nested routines: programs, loops, and arrays.
 
-Inside a loop body, the inner loops divide the instructions into programs. Numbers pass from one to the next in arrays.
-An array that several loops read is assembled once and passed as a whole.
+Inside a loop body, the inner loops divide the instructions into programs. Numbers pass from one program or loop to the
+next in arrays. An array that several loops read is assembled once and passed as a whole.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ __all__ = ["routine"]
 
 
 def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> Block:
-    """Return the list as a routine with loops, or as a program if there are none.
+    """Return the instruction list as a routine with loops, or as a program if there is no loop.
 
     Args:
         name: name of the routine.
-        program: the list; its first `inputs` inputs are the routine's, the others represent state and rows of loops.
-        inputs: see `program`.
+        program: the instruction list; its first `inputs` inputs are the inputs of the routine, the others represent the
+            state of loops and the rows of the tables that loops read.
+        inputs: number of inputs of the routine, see `program`.
         outputs: positions of the entries of each output.
         loops: in the order in which they were traced, so that a loop follows the loops that it depends on.
     """
@@ -33,7 +34,7 @@ def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key]
 
 @dataclass(frozen=True)
 class _Arguments:
-    """The arrays that a loop reads: its initial state, its tables (one row a turn), and arrays that stay fixed."""
+    """The arrays that a loop reads: its initial state, its tables (one row for each iteration), and fixed arrays."""
 
     state: tuple[Key, ...]
     tables: tuple[Key, ...]
@@ -45,7 +46,7 @@ class _Arguments:
 
 
 class _Emitter:
-    """Builds the blocks of the loops, innermost first."""
+    """Builds the programs and routines of the loops, innermost first."""
 
     def __init__(self, regions: Regions, name: str, outputs: Mapping[str, Key]) -> None:
         self.regions, self.name, self.outputs = regions, name, outputs
@@ -58,17 +59,17 @@ class _Emitter:
             self.blocks.append(self._body(k))
 
     def root(self) -> Block:
-        """The block of the whole list."""
+        """Return the program or routine of the whole instruction list."""
         program = self.regions.program
         inputs = [(name, self.entries(j)) for j, (name, _) in enumerate(program.inputs[: self.regions.inputs])]
         return _Body(self, self.name, inputs, self.outputs).block()
 
     def entries(self, j: int) -> Key:
-        """The values of an input of the list; −1 for an entry that is not used."""
+        """Return the values of the entries of an input of the list; −1 for an entry that is not used."""
         return tuple(self.atoms.get((j, e), -1) for e in range(self.regions.program.inputs[j][1]))
 
     def stacked(self, k: int) -> list[int]:
-        """Indices of those stacked arrays of loop k that are used."""
+        """Return the indices of those stacked arrays of loop k that are used."""
         loop = self.regions.loops[k]
         results = loop.results[len(loop.state) :]
         return [at for at, j in enumerate(results) if any(v >= 0 for v in self.entries(j))]
@@ -84,7 +85,7 @@ class _Emitter:
         return self._known.setdefault(block.digest(), block)
 
     def _fixed(self, k: int) -> Iterator[Key]:
-        """Outer arrays that the body reads: first whole arrays of inner loops, then single numbers by region."""
+        """Yield outer arrays that the loop body reads: whole arrays of inner loops, then single numbers by region."""
         regions = self.regions
         through: dict[Key, None] = {}
         single: dict[int, dict[int, None]] = {}
@@ -137,7 +138,7 @@ class _Body:
         self._schedule()
 
     def block(self) -> Block:
-        """The region as a program or a routine."""
+        """Return the region (the body of a loop) as a program or a routine."""
         if not any(node < 0 for node in self.order):
             return self._program(self.name, 0, self.outputs)
         steps: list[Step] = []
@@ -174,7 +175,7 @@ class _Body:
             yield from self.regions.code[node].args
 
     def _schedule(self) -> None:
-        """Assign each instruction to a program as late as possible, and each loop to a place as early as possible."""
+        """Assign each instruction to the latest possible program, and each loop to the earliest possible position."""
         soon: dict[int, int] = {}
         for node in self.order:
             if node >= 0 and self.regions.loop_of(node) is not None and node not in self.place:
@@ -216,7 +217,7 @@ class _Body:
         return node not in self.place and self.regions.code[node].op not in ("input", "const")
 
     def _whole_result(self, key: Key) -> bool:
-        """Whether the array is a result of a loop."""
+        """Return whether the array is a result of a loop."""
         first = self.regions.code[key[0]] if key else None
         return (
             first is not None

@@ -9,10 +9,10 @@ __all__ = ["Numbering"]
 
 
 class Numbering:
-    """Value numbering: an instruction that exists is not added again; no bit of a finite result changes.
+    """Value numbering: an instruction that the list contains is not added again; no bit of a finite result changes.
 
     Attributes:
-        instructions: the list so far.
+        instructions: the instruction list so far.
     """
 
     def __init__(self) -> None:
@@ -20,14 +20,14 @@ class Numbering:
         self._known: dict[tuple[str, tuple[int, ...] | str], int] = {}
 
     def constant(self, value: float) -> int:
-        """Position of a constant; -0.0 and 0.0 are different constants."""
+        """Return the list position of a constant; -0.0 and 0.0 are different constants."""
         # the key is its bit pattern, since 0.0 == -0.0 as numbers
         key = ("const", value.hex())
         at = self._known.get(key)
         return self._append(key, Instruction("const", (), value)) if at is None else at
 
     def add(self, op: str, args: tuple[int, ...]) -> int:
-        """Position of an operation on earlier values, or of a load."""
+        """Return the list position of an operation on earlier values, or of the load of an input entry."""
         if op not in LEAVES and OPERATIONS[op].commutative:
             args = tuple(sorted(args))
         key = (op, args)
@@ -35,7 +35,7 @@ class Numbering:
         return self._append(key, Instruction(op, args)) if at is None else at
 
     def copy(self, instruction: Instruction, moved: list[int]) -> int:
-        """Position of an instruction from another list, whose operands are at the positions `moved` in this list."""
+        """Return the position of another list's instruction, whose operands have the positions `moved` in this list."""
         if instruction.op == "const":
             return self.constant(instruction.number)
         if instruction.op == "input":
@@ -43,7 +43,7 @@ class Numbering:
         return self.add(instruction.op, tuple(moved[a] for a in instruction.args))
 
     def rewritten(self, program: Program, moved: list[int]) -> Program:
-        """The program in terms of this list, with its instructions at `moved`, without those that no output needs."""
+        """Return the program rewritten with this list (its instructions at `moved`), without unneeded instructions."""
         refs = [tuple(moved[r] for r in group) for group in program.output_refs]
         instructions, output_refs = drop_dead(self.instructions, refs)
         return Program(program.name, program.inputs, program.outputs, instructions, output_refs)

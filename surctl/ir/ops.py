@@ -1,4 +1,4 @@
-"""The operations of the instruction list, each defined once: arity, meaning in NumPy, and C99 text.
+"""The operations of the instruction list: for each operation its arity, its meaning in NumPy, and its C99 text.
 
 All operations except those in `LIBM` are exact: IEEE 754 defines their result to the last bit, so every back end gives
 the same bytes. `fma` is a product and a sum with one rounding. Truth values are numbers, 1 for true and 0 for false;
@@ -32,7 +32,7 @@ class Operation:
     Attributes:
         name: name in the instruction list (CasADi's, in lower case, and `select`).
         arity: number of operands.
-        numpy: its meaning on arrays of one dtype; a bool result represents 0 and 1.
+        numpy: NumPy function that performs the operation on arrays of one dtype; a bool result represents 0 and 1.
         c99: C expression with {0}, {1}, … for the operands, which are identifiers.
         commutative: whether swapping the operands changes no bit of a finite result.
     """
@@ -67,7 +67,7 @@ def _fma(a: Value, b: Value, c: Value) -> Any:
 
 
 def _fma_double(*operands: Any) -> float:
-    """a b + c with one rounding, by rational numbers: slow, and correct for every double."""
+    """Return a b + c with one rounding, computed with rational numbers; it is slow, but correct for every double."""
     a, b, c = map(float, operands)
     if not (math.isfinite(a) and math.isfinite(b)) or (c == 0.0 and 0.0 in (a, b)):
         return a * b + c

@@ -1,6 +1,7 @@
 """Placement of the arrays of a routine: in its inputs, in its outputs, or in its own memory.
 
-Every array is written once, by one step, so a copy is needed only if a step would overwrite data that is still used:
+Every array is written once, by one step, so a copy is needed only if a step would overwrite data that is still used.
+The rules:
 
 - a piece that a program of moves takes out of an array is a pointer into that array;
 - the parts that such a program joins are written directly to their final place;
@@ -46,14 +47,14 @@ def writes(step: Step) -> tuple[str, ...]:
 
 
 def inlined(step: Step) -> tuple[Move, ...]:
-    """The moves of a call that does nothing else and therefore needs no function."""
+    """Return the moves of a call that only moves data and therefore needs no C function; otherwise an empty tuple."""
     if isinstance(step, Call) and isinstance(step.block, Program):
         return only_moves(step.block)
     return ()
 
 
 def overlapping(block: Block) -> Overlaps:
-    """Arrays that loops pass as both: each carried array is an input and an output of the body."""
+    """Return the pairs (output, input) of each loop body that are one array, because the loop carries that array."""
     overlaps: dict[str, frozenset[tuple[int, int]]] = {}
     for inner in nested(block).values():
         for step in inner.steps if isinstance(inner, Routine) else ():
@@ -64,11 +65,11 @@ def overlapping(block: Block) -> Overlaps:
 
 
 def carried_in_place(routine: Routine, root: Callable[[str], str] = str) -> dict[str, str]:
-    """Final carried array → the array that held it before the loop, if nothing else reads that one; no copy is needed.
+    """Return final carried array → array with its value before the loop, if only the loop reads this earlier array.
 
     Args:
-        routine: the routine with the loops.
-        root: returns the array of which another is a piece; a whole array is its own root.
+        routine: the routine with the loops; the arrays of a returned pair share memory without a copy.
+        root: returns the array that contains a given array as a piece; a whole array is its own root.
     """
     inputs = {name for name, _ in routine.inputs}
     origin: dict[str, str] = {}
@@ -86,10 +87,10 @@ def carried_in_place(routine: Routine, root: Callable[[str], str] = str) -> dict
 
 @dataclass(frozen=True)
 class Places:
-    """Places of the arrays of one routine.
+    """Assignment of the arrays of one routine to memory.
 
     Attributes:
-        routine: the routine.
+        routine: the routine whose arrays are placed.
         overlaps: pairs (output, input) that may be the same array; all other pairs are distinct.
     """
 
@@ -98,24 +99,23 @@ class Places:
 
     @cached_property
     def sizes(self) -> dict[str, int]:
-        """Number of entries of each array."""
+        """Return the number of entries of each array."""
         return self.routine.sizes()
 
     @cached_property
     def of(self) -> dict[str, tuple[str, int]]:
-        """Name → (`in0` …, `out0` … or one of the routine's own arrays, index of the first entry there)."""
+        """Return array name → (`in0` …, `out0` … or an own array of the routine, index of the first entry there)."""
         return {name: self._place(name) for name in self.sizes}
 
     @cached_property
     def own(self) -> dict[str, int]:
-        """The routine's own arrays with their sizes."""
+        """Return the routine's own arrays with their sizes."""
         arrays = {self.of[name][0]: self.sizes[name] for name in self.sizes if self.of[name] == (self._own(name), 0)}
         return arrays | {f"held{k}": self.sizes[self.routine.results[k]] for k in self.held}
 
     @cached_property
     def pool(self) -> tuple[dict[str, int], int]:
-        """Start of each own array in shared memory, and the size of that memory. If sharing would save little, there
-        are no starts and each array is separate: a prover then knows the end of every array."""
+        """Return the start of each own array in shared memory, and its size; no starts if each array is separate."""
         lives: dict[str, tuple[int, int, int]] = {}
         end = len(self.routine.steps)
         last = dict.fromkeys(self.routine.results, end)
@@ -131,13 +131,13 @@ class Places:
 
     @cached_property
     def held(self) -> tuple[int, ...]:
-        """Outputs whose values are in an input that another output may overwrite."""
+        """Return the indices of outputs whose values are in an input that another output may overwrite."""
         if not self.overlaps:
             return ()
         return tuple(k for k, name in enumerate(self.routine.results) if self.of[name][0].startswith("in"))
 
     def root(self, name: str) -> str:
-        """The array of which this one is a piece."""
+        """Return the array that contains the array `name` as a piece; a whole array is its own root."""
         while name in self._views or name in self._parts:
             name = (self._views.get(name) or self._parts[name])[0]
         return name
@@ -158,7 +158,7 @@ class Places:
 
     @cached_property
     def _views(self) -> dict[str, tuple[str, int]]:
-        """Piece → (array that contains it, first entry there)."""
+        """Return name of a piece → (array that contains the piece, index of its first entry there)."""
         views: dict[str, tuple[str, int]] = {}
         for step in self.routine.steps:
             for move in inlined(step):
@@ -170,7 +170,7 @@ class Places:
 
     @cached_property
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Array that is written directly into a joined array → (the joined array, first entry there)."""
+        """Return part written directly into a joined array → (the joined array, index of the first entry there)."""
         parts: dict[str, tuple[str, int]] = {}
         excluded = {*(name for name, _ in self.routine.inputs), *self.routine.results, *self._views}
         for step in self.routine.steps:
@@ -188,12 +188,12 @@ class Places:
 
     @cached_property
     def _final(self) -> dict[str, str]:
-        """Name of an array that loops update in place → its last name."""
+        """Return first name of an array that loops update in place → its last name."""
         return {first: name for name, first in self._in_place.items()}
 
     @cached_property
     def _direct(self) -> dict[str, int]:
-        """Result → index of the output to which it is written."""
+        """Return result of the routine → index of the output to which the result is written directly."""
         results = self.routine.results
         inputs = {name for name, _ in self.routine.inputs}
         direct = {name: results.index(name) for name in results if name not in inputs}
@@ -203,7 +203,7 @@ class Places:
         return direct
 
     def _harmless(self, result: str, source: str) -> bool:
-        """Whether the result may overwrite the input: no step reads it after the loop that carries it."""
+        """Return whether a result may overwrite an input, as no step reads the input after the loop that carries it."""
         first = min(at for at, step in enumerate(self.routine.steps) if self._inside(result, step))
         steps = self.routine.steps[first:]
         later = [*(self.root(name) for step in steps for name in reads(step)), *self.routine.results]
@@ -222,7 +222,7 @@ class Places:
         )
 
     def _inside(self, result: str, step: Step) -> bool:
-        """Whether the step writes to the memory of that result."""
+        """Return whether the step writes to the memory of the given result."""
         for name in writes(step):
             while name != result:
                 final = self._final.get(self._in_place.get(name, name), name)
@@ -236,10 +236,10 @@ class Places:
 
 
 def overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int], int]:
-    """Positions of arrays in shared memory, and its size; arrays that are needed at the same time do not overlap.
+    """Return positions of arrays in shared memory, and its size; arrays needed at the same time do not overlap.
 
     Args:
-        lives: for each array its size, and the first and last step that need it.
+        lives: for each array: its size, the first step that needs it, and the last step that needs it.
     """
     starts: dict[str, int] = {}
     # large arrays first, since small ones fit into the gaps

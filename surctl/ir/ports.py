@@ -1,4 +1,4 @@
-"""Named blocks of a flat vector, which the law, the simulation and the exported header share."""
+"""Named parts of a flat vector; the law, the simulation and the exported header use the same names."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["Layout", "Port"]
 
 @dataclass(frozen=True)
 class Port:
-    """One named block of a flat vector.
+    """One named part of a flat vector.
 
     Attributes:
         name: name that is a valid C identifier.
-        shape: (n,) or (rows, columns); stored row by row.
+        shape: (n,) for a vector, or (rows, columns) for a matrix that is stored row by row.
         unit: SI unit as text without brackets, "1" if dimensionless.
         meaning: description, with the frame.
-        default: value of every entry if none is given.
+        default: value of every entry if no value is given.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Port:
 
     @cached_property
     def size(self) -> int:
-        """Number of entries."""
+        """Return the number of entries of the port."""
         return math.prod(self.shape)
 
 
@@ -65,7 +65,7 @@ class Layout:
         return name in self._slices
 
     def slice(self, name: str) -> slice:
-        """Range of the port in the flat vector."""
+        """Return the index range of the port in the flat vector."""
         self.port(name)
         return self._slices[name]
 
@@ -76,7 +76,7 @@ class Layout:
         raise InputError("no such field", key=name, remedy=nearest(name, self._slices))
 
     def pack(self, values: Mapping[str, object] | None = None) -> NDArray[np.float64]:
-        """Return a flat vector from named values; other ports have their default."""
+        """Return a flat vector from values by port name; ports without a value have their default."""
         flat = self._defaults.copy()
         for name, value in (values or {}).items():
             port = self.port(name)
@@ -93,12 +93,12 @@ class Layout:
         return {p.name: flat[self._slices[p.name]].reshape(p.shape) for p in self.ports}
 
     def symbols(self, prefix: str = "") -> tuple[ca.SX, dict[str, ca.SX]]:
-        """Return one flat SX symbol and its named parts, each in the port's shape (vectors as columns)."""
+        """Return a flat SX symbol and its parts by port name; each part has the port's shape (vectors are columns)."""
         flat = ca.SX.sym(prefix or "x", self.size)
         return flat, self.split(flat)
 
     def split(self, flat: ca.SX) -> dict[str, ca.SX]:
-        """Return the named parts of a flat SX vector, each in the port's shape (vectors as columns)."""
+        """Return the parts of a flat SX vector by port name; each part has the port's shape (vectors are columns)."""
         parts: dict[str, ca.SX] = {}
         for port in self.ports:
             block = flat[self.slice(port.name)]
@@ -106,7 +106,7 @@ class Layout:
         return parts
 
     def join(self, parts: Mapping[str, ca.SX]) -> ca.SX:
-        """Return a flat SX vector from named parts; a part is required for every port."""
+        """Return a flat SX vector from parts by port name; every port needs a part."""
         blocks = []
         for port in self.ports:
             block = ca.SX(parts[port.name])

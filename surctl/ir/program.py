@@ -21,7 +21,7 @@ class Instruction:
 
     Attributes:
         op: `const`, `input`, or a name in `surctl.ir.ops.OPERATIONS`.
-        args: operands as positions of earlier instructions; for `input` (index of the input, index of the entry).
+        args: operands as list positions of earlier instructions; for `input`: (index of the input, index of the entry).
         value: the number of a `const`, None otherwise.
     """
 
@@ -31,7 +31,7 @@ class Instruction:
 
     @property
     def number(self) -> float:
-        """The value of a `const`; -0.0 and 0.0 are different."""
+        """Return the value of a `const` instruction; -0.0 and 0.0 are different values."""
         assert self.value is not None
         return float(self.value)
 
@@ -44,7 +44,7 @@ class Program:
         name: name of the original function.
         inputs: (name, number of entries) of each input vector.
         outputs: (name, number of entries) of each output vector.
-        instructions: the list; every operand precedes its use.
+        instructions: the instruction list; every operand precedes its use.
         output_refs: for each output, the positions of the values of its entries.
 
     Raises:
@@ -59,7 +59,7 @@ class Program:
     output_refs: tuple[tuple[int, ...], ...]
 
     def __post_init__(self) -> None:
-        """Refuse a list that a back end could not run."""
+        """Raise InputError for an instruction list that a back end could not run."""
         for at, instruction in enumerate(self.instructions):
             args = instruction.args
             # most instructions are operations on earlier values
@@ -89,12 +89,12 @@ class Program:
 
     @cached_property
     def libm(self) -> frozenset[str]:
-        """Names of the operations in the list whose last bits depend on the mathematical library."""
+        """Return the names of the listed operations that call libm (such as sin), whose last bits vary by machine."""
         return frozenset(i.op for i in self.instructions) & LIBM
 
     @cached_property
     def operations(self) -> int:
-        """Number of instructions that compute a value (all except constants and loads)."""
+        """Return the number of instructions that compute a value (all except constants and loads)."""
         return sum(1 for i in self.instructions if i.op not in LEAVES)
 
     def text(self) -> str:
@@ -133,7 +133,7 @@ def _right_side(instruction: Instruction) -> str:
 def drop_dead(
     instructions: list[Instruction], refs: list[tuple[int, ...]]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, ...], ...]]:
-    """Keep the instructions that outputs need, in the same order, renumbered. Returns (instructions, output_refs)."""
+    """Return (instructions, output_refs) with only the instructions that outputs need, in unchanged order."""
     live = bytearray(len(instructions))
     for group in refs:
         for ref in group:

@@ -2,8 +2,8 @@
 
 The flat list contains the results of the inputs and the body of every loop, with symbols for the loop's state and rows.
 An instruction belongs to the innermost loop whose symbols it depends on, so values that a loop does not change are
-computed before it. Values that only a conditional needs are moved into it. (A conditional is a loop with one turn that
-a flag can skip.)
+computed before it. Values that only a conditional needs are moved into the conditional. (A conditional is a loop with
+one iteration that a flag can skip.)
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ ROOT = -1
 
 @dataclass(frozen=True)
 class Traced:
-    """A loop in terms of positions in the list.
+    """A loop whose values are given as positions in the flat instruction list.
 
     Attributes:
-        name: name of its body.
-        depth: nesting depth when it was traced; 1 for an outermost loop.
-        count: number of turns.
-        own: inputs of the list that represent its state, then its rows.
-        results: inputs of the list that represent its final state, then its stacked arrays.
-        state, tables: its initial state, and the tables that it reads row by row.
-        next, rows: values that one turn computes: the next state, and the rows of the stacked arrays.
-        until: position of the flag in the state.
+        name: name of the loop body.
+        depth: nesting depth when the loop was traced; 1 for an outermost loop.
+        count: number of iterations.
+        own: inputs of the list that represent the state of the loop, then the table rows that an iteration reads.
+        results: inputs of the list that represent the final state of the loop, then its stacked arrays.
+        state, tables: initial state of the loop, and tables that the loop reads row by row.
+        next, rows: values that one iteration computes: `next` is the next state, `rows` the rows of the stacked arrays.
+        until: position, in the state, of the flag that ends the loop.
     """
 
     name: str
@@ -50,21 +50,21 @@ class Traced:
 
     @property
     def before(self) -> tuple[Key, ...]:
-        """Values that exist before the loop: its initial state and its tables."""
+        """Return the values that exist before the loop: its initial state and its tables."""
         return (*self.state, *self.tables)
 
     @property
     def after(self) -> tuple[Key, ...]:
-        """Values that its body computes."""
+        """Return the values that the loop body computes: the next state and the rows of the stacked arrays."""
         return (*self.next, *self.rows)
 
 
 class Regions:
-    """The region in which every value is computed.
+    """Assignment of every value to the region (root or loop body) that computes it.
 
     Attributes:
         region: for each value, the loop whose body computes it.
-        parent: for each loop, the loop in whose body it runs.
+        parent: for each loop, the outer loop whose body contains it.
     """
 
     def __init__(self, program: Program, inputs: int, outputs: Mapping[str, Key], loops: Sequence[Traced]) -> None:
@@ -84,29 +84,29 @@ class Regions:
             self._sink(outputs)
 
     def loop_of(self, value: int) -> int | None:
-        """The loop that has this value as a result, or None."""
+        """Return the loop that has this value as a result, or None."""
         instruction = self.code[value]
         return self.maker.get(instruction.args[0]) if instruction.op == "input" else None
 
     def is_constant(self, value: int) -> bool:
-        """Whether the value is a constant, which every program may repeat."""
+        """Return whether the value is a constant, which every program may repeat."""
         return self.code[value].op == "const"
 
     def of(self, value: int) -> int:
-        """The region of a value."""
+        """Return the region (root or loop body) that computes a value."""
         region = self.region[value]
         assert region is not None
         return region
 
     def deepest(self, values: Iterable[int]) -> int:
-        """The innermost of the regions of some values; the regions must be nested."""
+        """Return the innermost of the regions that compute some values; these regions must be nested."""
         return max((self.of(v) for v in values if not self.is_constant(v)), key=self._depth, default=ROOT)
 
     def _depth(self, region: int) -> int:
         return 0 if region == ROOT else self.loops[region].depth
 
     def inside(self, region: int, loop: int) -> bool:
-        """Whether a region is a loop's body or lies inside it."""
+        """Return whether a region is the body of a loop or lies inside this body."""
         while region not in (ROOT, loop):
             region = self.parent[region] if region < len(self.parent) else ROOT
         return region == loop
@@ -132,7 +132,7 @@ class Regions:
             stack.pop()
 
     def _parent(self, k: int) -> int:
-        """The innermost region on which the loop depends."""
+        """Return the innermost region on which the loop depends."""
         loop = self.loops[k]
         outside = [v for key in loop.before for v in key]
         stack, visited = [v for key in loop.after for v in key], set[int]()
@@ -152,7 +152,7 @@ class Regions:
         return self.deepest(outside)
 
     def _sink(self, outputs: Mapping[str, Key]) -> None:
-        """Move values into a conditional if nothing outside needs them."""
+        """Move values into a conditional if nothing outside the conditional needs these values."""
         order = list(postorder([v for key in outputs.values() for v in key], self._needs))
         users: dict[int, list[int]] = {}  # node → the nodes that need it; the outputs belong to the root
         for node in order:
@@ -189,7 +189,7 @@ class Regions:
         return self.of(node) if node >= 0 else self.parent[~node]
 
     def _needs(self, node: int) -> Iterator[int]:
-        """The nodes on which a node depends; a node is a value, or ~k for loop k."""
+        """Yield the nodes on which a node depends; a node is a value, or ~k for loop k."""
         if node < 0:
             loop = self.loops[~node]
             return iter([v for key in (*loop.before, *loop.after) for v in key])
@@ -199,7 +199,7 @@ class Regions:
         return iter(() if self.code[node].op in ("input", "const") else self.code[node].args)
 
     def _uses(self, value: int, users: Mapping[int, Sequence[int]]) -> Iterator[int]:
-        """The regions in which a value is used."""
+        """Yield the regions in which a value is used."""
         for node in users.get(value, ()):
             if node >= 0:
                 yield self.of(node)
@@ -212,7 +212,7 @@ class Regions:
 
 
 def postorder(roots: Iterable[int], children: Callable[[int], Iterable[int]]) -> Iterator[int]:
-    """Yield each node once, after the nodes that it needs."""
+    """Yield each node of a dependency graph once, after the nodes that it needs."""
     visited = set[int]()
     stack = [(root, False) for root in reversed(list(roots))]
     while stack:

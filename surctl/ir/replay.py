@@ -22,8 +22,8 @@ Value = NDArray[np.floating[Any]]
 def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[Value]:
     """Return the outputs of the program, with every intermediate value rounded to `real`.
 
-    The results are bit-equal to those of the emitted C for programs without `libm` operations; those differ in the last
-    bits.
+    The results are bit-equal to those of the emitted C for programs without `libm` operations; `libm` operations such
+    as sin differ in the last bits.
 
     Args:
         program: the instruction list, or a routine with loops.
@@ -101,7 +101,7 @@ def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
 
 
 def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    """A loop with independent turns, evaluated with the turns as an additional axis of the batch."""
+    """Evaluate a loop with independent iterations, with the iterations as an additional axis of the batch."""
     numbers: Value = np.array([[turn] for turn in range(loop.count)], dtype=real)
     tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
     outputs = _run(
@@ -113,12 +113,12 @@ def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]
 
 
 def _rows(array: Value, count: int) -> Value:
-    """Reshape (…, count · entries) to (…, count, entries)."""
+    """Reshape an array (…, count · entries) to (…, count, entries)."""
     return array.reshape(*array.shape[:-1], count, -1)
 
 
 def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    """A loop over lanes, evaluated with the lanes as an additional axis of the batch."""
+    """Evaluate a loop over SIMD lanes, with the lanes as an additional axis of the batch."""
     lanes = loop.lanes
     state = [_by_lane(scope[name], lanes) for name in loop.carried]
     pieces = [[_by_lane(x, lanes) for x in np.split(scope[name], loop.count, axis=-1)] for name in loop.sliced]
@@ -140,25 +140,25 @@ def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
 
 
 def _by_lane(array: Value, lanes: int) -> Value:
-    """Reorder (…, entries · lanes), entry by entry, to (…, lanes, entries)."""
+    """Reorder an array (…, entries · lanes), stored entry by entry, to (…, lanes, entries)."""
     return np.swapaxes(array.reshape(*array.shape[:-1], -1, lanes), -1, -2)
 
 
 def _by_entry(array: Value, lanes: int) -> Value:
-    """Reorder (…, lanes or 1, entries) to (…, entries · lanes), entry by entry."""
+    """Reorder an array (…, lanes or 1, entries) to (…, entries · lanes), stored entry by entry."""
     array = array if array.ndim > 1 else array[None]  # a program without inputs has no axis of lanes
     full = np.broadcast_to(array, (*array.shape[:-2], lanes, array.shape[-1]))
     return np.swapaxes(full, -1, -2).reshape(*array.shape[:-2], -1)
 
 
 def _cut(array: Value, count: int, lanes: int) -> list[Value]:
-    """Split (…, count · lanes · entries) into (…, lanes, entries) for each turn."""
+    """Split an array (…, count · lanes · entries) into `count` arrays (…, lanes, entries), one for each iteration."""
     cut = array.reshape(*array.shape[:-1], count, lanes, -1)
     return [cut[..., turn, :, :] for turn in range(count)]
 
 
 def _plain(source: Value, width: int, lanes: int) -> Value:
-    """Reorder blocks of `lanes` pieces, stored entry by entry, to pieces one after another."""
+    """Reorder groups of `lanes` pieces, stored entry by entry, to pieces that are stored one after another."""
     if lanes == 1:
         return source
     blocks = source.reshape(*source.shape[:-1], -1, width, lanes)
@@ -166,7 +166,7 @@ def _plain(source: Value, width: int, lanes: int) -> Value:
 
 
 def _broadcast(stacked: list[list[Value]]) -> list[list[Value]]:
-    """Pieces of each stacked array, broadcast to one batch shape."""
+    """Return the pieces of each stacked array, broadcast to one batch shape."""
     groups = []
     for parts in zip(*stacked, strict=True):
         batch = np.broadcast_shapes(*(p.shape[:-1] for p in parts))
@@ -211,7 +211,7 @@ _TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_el
 
 
 def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[Any]]:
-    """The list as a Python function: (inputs, constants, real) → the value of every instruction."""
+    """Return the instruction list as a Python function (inputs, constants, real) → value of every instruction."""
     cached = program.__dict__.get("_python")
     if cached is None:
         lines, constants = ["def run(inputs, constants, real):", "    zero, one = real(0), real(1)"], 0
@@ -236,7 +236,7 @@ def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[A
 
 
 def _operand(program: Program, at: int, *, truth: bool) -> str:
-    """A value as the text of an operand that is a truth value or a number."""
+    """Return the Python text of an operand, as a truth value if `truth`, otherwise as a number."""
     is_truth = program.instructions[at].op in _TRUE
     if truth == is_truth:
         return f"v{at}"

@@ -1,8 +1,8 @@
 """Bounded loops over nested programs, with fixed arrays, explicit carried state and no other memory.
 
 A routine is a list of steps over named arrays of fixed size. Every array is written by exactly one step, as a whole.
-Only the carried state of a loop changes from turn to turn. So a routine is plain data that can be printed, replayed in
-NumPy, differentiated by CasADi and written as C, and its cost is bounded.
+Only the carried state of a loop changes from one iteration to the next. So a routine is plain data that can be printed,
+replayed in NumPy, differentiated by CasADi and written as C, and its cost is bounded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["Block", "Call", "Gather", "Loop", "Routine", "Step"]
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """The step results = block(args), with one array for each input and each output."""
+    """A step that calls a program or routine: results = block(args), with one array for each input and output."""
 
     block: Block
     args: tuple[str, ...]
@@ -30,26 +30,28 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """A step that runs a block for at most `count` turns.
+    """A step of a routine that runs a block (program or routine) for at most `count` iterations.
 
-    In turn k the inputs of the block are, in this order: the number k (1,) if `index`; the carried arrays; piece k of
-    each sliced array; a piece of each spread array; the fixed arrays. Its outputs are the next carried arrays, then
-    piece k of each stacked array.
+    In iteration k the inputs of the block are, in this order: the number k (1,) if `index`; the carried arrays; piece k
+    of each sliced array; a piece of each spread array; the fixed arrays. The outputs of the block are the next carried
+    arrays, then piece k of each stacked array.
 
     Attributes:
         block: the body, a program or a routine (loops can be nested).
-        count: largest number of turns, at least 1.
-        carried: arrays with the state before the first turn.
-        sliced: arrays of `count` equal pieces, of which each turn reads one.
-        fixed: arrays that every turn reads as a whole.
+        count: largest number of iterations, at least 1.
+        carried: arrays with the state before the first iteration.
+        sliced: arrays of `count` equal pieces; iteration k reads piece k.
+        fixed: arrays that every iteration reads as a whole.
         results: names of the final carried arrays, then of the stacked arrays.
-        index: whether the number of the turn is an input of the body.
-        until: position in `carried` of a flag of size 1. The loop ends before the first turn at which the flag is not
-            0 (also for a NaN), so a flag that is set at the start skips all turns. A loop with a flag cannot stack.
-        spread: arrays of `count` · `lanes` equal pieces; lane l of turn k reads piece k · `lanes` + l.
-        lanes: number of runs of the body side by side, each with its own numbers. The body must be a program, without
-            `until`. Carried arrays, stacked arrays and pieces of sliced arrays have `lanes` numbers for each entry,
-            stored entry by entry. The fixed arrays are shared, and the index of lane l is k · `lanes` + l.
+        index: whether the number of the iteration is an input of the body.
+        until: position in `carried` of a flag of size 1. The loop ends before the first iteration at which the flag is
+            not 0 (also for a NaN), so a flag that is set at the start skips all iterations. A loop with a flag cannot
+            have stacked arrays.
+        spread: arrays of `count` · `lanes` equal pieces; SIMD lane l of iteration k reads piece k · `lanes` + l.
+        lanes: number of SIMD lanes: parallel evaluations of the body, each with its own numbers. The body must be a
+            program, without `until`. Carried arrays, stacked arrays and pieces of sliced arrays have `lanes` numbers
+            for each entry, stored entry by entry. The fixed arrays are shared, and the index of lane l is k · `lanes` +
+            l.
     """
 
     block: Block
@@ -69,8 +71,8 @@ class Gather:
     """A step that copies piece `index` of the source, which is divided into pieces of `width`.
 
     The index (1,) is rounded down; an index outside the array selects the nearest piece, and a NaN selects piece 0.
-    With `lanes`, the source is an array stacked by a loop with as many lanes: blocks of `lanes` pieces, stored entry by
-    entry.
+    With `lanes`, the source is an array stacked by a loop with as many SIMD lanes. The source then consists of groups
+    of `lanes` pieces, and each group is stored entry by entry.
     """
 
     source: str
@@ -101,7 +103,7 @@ class Routine:
     results: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        """Refuse a routine that a back end could not run."""
+        """Raise InputError for a routine that a back end could not run."""
         for name in self.results:
             _size(self._sizes, name, self.name)
 
@@ -122,21 +124,21 @@ class Routine:
 
     @property
     def outputs(self) -> tuple[tuple[str, int], ...]:
-        """(name, number of entries) of each output array."""
+        """Return (name, number of entries) of each output array."""
         return tuple((name, self._sizes[name]) for name in self.results)
 
     @cached_property
     def operations(self) -> int:
-        """Number of operations if every loop runs all its turns, which is the worst case."""
+        """Return the number of operations if every loop runs all its iterations, which is the worst case."""
         return sum(_turns(step) * step.block.operations for step in self.steps if not isinstance(step, Gather))
 
     @cached_property
     def libm(self) -> frozenset[str]:
-        """Names of the operations in the routine whose last bits depend on the mathematical library."""
+        """Return names of the routine's operations that call libm (such as sin), whose last bits vary by machine."""
         return frozenset().union(*(block.libm for block in nested(self).values() if isinstance(block, Program)))
 
     def text(self) -> str:
-        """Return the routine and all its blocks as text; equal texts are equal routines, on any machine."""
+        """Return the routine and all that it calls as text; equal texts mean equal routines, on any machine."""
         texts = (block.text() if isinstance(block, Program) else own_text(block) for block in nested(self).values())
         return "\n".join(dict.fromkeys(texts))  # two blocks with equal text are written once
 
@@ -156,14 +158,14 @@ Step: TypeAlias = Call | Loop | Gather
 
 
 def nested(block: Block) -> dict[int, Block]:
-    """All distinct blocks that this one runs, callees first and itself last, by identity."""
+    """Return all distinct programs and routines that a block calls, callees first, the block itself last, by `id`."""
     blocks: dict[int, Block] = {}
     _collect(block, blocks)
     return blocks
 
 
 def rebuilt(block: Block, change: Callable[[Program], Program]) -> Block:
-    """The block with `change` applied once to each program in it."""
+    """Return the program or routine with `change` applied once to each program in it."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if isinstance(inner, Program):
@@ -189,7 +191,7 @@ def _turns(step: Call | Loop) -> int:
 
 
 def own_text(routine: Routine) -> str:
-    """The routine as text, without its blocks."""
+    """Return the text of the routine itself, without the programs and routines that it calls."""
     lines = [f"routine {routine.name}"]
     lines += [f"in {name} {size}" for name, size in routine.inputs]
     lines += [_step_text(step) for step in routine.steps]
@@ -222,7 +224,7 @@ def _size(sizes: Mapping[str, int], name: str, key: str) -> int:
 
 
 def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[str, int]]:
-    """(name, size) of the arrays that the step writes, after a check of the arrays that it reads."""
+    """Yield (name, size) of the arrays that the step writes, after a check of the arrays that it reads."""
     if isinstance(step, Gather):
         whole = step.width >= 1 and step.lanes >= 1 and not _size(sizes, step.source, key) % (step.width * step.lanes)
         if not whole or _size(sizes, step.index, key) != 1:
@@ -244,7 +246,7 @@ def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[st
 
 
 def _fed(loop: Loop, sizes: Mapping[str, int], key: str) -> list[int]:
-    """Sizes of the arrays that a turn passes to the body."""
+    """Return the sizes of the arrays that an iteration passes to the loop body."""
     if loop.count < 1:
         raise InputError("a loop needs at least one turn", key=key, value=loop.count)
     if loop.lanes < 1 or (loop.lanes > 1 and (loop.until is not None or not isinstance(loop.block, Program))):

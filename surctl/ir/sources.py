@@ -28,12 +28,12 @@ def source_digest(*packages: str) -> str:
     """Return the SHA-256 of the sources of these packages, and of the versions of the software that runs them.
 
     The digest covers every .py and .toml file with its name inside the package, including inner packages; the versions
-    of CasADi, NumPy and Python; and the platform, whose mathematical library computes constants. It is computed once
-    per process.
+    of CasADi, NumPy and Python; and the platform, whose libm functions such as sin compute constants. The digest is
+    computed once per process.
 
     Raises:
         SurctlError: a package is missing, its sources cannot be read, or a file was changed after this process began,
-            so that the loaded code may be older than the file. The caller then builds without storing.
+            so that the loaded code may be older than the file. The caller then builds the law without storing it.
 
     Example:
         >>> from surctl.ir import source_digest
@@ -56,7 +56,7 @@ def source_digest(*packages: str) -> str:
 
 
 def _sources(package: str) -> Iterator[tuple[str, bytes]]:
-    """(name, content) of each file of a package; if the package is a single module, of its file."""
+    """Yield (name, content) of each file of a package, or of the one file of a single module."""
     spec = importlib.util.find_spec(package)
     if spec is None:
         raise ImportError("there is no such package")

@@ -14,7 +14,7 @@ _LONGEST = 1200
 
 
 def shortened(block: Block) -> Block:
-    """Return the block with its long programs split; programs that run in lanes stay whole."""
+    """Return the program or routine with its long programs split; programs that run in SIMD lanes stay whole."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if isinstance(inner, Program):
@@ -66,7 +66,7 @@ def split(program: Program, size: int) -> Block:
 
 
 def _owners(program: Program, size: int) -> dict[int, int]:
-    """The part of every operation."""
+    """Return the number of the part to which each operation belongs."""
     operations = [at for at, i in enumerate(program.instructions) if i.op not in LEAVES]
     return {at: k // size for k, at in enumerate(operations)}
 

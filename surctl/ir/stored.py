@@ -1,6 +1,7 @@
-"""Storage of blocks as text: the text of a block is read back to a block with the same digest.
+"""Storage of programs and routines as text, which is read back to objects with the same digest.
 
-The text is data, and nothing in it is executed. A text that differs in any character from that of a block is refused.
+The text is data, and nothing in it is executed. A text that differs in any character from the text of a program or
+routine is refused.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ _MALFORMED = (IndexError, KeyError, OverflowError, ValueError)  # exceptions tha
 
 
 def write_block(block: Block) -> str:
-    """Return the block and all its inner blocks as text for `read_block`: `block.text()`, then `block.digest()`.
+    """Return a program or routine as text for `read_block`: first `block.text()`, then `block.digest()`.
 
     Raises:
-        InputError: the text would not be read as the same block: a constant is a NaN, a name contains a blank, or an
-            array of a loop has the name of a keyword of the text ("fixed").
+        InputError: the text would not be read back as an equal program or routine: a constant is a NaN, a name contains
+            a blank, or an array of a loop has the name of a keyword of the text ("fixed").
 
     Example:
         >>> import casadi as ca
@@ -52,10 +53,10 @@ def write_block(block: Block) -> str:
 
 
 def read_block(text: str) -> Block:
-    """Return the block that `write_block` wrote; a block that several steps run is one object.
+    """Return the program or routine that `write_block` wrote; an inner block used by several steps is one object.
 
     Raises:
-        InputError: the text differs in a character from that of a block; the message names the line.
+        InputError: the text differs in a character from the text of a program or routine; the message names the line.
 
     Example:
         >>> import casadi as ca
@@ -81,7 +82,7 @@ def read_block(text: str) -> Block:
 
 @contextmanager
 def _without_collection() -> Iterator[None]:
-    """Switch off garbage collection, which would scan all blocks again and again while they are read."""
+    """Switch off garbage collection, which would scan all programs and routines repeatedly while they are read."""
     searching = gc.isenabled()
     gc.disable()
     try:
@@ -92,7 +93,7 @@ def _without_collection() -> Iterator[None]:
 
 
 def _read(body: str) -> Block:
-    """The last of the blocks in the text."""
+    """Return the last program or routine in the text."""
     blocks: dict[str, Block] = {}
     depths: dict[int, int] = {}
     first = 1
@@ -112,7 +113,7 @@ def _read(body: str) -> Block:
 
 
 def _program(lines: Sequence[str], first: int) -> Program:
-    """The program in these lines, of which the first is line `first` of the text."""
+    """Return the program in these lines; the first of them is line `first` of the text."""
     name = _name(lines, first, "program")
     inputs = _inputs(lines, first, "in{}")
     start = 1 + len(inputs)
@@ -138,7 +139,7 @@ def _program(lines: Sequence[str], first: int) -> Program:
 def _instructions(
     lines: Sequence[str], inputs: Sequence[tuple[str, int]], first: int
 ) -> tuple[list[Instruction], dict[str, int]]:
-    """The instructions, and the position of each by its name, in one fast loop: a law has tens of thousands."""
+    """Return the instructions, and the position of each by its name; the loop is fast, for tens of thousands."""
     instructions: list[Instruction] = []
     places: dict[str, int] = {}
     at = 0
@@ -181,7 +182,7 @@ def _load(word: str, inputs: Sequence[tuple[str, int]]) -> Instruction:
 
 
 def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> Routine:
-    """The routine in these lines; `blocks` holds the blocks before it, by name and digest."""
+    """Return the routine in these lines; `blocks` has the earlier programs and routines, by name and digest."""
     name = _name(lines, first, "routine")
     inputs = _inputs(lines[:-1], first, "in")
     steps: list[Step] = []
@@ -201,7 +202,7 @@ def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> R
 
 
 def _step(words: list[str], blocks: Mapping[str, Block]) -> Step:
-    """The step in these words; extra or misplaced words are found later, by comparison with the routine's text."""
+    """Return the step in these words; comparison with the routine's text later detects extra or misplaced words."""
     equals = words.index("=")
     results, kind, rest = _names(words[:equals]), words[equals + 1], words[equals + 2 :]
     if kind == "gather":
@@ -232,7 +233,7 @@ def _name(lines: Sequence[str], first: int, kind: str) -> str:
 
 
 def _inputs(lines: Sequence[str], first: int, mark: str) -> list[tuple[str, int]]:
-    """(name, size) of each input line after the first line."""
+    """Return (name, size) from each input line after the first line."""
     inputs: list[tuple[str, int]] = []
     for at, line in enumerate(lines[1:], first + 1):
         words = line.split(" ")

@@ -1,4 +1,4 @@
-"""Conversion of a block to a CasADi function, for derivatives and for CasADi's virtual machine."""
+"""Conversion of a program or routine to a CasADi function, for derivatives and for CasADi's virtual machine."""
 
 from __future__ import annotations
 
@@ -53,10 +53,11 @@ _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
 
 
 def to_casadi(block: Block) -> ca.Function:
-    """Return the block as a CasADi function of columns: SX for a program, MX with unrolled loops for a routine.
+    """Return a CasADi function of column vectors: SX for a program, MX with unrolled loops for a routine.
 
-    The numbers equal those of the replay, except for the sign of a zero (CasADi's `if_else` turns −0 into +0). Every
-    loop runs all its turns, but keeps its state after its flag is set, so derivatives are those of the effective turns.
+    The results equal those of `replay`, except for the sign of a zero (CasADi's `if_else` turns −0 into +0). Every loop
+    runs all its iterations, but keeps its state after its flag is set, so the derivatives are those of the iterations
+    before the flag.
 
     Example:
         >>> import casadi as ca
@@ -161,12 +162,12 @@ def _side_by_side(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX])
 
 
 def _by_entry(parts: list[ca.MX]) -> ca.MX:
-    """Join one array for each lane into one array, stored entry by entry."""
+    """Join the arrays of all SIMD lanes into one array, stored entry by entry."""
     return ca.reshape(ca.horzcat(*parts).T, -1, 1)
 
 
 def _plain(source: ca.MX, width: int, lanes: int) -> ca.MX:
-    """Reorder blocks of `lanes` pieces, stored entry by entry, to pieces one after another."""
+    """Reorder groups of `lanes` pieces, stored entry by entry, to pieces that are stored one after another."""
     if lanes == 1:
         return source
     blocks = ca.vertsplit(source, width * lanes)
@@ -180,7 +181,7 @@ def _piece(source: ca.MX, index: ca.MX, width: int) -> ca.MX:
 
 
 def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]]:
-    """Wrap a CasADi function for NumPy vectors (n,): the same numbers, in a tenth of the time of a normal call.
+    """Wrap a CasADi function for NumPy vectors (n,): equal results in a tenth of the time of CasADi's own call.
 
     CasADi's own call converts every argument to a matrix; this wrapper writes into buffers that CasADi reads.
 

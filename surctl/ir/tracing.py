@@ -1,13 +1,13 @@
-"""Loops in symbolic functions: the body is written once, for one row of a table, and lowered as a bounded loop.
+"""Loops in symbolic functions: the loop body is written once, for one table row, and becomes a bounded loop.
 
-CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so its code grows with the number of turns.
-While a `Recording` is open, `repeat`, `fold`, `each` and `only_if` call the body once, on fresh symbols, and return
-symbols for the results of the loop. `Recording.block` lowers expressions over such symbols to a routine. Without a
-recording the functions unroll, so the same code can be evaluated or differentiated directly.
+CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so its code grows with the number of
+iterations. While a `Recording` is open, `repeat`, `fold`, `each` and `only_if` call the body once, on fresh symbols,
+and return symbols for the results of the loop. `Recording.block` lowers expressions over such symbols to a routine.
+Without a recording the functions unroll, so the same code can be evaluated or differentiated directly.
 
-Bodies are closures and may use any outer expression. A value that does not depend on a loop's own rows or state is
-computed once, before the loop. A value that only a condition (`only_if`) needs is computed inside it. Equal expressions
-are computed once.
+Bodies are closures and may use any outer expression. A value that does not depend on the table rows or the state of a
+loop is computed once, before the loop. A value that only a conditional (`only_if`) needs is computed inside the
+conditional. Equal expressions are computed once.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _open: ContextVar[Recording | None] = ContextVar("recording", default=None)
 
 @dataclass(frozen=True)
 class _Loop:
-    """One loop in symbols, like `regions.Traced` in positions; tables are stored row by row."""
+    """One traced loop in terms of symbols (`regions.Traced` uses list positions); tables are stored row by row."""
 
     name: str
     depth: int
@@ -50,12 +50,12 @@ class _Loop:
 
     @property
     def expressions(self) -> tuple[ca.SX, ...]:
-        """All expressions from which the loop is computed."""
+        """Return all expressions from which the loop is computed."""
         return (*self.state, *self.tables, *self.next, *self.rows)
 
 
 class Recording:
-    """Traces loops while it is open (`with`), and lowers expressions over their results to a block.
+    """Traces loops while it is open (`with`), and lowers expressions over loop results to a program or routine.
 
     Example:
         >>> import casadi as ca
@@ -86,15 +86,16 @@ class Recording:
         _open.reset(self._token)
 
     def block(self, name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> Block:
-        """Return the outputs as a block: a program, or a routine if loops are needed.
+        """Return the outputs as a program, or as a routine if loops are needed.
 
         Args:
-            name: name of the block; the names of its inner blocks begin with it, or are names of loops.
+            name: name of the program or routine; names of inner blocks begin with this name, or are names of loops.
             inputs: symbols (n, 1) by name.
-            outputs: expressions by name; stored column by column in the block.
+            outputs: expressions by name; each output vector holds its expression column by column.
 
         Raises:
-            InputError, UnsupportedOperation: as in `lower`; also for a symbol that is not an input or from a loop.
+            InputError, UnsupportedOperation: as in `lower`; also for a symbol that is neither an input nor a result of
+                a loop.
         """
         dense = [ca.densify(ca.SX(value)) for value in outputs.values()]
         loops = self._reached(dense)
@@ -132,7 +133,7 @@ class Recording:
         count: int,
         until: int | None,
     ) -> tuple[list[ca.SX], list[ca.SX]]:
-        """Call the body once, on fresh symbols, and record the loop."""
+        """Call the loop body once, on fresh symbols, and record the loop."""
         self._depth += 1
         held = [ca.SX.sym("s", part.numel()) for part in state]
         rows = [ca.SX.sym("t", table.shape[1]) for table in tables]
@@ -158,7 +159,7 @@ class Recording:
         return results, [ca.reshape(s, part.numel(), count).T for s, part in zip(stacked, collected, strict=True)]
 
     def _reached(self, outputs: Vectors) -> list[_Loop]:
-        """The loops that the outputs need, in the order in which they were traced."""
+        """Return the loops that the outputs need, in the order in which these loops were traced."""
         of = {s.element_hash(): k for k, loop in enumerate(self._loops) for r in loop.results for s in ca.symvar(r)}
         reached: set[int] = set()
         todo = list(outputs)
@@ -178,18 +179,19 @@ def repeat(
     count: int | None = None,
     until: int | None = None,
 ) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Run a body over the rows of tables.
+    """Run a loop body over the rows of tables.
 
     Args:
-        name: C identifier of the loop's body.
-        body: (state parts, rows) → (next state parts, rows to stack), all as columns.
-        state: columns before the first turn.
-        tables: (turns, width) each; every turn reads one row of each, as a column.
-        count: number of turns if there is no table.
-        until: position in `state` of a flag (1, 1): no further turn runs once it is not 0. Then nothing can be stacked.
+        name: C identifier of the loop body.
+        body: function (parts of the state, table rows) → (parts of the next state, rows to stack), all as columns.
+        state: parts of the state before the first iteration, as columns.
+        tables: tables (iterations, width); iteration k reads row k of each table, as a column.
+        count: number of iterations if there is no table.
+        until: position in `state` of a flag (1, 1); no further iteration runs once the flag is not 0. A loop with a
+            flag cannot stack rows.
 
     Returns:
-        The state after the last turn, and the stacked tables (turns, width).
+        The state after the last iteration, and the stacked tables (iterations, width).
 
     Raises:
         InputError: tables of different length, a state that changes its size, or neither a table nor a count.
@@ -236,7 +238,7 @@ def fold(name: str, body: Callable[..., Vectors], state: Vectors, *tables: ca.SX
 def fold(
     name: str, body: Callable[..., ca.SX | Vectors], state: ca.SX | Vectors, *tables: ca.SX
 ) -> ca.SX | list[ca.SX]:
-    """Return the state after a body has run over the rows of tables: a column, or a list of columns like `state`.
+    """Return the state after a loop body has run over table rows, as a column, or as a list of columns like `state`.
 
     Example:
         >>> import casadi as ca
@@ -260,7 +262,7 @@ def fold(
 
 
 def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]:
-    """Return tables (turns, width) of the values that a body returns for each row of tables.
+    """Return tables (iterations, width) of the values that a loop body returns for each row of the given tables.
 
     Example:
         >>> import casadi as ca
@@ -273,7 +275,7 @@ def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]
 
 
 def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise: Vectors) -> list[ca.SX]:
-    """Return the values of a body if a condition holds, otherwise other values; the body runs only if it holds.
+    """Return the values of `body` if the condition holds, else `otherwise`; `body` runs only if the condition holds.
 
     Example:
         >>> import casadi as ca
@@ -289,7 +291,7 @@ def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise:
 
 
 def tabulated(rows: Iterable[Iterable[ca.SX | float]], width: int = 0) -> ca.SX:
-    """Return a table with one row for each group of columns or numbers; (0, width) if there is no group.
+    """Return a table with one row for each item of `rows` (columns or numbers); (0, width) if `rows` is empty.
 
     Example:
         >>> import casadi as ca

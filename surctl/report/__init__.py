@@ -1,4 +1,4 @@
-"""Plots of results, and the self-contained HTML report."""
+"""Plots of results, and the report of a study as one self-contained HTML file."""
 
 from surctl.report.animation import check_animation, save_animation
 from surctl.report.calibration_plots import plot_calibration

@@ -66,7 +66,7 @@ def check_animation(path: Path | str) -> Path:
 
 
 def frame_steps(run: Run, *, apart: float) -> list[int]:
-    """Return control periods of a run at intervals of `apart` [s] or slightly more, with the first and the last."""
+    """Return indices of control periods at intervals of `apart` [s] or slightly more, with the first and the last."""
     last = len(run.record.time) - 1
     step = max(1, int(np.ceil(apart / run.law.dt - 1e-9)))
     return [*range(0, last, step), last]
@@ -76,7 +76,7 @@ def save_animation(run: Run, path: Path | str) -> Path:
     """Write a run as a GIF, or as an MP4 with ffmpeg, according to the suffix of the path; return the path.
 
     The animation plays at `RATE` frames per second. A long run plays faster than real time, and the animation shows
-    the factor. The same run gives the same bytes of a GIF.
+    the factor. Equal runs give GIF files with equal bytes.
 
     Raises:
         InputError: see `check_animation`; or the file cannot be written.
@@ -137,7 +137,7 @@ def _draw_plan(ax: Axes, run: Run) -> None:
 
 
 def _draw_strip(ax: Axes, run: Run) -> None:
-    """Draw the clearance over the whole run; the frames add a cursor."""
+    """Draw the clearance over the whole run as background; each frame adds a time cursor."""
     dress(ax, x="time [s]", y="clearance [m]")
     time = run.record.time
     ax.plot(time, finite(run.record.clearance), color=ROBOT, linewidth=1.2)
@@ -195,7 +195,7 @@ def _handles(run: Run) -> list[Line2D | Patch]:
 
 
 def _gif(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
-    """Return a GIF of frames that all use the palette of the first one, which contains every colour."""
+    """Return a GIF whose frames all use the palette of the first frame, which contains every colour."""
     begun = next(pictures)
     nearest, colours = _palette(begun)
     first, *rest = (_indexed(nearest[_cells(p)], colours) for p in chain([begun], pictures))
@@ -213,7 +213,7 @@ def _cells(picture: NDArray[np.uint8]) -> NDArray[np.int_]:
 
 
 def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the most frequent colours (k, 3) of a picture, and the nearest of them for each of the 32³ colours."""
+    """Return the k most frequent colours (k, 3) of a picture, and the index of the nearest for each of 32³ colours."""
     # Pillow's own mapping to a palette turns white into grey
     parts = np.stack(np.unravel_index(np.arange(1 << 15), (32, 32, 32)), axis=1)
     every = (parts << 3) | (parts >> 2)

@@ -1,7 +1,8 @@
-"""Computations of the tuning page for a set of gains: pure functions of a bench and its gains, without page code.
+"""Computations of the web page for tuning, as pure functions of a `Bench` (vehicle, scenario, goals) and gains.
 
-The page is in the package, not among the notebooks, because an installed `surctl` must be able to serve it. It is in
-the report package, because only this package plots results and may import tuning, verification and simulation.
+The web page is in the package, not among the notebooks, because an installed `surctl` must be able to serve it. The
+page is in the report package, because only this package plots results and may import tuning, verification and
+simulation.
 """
 
 from __future__ import annotations
@@ -44,21 +45,21 @@ from surctl.verification.steps import STEP_NAMES, step_system
 
 __all__ = ["Bench", "Steps", "plot_steps", "save_gains", "slider_steps", "step_responses"]
 
-_STOPS = 40  # positions of a slider on either side of its start value
+_STOPS = 40  # number of positions of a slider on either side of its start value
 _SAMPLES = 400
 _LOCUS = 41
-_SMOOTH = 0.05  # largest step of a pole between two locus values, as a share of its modulus
+_SMOOTH = 0.05  # largest step of a pole between two values of the gain, as a share of the pole's modulus
 _PATIENCE = 10.0  # [s] time limit of each proof
 _DIGITS = 4  # significant digits of slider values; the start value is not rounded
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Responses to unit steps in the references, with all loops closed.
+    """Responses of the closed loop to unit steps in the references.
 
     Attributes:
-        time: (n,) times [s] by name of the step.
-        value: (n,) responses by name of the step, as a share of the step.
+        time: (n,) times [s] by name of the stepped reference.
+        value: (n,) responses by name of the stepped reference, as a share of the step height.
     """
 
     time: Mapping[str, NDArray[np.float64]]
@@ -67,14 +68,15 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """One vehicle in one scenario with true positions, and the goals; each method takes the gains to evaluate.
+    """The vehicle, scenario (with true positions) and goals of the tuning page; methods take the gains to evaluate.
 
     Attributes:
         vehicle: the simulated vehicle, which is also the model of the controller.
         scenario: the mission.
-        gains: the gains that the page starts with.
+        gains: initial gains of the tuning page.
         goals: the goals that a set of gains should meet.
-        cruise: further speeds [m/s] at which the page shows the loops, beside those of the scenario and the goals.
+        cruise: further cruise speeds [m/s] at which the page shows the loops, besides the speeds of the scenario and
+            the goals.
     """
 
     vehicle: Vehicle
@@ -85,29 +87,29 @@ class Bench:
 
     @property
     def case(self) -> Case:
-        """The simulated case: scenario, vehicle and start gains."""
+        """Return the simulated case, which consists of scenario, vehicle and initial gains."""
         return Case(self.scenario, self.vehicle, self.gains)
 
     @property
     def dt(self) -> float:
-        """Control period [s]."""
+        """Return the control period [s]."""
         return self.case.build().dt
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The cruise speeds [m/s] at which the loops are shown, slowest first."""
+        """Return the cruise speeds [m/s] at which the loops are shown, slowest first."""
         return tuple(sorted({self.scenario.cruise, *self.cruise, *(u for goal in self.goals for u in goal.cruise)}))
 
     def ranges(self, gains: Gains) -> tuple[GainRange, ...]:
-        """Return the gains with a slider, and its ends: the gain file's range, or a quarter to four times the gain."""
+        """Return the gains with a slider and the slider's ends: the gain file's range, or gain / 4 to 4 · gain."""
         return gain_ranges(gains, {name: gains.ranges.get(name) for name in TUNED})
 
     def simulate(self, gains: Gains) -> Run:
-        """Simulate the closed loop with seed 0; the law is compiled once and reads the gains as parameters."""
+        """Simulate the closed loop with seed 0; the law is compiled once, with the gains as its parameters."""
         return simulate(self.scenario, self.vehicle, gains=gains, law=self.case.build())
 
     def judge(self, gains: Gains) -> Evaluation:
-        """Evaluate the goals in this scenario, for the nominal plant and the corners of the vehicle's ranges."""
+        """Evaluate the goals in the scenario for the nominal plant and for the corners of the vehicle's ranges."""
         evaluated = conditions([self.case], seeds=[0])
         return evaluate(self.goals, evaluated, {name: np.array([value]) for name, value in gains.values.items()})
 
@@ -119,11 +121,11 @@ class Bench:
         return {name: float(values[0]) for name, values in table.items()}
 
     def over_speeds(self, gains: Gains, columns: Collection[str]) -> OverSpeeds:
-        """Return columns of `LINEAR_METRICS` at all speeds."""
+        """Return the given columns of `LINEAR_METRICS` at all cruise speeds."""
         return over_speeds(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, columns=columns)
 
     def bode(self, gains: Gains, loop: str | None = None) -> Figure:
-        """Plot the Bode diagram of one loop at all speeds, or, without a name, of all eight at the scenario's speed."""
+        """Plot the Bode diagram of one loop at all speeds; with `loop` None, of all loops at the scenario's speed."""
         figure = new_figure(6.4, 5.2)
         upper, lower = figure.subplots(2, 1, sharex=True)
         if loop is None:
@@ -139,11 +141,11 @@ class Bench:
         return plot_bode(shown, (upper, lower))
 
     def steps(self, gains: Gains) -> Figure:
-        """Plot the step responses at all speeds."""
+        """Plot the step responses at all cruise speeds."""
         return plot_steps({u: step_responses(self.vehicle, gains.values, cruise=u, dt=self.dt) for u in self.speeds})
 
     def sensitivity(self, gains: Gains) -> Figure:
-        """Plot S and T of all loops opened together at the thrust, at each speed at which the loop is stable."""
+        """Plot S and T of all loops opened together at the thrust, at each speed with a stable closed loop."""
         curves = sensitivities(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, places=("thrust",))
         if not curves:
             raise _unstable(self.vehicle, gains.values, cruise=self.speeds[0], dt=self.dt)
@@ -161,7 +163,7 @@ class Bench:
 
     @property
     def locus_gains(self) -> tuple[str, ...]:
-        """The gains with a slider that influence a closed-loop pole."""
+        """Return the gains with a slider that influence a closed-loop pole."""
         return tuple(r.name for r in self.ranges(self.gains) if r.name in LINEAR_PARAMETERS)
 
     def plan(self, run: Run) -> Axes:
@@ -177,9 +179,9 @@ class Bench:
 
 
 def slider_steps(about: GainRange, value: float) -> list[float]:
-    """Return the positions of a slider, ascending and evenly spaced in the logarithm, with the value and both ends.
+    """Return the values of a slider, ascending and evenly spaced in the logarithm, with `value` and both ends.
 
-    If the value is outside the range, the slider extends to the value.
+    If `value` is outside the range of the gain, the slider extends to `value`.
     """
     low, high = min(about.low, value), max(about.high, value)
     grid = np.concatenate([np.geomspace(low, value, _STOPS + 1), np.geomspace(value, high, _STOPS + 1)])
@@ -223,7 +225,7 @@ def _unstable(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
 
 
 def plot_steps(data: Mapping[float, Steps]) -> Figure:
-    """Plot the responses over time by cruise speed [m/s], with the ±2 % band that defines the settling time."""
+    """Plot the step responses at each cruise speed [m/s], with the ±2 % band that defines the settling time."""
     figure = new_figure(6.4, 6.2)
     axes = figure.subplots(len(STEP_NAMES), 1)
     for ax, name in zip(axes, STEP_NAMES, strict=True):

@@ -14,7 +14,7 @@ from surctl.sensing import SensorCalibration
 
 __all__ = ["plot_calibration", "plot_errors", "plot_studentised"]
 
-_DOTS = 4000  # largest number of rows drawn besides the outliers: more would merge
+_DOTS = 4000  # largest number of measurements drawn besides the outliers, because more dots would merge
 _NORMAL = 1.96
 
 
@@ -22,8 +22,8 @@ def plot_calibration(one: SensorCalibration, ax: Sequence[Axes] | None = None) -
     """Plot the errors and the studentised residuals of a calibration over the true distance.
 
     Args:
-        one: the calibration.
-        ax: two axes, for errors and residuals; None creates them.
+        one: the calibration of one sensor in one medium.
+        ax: two axes, for errors and residuals; None creates new axes.
 
     Returns:
         The figure that holds the axes.
@@ -92,7 +92,7 @@ def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
 
 
 def _share(true: NDArray[np.float64], outliers: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the indices of at most `_DOTS` evenly spaced rows, and of every outlier."""
+    """Return the indices of at most `_DOTS` evenly spaced measurements, and of every outlier."""
     even = np.linspace(0, len(true) - 1, min(len(true), _DOTS)).astype(np.intp)
     return np.union1d(even, outliers)
 

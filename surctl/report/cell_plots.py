@@ -28,8 +28,8 @@ _COLOURS = ("#0072B2", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#5F6368")
 def plot_cells(verdict: Verdict, ax: Axes | None = None) -> Axes:
     """Plot the boxes of a proved claim's certificate over the two variables that are halved most often.
 
-    If the claim has more variables, the plot shows a section near the middle of the others. If the proof has several
-    cases, it shows the case with the most boxes.
+    If the claim has more than two variables, the plot shows a section near the middle of the other variables. If the
+    proof distinguishes several cases, the plot shows the case with the most boxes.
 
     Raises:
         InputError: the claim is not proved, or fewer than two of its variables vary.
@@ -89,7 +89,7 @@ def plot_open_boxes(verdict: Verdict, ax: Axes | None = None) -> Axes:
 
 
 def _axes(claim: Claim, ends: Sequence[NDArray[np.float64]]) -> tuple[int, int]:
-    """Return the two variables in which the boxes are narrowest relative to the domain, in the claim's order."""
+    """Return the indices of the two variables in which the boxes are narrowest relative to the domain."""
     width = np.maximum(claim.upper - claim.lower, 1e-300)
     free = [k for k, v in enumerate(claim.variables) if v.upper > v.lower]
     if len(free) < 2:

@@ -11,7 +11,7 @@ __all__ = ["ClaimWords", "claim_words"]
 
 
 class ClaimWords(NamedTuple):
-    """A claim in words.
+    """A claim of the library in words without formulas.
 
     Attributes:
         clause: what the claim says, worded to follow "It is proved that".
@@ -80,5 +80,5 @@ _WORDS: Mapping[str, ClaimWords] = {
 
 
 def claim_words(claim: Claim) -> ClaimWords:
-    """Return the claim in words; for a claim that is not in the library, its own statement."""
+    """Return the claim in words; a claim that is not in the library is described by its own statement."""
     return _WORDS.get(claim.name, ClaimWords(claim.statement))

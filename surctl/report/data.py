@@ -1,4 +1,4 @@
-"""The contents of the report page: all results of a study in one object."""
+"""The contents of the HTML report: all results of a study in one object."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ExportSummary:
         name: prefix of the files and C symbols.
         id: identifier of the law.
         files: the files that were written.
-        sil: one software-in-the-loop report per replayed run; empty if nothing was compiled.
+        sil: software-in-the-loop reports, one for each replayed run; empty if nothing was compiled.
         status: a sentence that says what was done or not done; may be empty.
     """
 
@@ -42,33 +42,35 @@ class ExportSummary:
 
     @property
     def passed(self) -> bool | None:
-        """Whether every comparison with Python passed without a reset; None if there was no comparison."""
+        """Return whether every comparison with Python passed without a reset; None if there was no comparison."""
         return all(report.conclusive for report in self.sil) if self.sil else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportData:
-    """The contents of one page.
+    """The contents of one HTML report.
 
     Attributes:
-        title: heading of the page.
-        command: the command line that produced the page.
+        title: heading of the report.
+        command: the command line that produced the report.
         version: version of this package.
         vehicle: the vehicle that the gains and margins are for.
         gains: the gains of the runs.
-        speeds: cruise speed and speed limit [m/s] of the margins and claims; None if they are not known.
+        speeds: (cruise speed, speed limit) [m/s] of the margins and claims; None if these speeds are not known.
         margins: margins of the eight loops.
-        linear: analysis of all loops together, of poles and of sampling, for the nominal vehicle and the worst corner.
-        poles: closed-loop poles [rad/s], or None.
-        loops: frequency responses of the loops; without them the page has no Bode plot.
+        linear: linear analysis (all loops together, poles, sampling), for the nominal vehicle and for the worst corner
+            of its ranges.
+        poles: closed-loop poles [rad/s]; None if they were not computed.
+        loops: frequency responses of the loops; if empty, the report has no Bode plot.
         verdicts: verdicts on the claims.
         inapplicable: claims that do not apply to this vehicle, each with the reason.
         runs: closed-loop runs.
-        deciding: for each run, whether it counts towards the result; None counts only the runs with true positions.
-        sweep: the sweep that selected the gains, or None.
+        deciding: for each run, whether the run counts towards the result; if None, only runs with true positions count.
+        sweep: the parameter sweep that selected the gains, or None.
         export: the exported controller, or None.
-        seconds: computing time [s] of each stage.
-        summary: lines of the summary: True holds, False fails, None does not count towards the result; see `Check`.
+        seconds: computing time [s] of each part of the study.
+        summary: lines of the summary, each with True (holds), False (fails) or None (does not count towards the
+            result); see `Check`.
         gains_file: the gain file that `--gains` takes to use these gains; empty if there is none.
 
     Raises:
@@ -105,13 +107,13 @@ class ReportData:
 
     @property
     def decides(self) -> tuple[bool, ...]:
-        """For each run, whether it counts towards the result."""
+        """Return, for each run, whether the run counts towards the result."""
         if self.deciding is None:
             return tuple(run.sensing == "truth" for run in self.runs)
         return self.deciding
 
     @property
     def passed(self) -> bool | None:
-        """False if a line of the summary fails, True if lines hold and none fails, None if no line counts."""
+        """Return False if a line of the summary fails, True if lines hold and no line fails, None if no line counts."""
         outcomes = [line[0] for line in self.summary if line[0] is not None]
         return all(outcomes) if outcomes else None

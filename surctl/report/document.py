@@ -1,4 +1,4 @@
-"""Contents of a page as data: sections of paragraphs, tables and pictures. The template only lays them out."""
+"""Contents of an HTML report as data: sections of paragraphs, tables and pictures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Check(NamedTuple):
 
     Attributes:
         good: True if the line holds, False if it fails, None if it does not count towards the result.
-        text: the sentence of the line.
+        text: the sentence on the line.
         anchor: anchor of the section or heading with the details; empty for none.
     """
 
@@ -44,7 +44,7 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a table: its text, its mark (good, bad or note), and whether it is set as code or as a number.
+    """One entry of a table, with its text, its mark (good, bad or note), and its format as code, number or text.
 
     `anchor` is the anchor of the section or heading with the details; empty for none.
     """
@@ -57,7 +57,7 @@ class Cell:
 
     @property
     def style(self) -> str:
-        """CSS classes of the cell: its mark, and how its text may be broken into lines."""
+        """Return the CSS classes of the cell for its mark, and for the way its text may be broken into lines."""
         length = len(self.text)
         fit = "number" if self.number else "short" if length <= 16 else "long" if length > 40 else "text"
         return f"{self.mark} {fit}".strip()
@@ -65,9 +65,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table: caption, column heads with units, and rows of cells; plain text is an unmarked cell.
+    """A table with a caption, column heads with units, and rows of cells; plain text stands for an unmarked cell.
 
-    `widths` are the columns' shares of the page width [%]; without them, each column is as wide as its text.
+    `widths` are the columns' shares of the page width [%]; without `widths`, each column is as wide as its text.
     """
 
     caption: str
@@ -78,19 +78,19 @@ class Table:
 
     @property
     def cells(self) -> tuple[tuple[Cell, ...], ...]:
-        """The rows, with plain text converted to cells."""
+        """Return the rows of the table, with plain text converted to cells."""
         return tuple(tuple(c if isinstance(c, Cell) else Cell(c) for c in row) for row in self.rows)
 
     @property
     def columns(self) -> tuple[tuple[str, str], ...]:
-        """Head and CSS class of each column; the class is `number` if the first cell of the column is a number."""
+        """Return (head, CSS class) of each column; the class is `number` if the column's first cell is a number."""
         first = self.cells[0] if self.rows else tuple(Cell("") for _ in self.heads)
         return tuple((head, "number" if cell.number else "") for head, cell in zip(self.heads, first, strict=True))
 
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A paragraph; a marked one states a result."""
+    """A paragraph; a paragraph with a mark states a result."""
 
     text: str
     mark: Mark = ""
@@ -128,7 +128,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures that stand side by side where the page is wide enough."""
+    """Pictures that are shown side by side if the page is wide enough."""
 
     pictures: tuple[Picture, ...]
     kind: ClassVar[str] = "pictures"
@@ -136,7 +136,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Player:
-    """A run that the page can play; without scripts, and on paper, the page shows a still picture instead.
+    """A run that the report can play; without scripts, and on paper, the report shows a still picture instead.
 
     Attributes:
         frames: input of `player.js`, as JSON without any `<`.
@@ -151,7 +151,7 @@ class Player:
 
     @property
     def pictures(self) -> tuple[Picture, ...]:
-        """The still picture of the run, as a tuple with one element."""
+        """Return the still picture of the run, as a tuple with one element."""
         return (self.still,)
 
 
@@ -160,7 +160,7 @@ Block = Table | Paragraph | Heading | Pictures | Player
 
 @dataclass(frozen=True)
 class Section:
-    """A section: its anchor (an HTML id), title and blocks; a folded section is closed until the reader opens it."""
+    """A section of a report with anchor (an HTML id), title and contents; a reader must open a folded section."""
 
     anchor: str
     title: str
@@ -169,12 +169,12 @@ class Section:
 
     @property
     def headings(self) -> tuple[Heading, ...]:
-        """The headings of the section that have an anchor."""
+        """Return the headings of the section that have an anchor."""
         return tuple(block for block in self.blocks if isinstance(block, Heading) and block.anchor)
 
 
 def picture(plot: Axes | Figure, *, alt: str, caption: str, command: str) -> Picture:
-    """Render a plot as a `Picture`; the same plot gives the same bytes."""
+    """Render a plot as a `Picture`; equal plots give equal bytes."""
     figure = plot if isinstance(plot, Figure) else plot.figure.figure
     buffer = BytesIO()
     # leave out the library's version, so that the bytes do not depend on it

@@ -1,4 +1,4 @@
-"""Plots of a counterexample: its replay over time, and the claim's margin around it in two variables."""
+"""Plots of a counterexample: its replay over time, and the claim's margin near the counterexample in two variables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PROBES = 61
 
 @dataclass(frozen=True, eq=False)
 class MarginSlice:
-    """A claim's margin on a plane through a counterexample; all other variables are constant.
+    """A claim's margin over two variables near a counterexample; all other variables are constant.
 
     Attributes:
         claim: the claim.
@@ -30,7 +30,8 @@ class MarginSlice:
         one, other: the variables along the two axes of the plane.
         x: (m,) values of `one`.
         y: (n,) values of `other`.
-        margin: (n, m) left − right, positive where the claim fails; NaN outside the claim's domain.
+        margin: (n, m) left side − right side of the claim, positive where the claim fails; NaN outside the claim's
+            domain.
     """
 
     claim: Claim
@@ -43,10 +44,11 @@ class MarginSlice:
 
 
 def margin_slice(verdict: Verdict) -> MarginSlice:
-    """Return the slice through a verdict's counterexample along its two most influential variables.
+    """Return the margin near a verdict's counterexample over the two most influential variables.
 
-    The influence of a variable is the range of the margin along its interval, through the counterexample. Values below
-    minus the counterexample's margin are clipped first, so that terms far from the counterexample do not dominate.
+    The influence of a variable is the range of the margin while only this variable changes from its value at the
+    counterexample. Values below minus the counterexample's margin are clipped first, so that terms far from the
+    counterexample do not dominate.
 
     Raises:
         InputError: the verdict has no counterexample, or fewer than two variables can vary.
@@ -96,7 +98,7 @@ def _influence(oracle: Oracle, here: NDArray[np.float64], k: int) -> float:
     margin = _inside(oracle, points)
     depth = float(_inside(oracle, here[:, None])[0])
     known = np.maximum(margin[np.isfinite(margin)], -abs(depth))
-    # rounded, so that variables of equal influence keep the claim's order
+    # rounded, so that variables of equal influence keep their order in the claim
     return round(float(np.ptp(known)) / max(abs(depth), 1e-300), 3) if known.size else 0.0
 
 
@@ -157,8 +159,8 @@ def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) ->
 def _sense(claim: Claim, here: NDArray[np.float64]) -> int:
     """Return +1 if the left side is the rate of the watched quantity, −1 if it is minus this rate, otherwise 0.
 
-    Both are compared at the counterexample, because a left side that is the maximum over two turning directions is the
-    rate for only one of them.
+    The left side and the rate are compared at the counterexample. A left side that is the maximum over two turning
+    directions equals the rate for only one direction.
     """
     if claim.motion is None:
         return 0
@@ -171,7 +173,7 @@ def _sense(claim: Claim, here: NDArray[np.float64]) -> int:
 
 
 def plot_slice(cut: MarginSlice, ax: Axes | None = None) -> Axes:
-    """Plot where and by how much the claim fails on the slice, with the counterexample; outside the domain is white.
+    """Plot where and by how much the claim fails near the counterexample; points outside the domain are white.
 
     Example:
         >>> from surctl.report import margin_slice, plot_slice

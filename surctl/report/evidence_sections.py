@@ -1,4 +1,4 @@
-"""Sections of the page with the evidence: the decisive run, the claims, and all closed-loop runs."""
+"""Sections of the HTML report with the evidence: the decisive run, the claims, and all closed-loop runs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _BUDGET = 3_600_000  # [byte] approximate total size of run pictures; keeps the 
 
 
 def claims_section(data: ReportData) -> Section:
-    """Return a table of all verdicts, then each claim with its counterexample or the part that is still open."""
+    """Return a section with a table of all verdicts, then each claim with its counterexample or its unproved part."""
     text = (
         "A claim is an inequality left ≤ right on a domain. A refuted claim comes with a point where it fails. A "
         "proved claim comes with a certificate that an independent checker has accepted. For an unknown claim, the "
@@ -130,7 +130,7 @@ def _counterexample_pictures(v: Verdict, command: str) -> tuple[Picture, ...]:
 def decisive_section(data: ReportData) -> Section | None:
     """Return a section with the animated decisive run; None if no run counts towards the result.
 
-    Among the runs that count, the decisive run is the first that does not arrive, otherwise the first.
+    The decisive run is the first counted run that does not arrive, or the first counted run if all arrive.
     """
     played = _to_play(data)
     if played is None:
@@ -142,7 +142,7 @@ def decisive_section(data: ReportData) -> Section | None:
 
 
 def runs_section(data: ReportData) -> Section:
-    """Return a table of all runs, then plan view and signals of each kind of run; the decisive run has signals only.
+    """Return a section with a table of runs, then plan view and signals of runs; the decisive run has signals only.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -190,7 +190,7 @@ def runs_section(data: ReportData) -> Section:
 
 
 def _simulate_command(data: ReportData, run: Run) -> str:
-    """Return the command that repeats the run; if no command does, return the command of the page."""
+    """Return the command that repeats the run; if there is no such command, return the report's command."""
     same = run.gains.values == data.gains.values
     gains = gains_argument(data.gains, data.gains_file) if same else gains_argument(run.gains, "")
     return simulate_command(run, gains) or data.command
@@ -216,7 +216,7 @@ def _run_row(run: Run, decides: bool) -> tuple[Cell | str, ...]:
 
 
 def _surface_notes(data: ReportData) -> list[Block]:
-    """Return a note for each hull that would stand out of the water, because the model has no buoyancy (E16)."""
+    """Return a note for each hull that would stand out of the water; the model has no buoyancy (erratum E16)."""
     heights = {}
     for run in data.runs:
         above = run.scenario.depth + run.vehicle["radius"]
@@ -233,7 +233,7 @@ def _surface_notes(data: ReportData) -> list[Block]:
 
 
 def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
-    """Return (number from 1, run, whether it counts) for the first run of each kind and all that do not arrive."""
+    """Return (number, run, whether the run counts) for the first run of each kind and all runs that do not arrive."""
     kinds, chosen = set(), []
     for place, (run, decides) in enumerate(zip(data.runs, data.decides, strict=True), start=1):
         kind = (run.scenario.name, run.vehicle.name, run.law.name, run.law.mode, run.sensing)
@@ -244,13 +244,13 @@ def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
 
 
 def _to_play(data: ReportData) -> tuple[int, Run] | None:
-    """Return the number (from 1) of the run to play, and the run; see `decisive_section`."""
+    """Return (number from 1, run) of the run that the report plays; see `decisive_section`."""
     deciding = [(place, run) for place, run, decides in _to_draw(data) if decides]
     return min(deciding, key=lambda one: one[1].metrics.reached, default=None)
 
 
 def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
-    """Return a picture of how much each level was relaxed; empty if none was."""
+    """Return a picture of how much each priority level was relaxed; empty if no level was relaxed."""
     timeline = priority_timeline(run)
     if not timeline.eventful:
         return ()

@@ -1,4 +1,4 @@
-"""Write single pictures to disk, for commands that write no page."""
+"""Functions that write single pictures to disk, for commands that write no HTML report."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = [
 
 
 def save_run(run: Run, folder: Path | str) -> Path:
-    """Write plan view and signals of a run as one PNG, named after the run; return its path.
+    """Write plan view and signals of a run as one PNG, named after the run; return the path of the PNG.
 
     Raises:
         InputError: the folder cannot be written.
@@ -65,7 +65,7 @@ def save_run(run: Run, folder: Path | str) -> Path:
 
 
 def save_priority(run: Run, folder: Path | str) -> Path:
-    """Write the relaxation of each priority level over a run as a PNG; return its path.
+    """Write a plot of the relaxation of each priority level over a run as a PNG; return the path of the PNG.
 
     Raises:
         InputError: the folder cannot be written.
@@ -91,7 +91,7 @@ def _run_labels(run: Run) -> tuple[str, ...]:
 
 
 def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: tuple[str, str] | None = None) -> Path:
-    """Write one column of a sweep over two axes as a PNG, named after column and axes; return its path.
+    """Write a heat map of one column of a sweep as a PNG, named after column and axes; return the path of the PNG.
 
     Raises:
         InputError: see `plot_heat_map`; or the folder cannot be written.
@@ -112,7 +112,7 @@ def save_heat_map(table: SweepTable, column: str, folder: Path | str, *, over: t
 
 
 def save_parallel(table: SweepTable, folder: Path | str) -> Path:
-    """Write the parallel coordinates of a sweep as a PNG; return its path. InputError if the folder cannot be written.
+    """Write a sweep in parallel coordinates as a PNG; return its path. InputError if the folder cannot be written.
 
     Example:
         >>> from surctl.control import load_gains
@@ -128,7 +128,7 @@ def save_parallel(table: SweepTable, folder: Path | str) -> Path:
 
 
 def save_sensitivity(result: Sensitivity, folder: Path | str) -> Path:
-    """Write Sobol' indices as a PNG; return its path. InputError if the folder cannot be written.
+    """Write a plot of Sobol' indices as a PNG; return its path. InputError if the folder cannot be written.
 
     Example:
         >>> from surctl.control import load_gains
@@ -145,7 +145,7 @@ def save_sensitivity(result: Sensitivity, folder: Path | str) -> Path:
 
 
 def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float | None = None) -> Path:
-    """Write a sweep locus as a PNG, named after its parameter; return its path.
+    """Write a plot of a sweep locus as a PNG, named after the swept parameter; return the path of the PNG.
 
     Raises:
         InputError: the folder cannot be written.
@@ -166,7 +166,7 @@ def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float
 
 
 def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
-    """Write PNGs of the overview, of the front, and of each goal with a metric over time; return their paths.
+    """Write PNGs of the overview, of the Pareto front, and of each goal with a metric over time; return their paths.
 
     Raises:
         InputError: the folder cannot be written.
@@ -211,7 +211,7 @@ def save_calibrations(results: Sequence[SensorCalibration], folder: Path | str) 
 
 
 def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") -> Path:
-    r"""Write raw and filtered ranges of a recording as a PNG; return its path.
+    r"""Write a plot of raw and filtered ranges of a sonar recording as a PNG; return the path of the PNG.
 
     Raises:
         InputError: the folder cannot be written.
@@ -231,7 +231,7 @@ def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") 
 
 def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:
     """Write a figure as a PNG in the folder, named after its contents; return its path."""
-    # names come from files: replace characters that could lead out of the folder
+    # names can come from input files: replace characters that could lead out of the folder
     name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
     buffer = BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})

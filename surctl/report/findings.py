@@ -1,4 +1,4 @@
-"""Margins and claims in one table: what holds, for which vehicle, speed and set, and what is not covered."""
+"""Table of margins and claims, with what holds, for which vehicle, speed and set, and what is not covered."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LEADS = {"proved": "It is proved that", "refuted": "It is not true that"}
 
 
 def findings_section(data: ReportData) -> Section:
-    """Return one row for the single loops, one for each analysis of all loops together, and one for each claim."""
+    """Return a table section with one row for single loops, one for each analysis of all loops, one for each claim."""
     rows = [_loops_row(data)] if data.margins else []
     rows += [_together_row(data, side) for side in data.linear]
     rows += [_claim_row(data, verdict) for verdict in data.verdicts]
@@ -36,7 +36,7 @@ def findings_section(data: ReportData) -> Section:
 
 
 def _where(data: ReportData, vehicle: str) -> str:
-    """Return the vehicle, with cruise speed and speed limit if they are known."""
+    """Return the vehicle as text, with cruise speed and speed limit if these are known."""
     if data.speeds is None:
         return vehicle
     cruise, cap = data.speeds
@@ -100,7 +100,7 @@ def _claim_row(data: ReportData, v: Verdict) -> Row:
 
 
 def _beyond(v: Verdict, beyond: str) -> str:
-    """Return what a verdict does not cover; for a refuted claim, return its corrected form if there is one."""
+    """Return what a verdict does not cover; for a refuted claim, return the corrected claim if there is one."""
     if v.verdict == "refuted":
         return f"{beyond[0].upper()}{beyond[1:]}." if beyond else "–"
     dynamics = "dynamics, thrust limits, current" if v.claim.paper else "all other steps of the safety argument"
@@ -108,7 +108,7 @@ def _beyond(v: Verdict, beyond: str) -> str:
 
 
 def _domain(claim: Claim) -> str:
-    """Return the intervals of the claim's variables; variables with the same interval are listed together."""
+    """Return the intervals of the claim's variables as text; variables with equal intervals are listed together."""
     same: dict[str, list[str]] = {}
     for x in claim.variables:
         unit = "" if x.unit == "1" else f" {x.unit}"

@@ -1,4 +1,4 @@
-"""Plots of goals: how well each is met, the front of a tuning, and a metric over time with the bad side shaded."""
+"""Plots of goals: how well each goal is met, the Pareto front of a tuning, and a metric over time with its bound."""
 
 from __future__ import annotations
 
@@ -39,9 +39,10 @@ class GoalBars:
     """Normalised values of m goals for two gain sets.
 
     Attributes:
-        names: (m,) names of the goals, hard ones first.
+        names: (m,) names of the goals, hard goals first.
         hard: (m,) whether the goal is hard.
-        hand, tuned: (m,) normalised values with the hand-tuned gains and with the tuned gains.
+        hand, tuned: (m,) normalised values of the goals, `hand` with the hand-tuned gains, `tuned` with the tuned
+            gains.
         speed: (m,) cruise speed [m/s] at which the tuned gains are worst; NaN if the goal names no speeds.
     """
 
@@ -77,7 +78,7 @@ def goal_bars(tuning: Tuning) -> GoalBars:
 
 
 def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
-    """Plot two bars per goal, with a line at 1, the largest value that meets the goal.
+    """Plot two bars for each goal, one for each gain set, with a line at 1, the largest value that meets the goal.
 
     Example:
         >>> from surctl.control import load_gains
@@ -131,7 +132,7 @@ def _largest(data: GoalBars) -> float:
 
 
 def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
-    """Plot score and mean thrust of the undominated gain sets, with the start and the tuned gains marked.
+    """Plot score and mean thrust of the Pareto-optimal gain sets, with the start gains and the tuned gains marked.
 
     Example:
         >>> from surctl.control import load_gains
@@ -251,7 +252,7 @@ def _actual_vehicle(vehicle: Vehicle, condition: Condition) -> Vehicle:
 
 
 def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
-    """Plot the metric over time; the side of the bound that misses the goal is shaded.
+    """Plot the metric of a goal over time; the side of the bound on which the goal is missed is shaded.
 
     Example:
         >>> from surctl.control import load_gains

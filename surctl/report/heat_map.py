@@ -1,4 +1,4 @@
-"""Heat map of one column of a sweep over two axes: the picked point is framed, infeasible cells are hatched."""
+"""Heat map of one column of a parameter sweep over two axes, with the picked point framed."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _TICKS = 12  # largest number of labels on an axis
 def plot_heat_map(
     table: SweepTable, column: str, ax: Axes | None = None, *, over: tuple[str, str] | None = None
 ) -> Axes:
-    """Plot one column of a grid over two of its axes; all other axes are at their picked or middle value.
+    """Plot one column of a sweep grid over two axes; all other parameters have their picked or middle value.
 
     Args:
-        table: a sweep over a grid of two or more axes.
+        table: a parameter sweep over a grid of two or more axes; infeasible cells are hatched.
         column: name of the column.
         ax: axes to draw in.
-        over: names of the horizontal and the vertical axis; by default the first two.
+        over: (horizontal axis, vertical axis) by name; by default the first two axes of the sweep.
 
     Raises:
         InputError: the sweep has no such column or axis, or is not a grid of at least two axes.
@@ -94,12 +94,12 @@ def plot_heat_map(
 
 
 def axis_title(axis: SweptAxis) -> str:
-    """Return the name of a swept axis with its unit."""
+    """Return the name of a swept parameter with its unit."""
     return axis.name + _in(axis.unit)
 
 
 def column_title(table: SweepTable, column: str) -> str:
-    """Return the title of a column with its unit."""
+    """Return the title of a column of the sweep with its unit."""
     return COLUMN_TITLES.get(column, column) + _in(table.units.get(column, "1"))
 
 
@@ -116,7 +116,7 @@ def _slice(
 
 
 def _ticks(axis: SweptAxis) -> tuple[list[int], list[str]]:
-    """Return positions and texts of the axis labels, no more than are legible."""
+    """Return (positions, texts) of the axis labels, no more labels than are legible."""
     places = list(range(0, len(axis.values), -(-len(axis.values) // _TICKS)))
     return places, [f"{axis.values[k]:.4g}" for k in places]
 

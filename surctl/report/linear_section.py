@@ -1,4 +1,4 @@
-"""The linear analysis on the page: disk margins of all loops at once, poles, and the sampled loop."""
+"""The linear analysis in the HTML report: disk margins of all loops at once, poles, and the sampled loop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweep locus: closed-loop poles coloured by the value of one parameter, on a grid of damping and natural frequency."""
+"""Plot of closed-loop poles coloured by the value of a swept parameter, on a grid of damping and natural frequency."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def plot_locus(
     """Plot the closed-loop poles over the swept parameter, in the upper and lower half-plane.
 
     Args:
-        data: the locus.
+        data: closed-loop poles over the swept parameter.
         ax: axes to draw in.
-        unit: unit of the parameter.
+        unit: unit of the swept parameter.
         picked: parameter value whose poles are marked; the nearest computed value is used.
-        radius: largest |pole| shown [rad/s]; by default the largest one below the topmost gap of a factor of 3, which
-            leaves out the poles of the delay.
+        radius: largest |pole| shown [rad/s]; by default the largest |pole| below the topmost gap of a factor of 3,
+            which leaves out the poles of the delay.
 
     Example:
         >>> from surctl.control import load_gains
@@ -73,7 +73,7 @@ def plot_locus(
 
 
 def _below_the_gap(sizes: NDArray[np.float64]) -> float:
-    """Return the size below the topmost gap with at least a third of the ascending sizes below it, or the largest."""
+    """Return the size below the topmost gap that has at least a third of the sizes below it, or the largest size."""
     gaps = 1 + np.flatnonzero(sizes[1:] > _GAP * sizes[:-1])
     gaps = gaps[gaps >= max(2, len(sizes) / 3)]
     return float(sizes[gaps[-1] - 1] if gaps.size else sizes[-1])

@@ -26,13 +26,13 @@ _GAP = 6.0  # ratio of two neighbouring pole sizes that separates the dynamics f
 
 @dataclass(frozen=True, eq=False)
 class LoopResponse:
-    """Frequency response of one loop that is opened at one place while all others stay closed.
+    """Frequency response of one loop that is opened at one signal while all other loops stay closed.
 
     Attributes:
         name: name of the loop, as in `LoopMargins`.
-        at: where the loop is opened: `thrust` or `measurement`.
+        at: signal at which the loop is opened: `thrust` or `measurement`.
         omega: (k,) frequencies [rad/s], up to the Nyquist frequency of the sampled controller.
-        response: (k,) complex L(jω); the closed loop is 1/(1 + L).
+        response: (k,) complex loop gain L(jω); the sensitivity is 1/(1 + L).
     """
 
     name: str
@@ -44,7 +44,7 @@ class LoopResponse:
 def loop_responses(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float
 ) -> tuple[LoopResponse, ...]:
-    """Return the frequency responses of the eight loops of `loop_margins`, in the same order.
+    """Return the frequency responses of the eight loops of `loop_margins`, in the order of `loop_margins`.
 
     Args:
         vehicle: the vehicle.
@@ -77,7 +77,7 @@ def loop_responses(
 def _frequency_response(
     A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], omega: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return c (jω − A)⁻¹ b at each frequency, (k,)."""
+    """Return the frequency response c (jω − A)⁻¹ b at each of k frequencies, (k,)."""
     pencils = 1j * omega[:, None, None] * np.eye(len(A)) - A
     response: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(omega), *b.shape))))[
         :, 0, 0
@@ -86,9 +86,9 @@ def _frequency_response(
 
 
 def plot_bode(loops: Sequence[LoopResponse], ax: tuple[Axes, Axes] | None = None) -> Figure:
-    """Plot gain [dB] and phase [deg] over frequency; dots mark where a gain crosses 1.
+    """Plot gain [dB] and phase [deg] of loops over frequency; dots mark where a gain crosses 1.
 
-    `ax` holds the axes of gain and phase; None creates them.
+    `ax` holds the axes of gain and phase; None creates new axes.
 
     Example:
         >>> from surctl.control import load_gains
@@ -125,18 +125,18 @@ def plot_bode(loops: Sequence[LoopResponse], ax: tuple[Axes, Axes] | None = None
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return the unwrapped phase [deg], which starts in (−270, 90]."""
+    """Return the unwrapped phase [deg] of a frequency response, which starts in (−270, 90]."""
     phase = np.rad2deg(np.unwrap(np.angle(response)))
     return np.asarray(phase - 360 * np.ceil((phase[0] - 90) / 360), dtype=float)
 
 
 def plot_nyquist(loops: Sequence[LoopResponse], ax: Axes | None = None, *, disk_margin: float | None = None) -> Axes:
-    """Plot L(jω) for ω > 0 around the critical point −1, with the unit circle.
+    """Plot the loop gains L(jω) for ω > 0 around the critical point −1, with the unit circle.
 
     Args:
-        loops: the loops.
+        loops: frequency responses of the loops.
         ax: axes to draw in.
-        disk_margin: α of the balanced disk margin; the plot shades its forbidden disk (Seiler, Packard and Gahinet
+        disk_margin: balanced disk margin α; the plot shades the disk that L(jω) must avoid (Seiler, Packard and Gahinet
             2020).
 
     Example:
@@ -167,7 +167,7 @@ def plot_nyquist(loops: Sequence[LoopResponse], ax: Axes | None = None, *, disk_
 
 
 def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
-    """Plot the closed-loop poles [rad/s]; fast poles that come only from the delay are counted, not shown.
+    """Plot the closed-loop poles [rad/s]; fast poles caused only by the delay are counted, not shown.
 
     Example:
         >>> from surctl.control import load_gains
@@ -206,7 +206,7 @@ def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
 
 
 def _slow(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the poles below the widest gap, if it exceeds `_GAP` and the poles above it are stable, otherwise all."""
+    """Return the poles below the widest gap if it exceeds `_GAP` and all poles above it are stable, else all poles."""
     ordered = poles[np.argsort(np.abs(poles), kind="stable")]
     size = np.maximum(np.abs(ordered), 1e-3)
     ratio = size[1:] / size[:-1]

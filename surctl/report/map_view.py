@@ -1,4 +1,4 @@
-"""The map of a law with perception at some instants of a run: its values, and plots with the true obstacles."""
+"""The map of a law with perception at some instants of a run, as values and in plots with the true obstacles."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ class MapView:
     Attributes:
         step: number of the control period.
         time: time [s].
-        corner: (2,) x, y of the window's corner in {E} [m].
+        corner: (2,) position (x, y) of the corner of the map window in {E} [m].
         edge: edge length of a cell [m].
-        kinds: (N, N) state of each cell, row k is the k-th along y: 0 unknown, 1 known to be free, 2 marked.
+        kinds: (N, N) state of each map cell: 0 unknown, 1 known to be free, 2 marked. Row k holds the k-th cells along
+            y.
         track: (k, 2) trajectory up to this period in {E} [m].
         heading: heading ψ [rad].
     """
@@ -54,7 +55,7 @@ def map_view(run: Run, step: int) -> MapView:
 
     Args:
         run: a run of a law with perception.
-        step: control period of its record, from 0 to one less than the last.
+        step: index of the control period in the record of the run, from 0 to one less than the last.
 
     Raises:
         InputError: the law has no perception, or the record has no such control period.
@@ -96,10 +97,10 @@ def map_view(run: Run, step: int) -> MapView:
 
 
 def plot_map(run: Run, view: MapView, ax: Axes | None = None) -> Axes:
-    """Plot one map in {E} [m] at equal scale: cells, true obstacles and walls, path, trajectory and hull.
+    """Plot one map in {E} [m] at equal scale, with cells, true obstacles and walls, path, trajectory and hull.
 
     Args:
-        run: the run of the map.
+        run: the run that the map belongs to.
         view: the map, from `map_view`.
         ax: axes to draw in.
 

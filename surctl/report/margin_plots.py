@@ -1,4 +1,4 @@
-"""Plots of margins: a Bode plot with marked margins, disk margins over frequency and as a region, and S and T."""
+"""Plots of margins: Bode plots with marked margins, disk margins over frequency and as gain-phase regions, S and T."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def plot_marked_bode(loop: LoopResponse, margins: LoopMargins) -> Figure:
 
 
 def _nearest_turn(loop: LoopResponse, phase: NDArray[np.float64], margins: LoopMargins) -> float:
-    """Return the line −180° plus whole turns that is nearest to the phase where the gain crosses 1."""
+    """Return the phase −180° + k · 360° that is nearest to the phase at which the gain crosses 1."""
     at = margins.crossover_rad_s or float(loop.omega[-1])
     here = float(np.interp(at, loop.omega, phase))
     return -180.0 + 360.0 * round((here + 180.0) / 360.0 - 1e-9)
 
 
 def _crossing(omega: NDArray[np.float64], value: NDArray[np.float64], miss: NDArray[np.float64]) -> float:
-    """Return the frequency at which the value crosses zero; among several, the one with the least `miss`."""
+    """Return the frequency at which `value` crosses zero; among several frequencies, that with the least `miss`."""
     at = np.flatnonzero(np.diff(np.sign(value)))
     if not at.size:
         return float(omega[int(np.argmin(np.abs(value)))])
@@ -78,10 +78,10 @@ def _mark(ax: Axes, at: float, begin: float, end: float, colour: str) -> None:
 
 
 def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: float) -> Figure:
-    """Plot the disk margin α at each frequency, and the gains and phases that all loops tolerate at once.
+    """Plot the disk margin α over frequency, and the gain and phase changes that all loops tolerate at once.
 
     Args:
-        loops: each opened loop with its margin; unstable ones are left out.
+        loops: each opened loop with its disk margin; unstable loops are left out.
         highest: largest frequency in the plot [rad/s].
     """
     figure = new_figure(9.6, 4.3)
@@ -112,9 +112,9 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
 def sensitivities(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: Sequence[float], dt: float, places: Sequence[str]
 ) -> list[Sensitivity]:
-    """Return S and T for the loop opened at the given `DISK_PLACES`, at each cruise speed [m/s] at which it is stable.
+    """Return S and T of the loop opened at the given `DISK_PLACES`, at each cruise speed [m/s] with a stable loop.
 
-    If there are several speeds, `place` contains the speed. `dt` is the control period [s].
+    If there are several speeds, the `place` of a result contains the speed. `dt` is the control period [s].
     """
     curves: list[Sensitivity] = []
     for speed in cruise:
@@ -126,8 +126,8 @@ def sensitivities(
 
 
 def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
-    """Plot the largest singular values of S and T over frequency, one curve per place in each plot."""
-    columns = 2 if len(curves) <= 2 else 1  # places at several speeds have long names
+    """Plot the largest singular values of S and T over frequency, with one curve for each loop opening."""
+    columns = 2 if len(curves) <= 2 else 1  # loop openings at several speeds have long names
     figure = new_figure(9.6, 3.9 + 0.2 * len(curves))
     for ax, which, name in zip(figure.subplots(1, 2), ("S", "T"), ("sensitivity S", "complementary T"), strict=True):
         dress(ax, x="frequency [rad/s]", y=f"largest singular value of {name} [1]")
@@ -141,7 +141,7 @@ def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
 
 
 def _rim(alpha: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return gains and phases [deg] on the boundary |δ| = α of f = (2 + δ)/(2 − δ), upper half."""
+    """Return gain and phase [deg] of f = (2 + δ)/(2 − δ) on the upper half of the boundary |δ| = α."""
     delta = alpha * np.exp(1j * np.linspace(0, np.pi, 181))
     factor = (2 + delta) / (2 - delta)
     return np.abs(factor), np.abs(np.rad2deg(np.angle(factor)))

@@ -1,4 +1,4 @@
-"""The report page: one self-contained HTML file."""
+"""Rendering of the report of a study as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 
 def render_page(data: ReportData, *, runs: Section | None = None) -> str:
-    """Return the page as one HTML text without links to the network; all text is escaped.
+    """Return the report as one HTML text without links to the network; all text is escaped.
 
     Args:
-        data: the contents of the page.
-        runs: `runs_section` of the same runs, if it was rendered before.
+        data: the contents of the report.
+        runs: result of `runs_section` for `data`, if it was rendered before.
 
     Example:
         >>> from surctl.control import load_gains
@@ -73,7 +73,7 @@ def render_sections(
     summary: Sequence[Check | tuple[bool | None, str]],
     sections: Sequence[Section],
 ) -> str:
-    """Return a page of any sections in the layout of `render_page`.
+    """Return an HTML page with the given sections, in the layout of `render_page`.
 
     Args:
         title: heading of the page.
@@ -133,7 +133,7 @@ def render_sections(
 
 
 def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequence[Section]) -> list[Check]:
-    """Return the lines, failed checks first, each with the nearest anchor that the page has."""
+    """Return the summary lines, failed checks first, each with the nearest anchor that the page has."""
     there = {section.anchor for section in sections} | {h.anchor for section in sections for h in section.headings}
     linked = []
     for line in summary:
@@ -144,7 +144,7 @@ def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequen
 
 
 def _counted(lines: Sequence[Check]) -> str:
-    """Return the heading of the folded lines: how many checks hold, and how many notes do not count."""
+    """Return the heading of the folded summary lines, with the numbers of checks that hold and of notes."""
     hold = sum(line.good is True for line in lines)
     notes = len(lines) - hold
     parts = [f"{hold} {'check holds' if hold == 1 else 'checks hold'}"] if hold else []
@@ -153,7 +153,7 @@ def _counted(lines: Sequence[Check]) -> str:
 
 
 def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
-    """Return the decisive run, margins and claims, then folded details, then parameters; without empty sections."""
+    """Return the sections in order: decisive run, margins and claims, folded details, parameters; no empty sections."""
     decisive = decisive_section(data)
     sections = [] if decisive is None else [decisive]
     if data.margins or data.linear or data.verdicts or data.inapplicable:
@@ -182,7 +182,7 @@ def _subject(data: ReportData) -> str:
 
 
 def _outcome(data: ReportData) -> tuple[str, str]:
-    """Return class and text of the first line."""
+    """Return (class, text) of the first line of the report."""
     failed = sum(line[0] is False for line in data.summary)
     if failed:
         return "bad", f"✗ {failed} {'check fails' if failed == 1 else 'checks fail'}."
@@ -192,10 +192,10 @@ def _outcome(data: ReportData) -> tuple[str, str]:
 
 
 def write_page(data: ReportData, path: Path | str, *, runs: Section | None = None) -> Path:
-    """Render the page (see `render_page`) and write it; the file is replaced in one step or stays as it was.
+    """Render the report with `render_page` and write it; the file is replaced in one step or stays unchanged.
 
     Returns:
-        The path written.
+        The path of the written file.
 
     Raises:
         InputError: the folder cannot be written.

@@ -50,19 +50,19 @@ BY_SPEED = (*LINEAR, "sensitivity_peak", "settling_time_s.cross_track")
 
 
 def head(bench: Bench) -> str:
-    """Return the title, and one line with the tuned vehicle, the scenario and the gains."""
+    """Return HTML with the title, and one line with the tuned vehicle, the scenario and the gains."""
     what = f"{bench.vehicle.name} in {bench.scenario.name}, true positions, seed 0, gains from {bench.gains.name}"
     return f'{_STYLE}<h1 class="one">Tune</h1><p class="line">{escape(what)}</p>'
 
 
 def message(text: str) -> str:
-    """Return one line about the effect of a button; errors are coloured, and screen readers read the line aloud."""
+    """Return an HTML line about the effect of a button; errors are coloured, and screen readers read the line aloud."""
     mark = "bad" if text.startswith("error:") else "good"
     return f'<p role="status" id="message" class="line {mark}">{escape(" ".join(text.split()))}</p>'
 
 
 def attempt(make: Callable[[], str]) -> str:
-    """Return the result of `make`, or one line that says why it fails with these gains."""
+    """Return the result of `make`, or one line that says why `make` fails with the present gains."""
     try:
         return make()
     except SurctlError as error:
@@ -79,18 +79,18 @@ def picture(figure: object, text: str) -> str:
 
 
 def run_text(run: Run) -> str:
-    """Describe the plan view in words."""
+    """Describe the plan view of a run in words, for screen readers."""
     m = run.metrics
     return f"Trajectory in {run.scenario.name}: {m.stopped_because} at {m.time_s:.2f} s"
 
 
 def sliders(shown: Iterable[object]) -> str:
-    """Arrange the sliders in as many columns as the page is wide enough for."""
+    """Arrange the sliders in as many columns as fit the width of the page."""
     return '<h2 class="two">Gains</h2><div class="sliders">' + "".join(f"<div>{s}</div>" for s in shown) + "</div>"
 
 
 def pair(*parts: str) -> str:
-    """Arrange parts side by side, or one below the other on a narrow page."""
+    """Arrange HTML parts side by side, or one below the other on a narrow page."""
     return '<div class="pair">' + "".join(f"<div>{part}</div>" for part in parts) + "</div>"
 
 
@@ -111,7 +111,7 @@ def _number(name: str, value: float, unit: str) -> str:
 
 
 def figures(run: Run, linear: Mapping[str, float]) -> str:
-    """Return a table with the metrics of the run and the least margins."""
+    """Return an HTML table with the metrics of the run and the least margins."""
     m = run.metrics
     mark = "good" if m.reached else "bad"
     rows = [("how the run ended", f'<span id="outcome" class="{mark}">{escape(m.stopped_because)}</span>')]
@@ -122,7 +122,7 @@ def figures(run: Run, linear: Mapping[str, float]) -> str:
 
 
 def speeds(table: OverSpeeds) -> str:
-    """Return a table of the loops' figures at each cruise speed, and the worst speed of each; empty for one speed."""
+    """Return a table of linear metrics at each cruise speed, and each metric's worst speed; empty for one speed."""
     if len(table.cruise) < 2:
         return ""
     rows = []
@@ -136,7 +136,7 @@ def speeds(table: OverSpeeds) -> str:
 
 
 def goals(evaluation: Evaluation) -> str:
-    """Return a table of the goals: whether each is met, and its metric for the worst plant and cruise speed."""
+    """Return an HTML table of goals: whether each goal is met, and its metric for the worst plant and cruise speed."""
     rows = []
     shown = zip(evaluation.goals, evaluation.figure[0], evaluation.normalised[0], evaluation.speed[0], strict=True)
     for goal, figure, share, speed in shown:
@@ -153,7 +153,7 @@ def goals(evaluation: Evaluation) -> str:
 
 
 def verdicts(results: Sequence[Verdict | Inapplicable] | None) -> str:
-    """Return a table of claims with their verdicts; `results` is None until the button is pressed for these gains."""
+    """Return a table of claims and verdicts; `results` is None until the user requests verdicts for these gains."""
     title = _heading("Claims")
     if results is None:
         return title + '<p id="verdicts">Not checked for these gains: press the button (about ten seconds).</p>'

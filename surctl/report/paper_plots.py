@@ -1,4 +1,4 @@
-"""Plots that redraw the paper's figures: x, y, z over time, position error, and trajectories of several runs."""
+"""Plots that redraw the paper's figures: x, y and z over time, position errors, and trajectories of several runs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None
     Args:
         runs: the runs to plot.
         title: title of the plot.
-        bound: the paper's value [m], shown as a line.
+        bound: the paper's value of the position error [m], shown as a line.
 
     Raises:
         InputError: `runs` is empty.

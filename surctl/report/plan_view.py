@@ -33,7 +33,7 @@ def describe(run: Run) -> str:
 
 
 def plot_run(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the plan view in {E}, x and y in m at equal scale; numbers in hulls and moving obstacles are times in s.
+    """Plot the plan view of a run in {E}, x and y in m; numbers in hulls and moving obstacles are times in s.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -69,7 +69,7 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def _snapshots(run: Run) -> list[int]:
-    """Return control periods at round, evenly spaced times, so that hulls hardly overlap, and the last period."""
+    """Return indices of control periods at evenly spaced round times (hulls hardly overlap), and the last index."""
     time, m = run.record.time, run.metrics
     apart = 1.4 * run.vehicle["radius"] * m.time_s / max(m.length_m, 1e-9)  # [s] to travel 0.7 diameters
     least = max(m.time_s / _SNAPSHOTS, apart)
@@ -79,7 +79,7 @@ def _snapshots(run: Run) -> list[int]:
 
 
 def _closest(run: Run) -> int:
-    """Return the control period with the smallest distance to an obstacle; its sonar beams are the most informative."""
+    """Return the control period with the least distance to an obstacle, whose sonar beams are most informative."""
     positions = run.record.eta[:, :2]
     nearest = [
         min((body.shape.nearest(at)[0] for body in bodies), default=np.inf)
@@ -100,7 +100,7 @@ def draw_site(ax: Axes, length: float, width: float) -> None:
 
 
 def body_outline(shape: Shape) -> Patch:
-    """Return a disc or box as a patch in {E} [m]; TypeError for a wall."""
+    """Return a disc or box as a matplotlib patch in {E} [m]; TypeError for a wall."""
     if isinstance(shape, Disc):
         return Circle((shape.center[0], shape.center[1]), shape.radius)
     if isinstance(shape, Box):
@@ -123,7 +123,7 @@ def body_middle(body: Body) -> NDArray[np.float64]:
 
 
 def _draw_obstacles(ax: Axes, run: Run, steps: list[int]) -> None:
-    """Draw each obstacle at the times of the hulls: moving ones fainter at earlier times, drifting ones as outlines."""
+    """Draw obstacles at the times of the hulls; moving obstacles are fainter earlier, drifting ones are outlines."""
     for name in dict.fromkeys(body.name for bodies in run.record.obstacles for body in bodies):
         history = {k: b for k, bodies in enumerate(run.record.obstacles) for b in bodies if b.name == name}
         middles = np.array([body_middle(body) for body in history.values()])

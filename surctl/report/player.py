@@ -1,4 +1,4 @@
-"""A run as frames for the page's player: everything that moves, as JSON embedded in the page."""
+"""Conversion of a run to frames for the player of the HTML report: all moving objects as embedded JSON."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _STILL = 5e-4  # [m] an obstacle that moves less has one position
 
 
 def player(run: Run, still: Picture) -> Player:
-    """Return the run as a block of the page; `still` is the picture shown on paper and without scripts."""
+    """Return the run as a `Player` of the report; `still` is the picture shown on paper and without scripts."""
     apart, frames = _APART, player_frames(run)
     while len(frames) > _LARGEST:
         apart *= 1.05 * len(frames) / _LARGEST
@@ -41,8 +41,8 @@ def _grid(run: Run) -> float:
 def player_frames(run: Run, *, apart: float = _APART) -> str:
     """Return the frames, at least `apart` [s] from each other, as one JSON text without any `<`.
 
-    Lengths are in m, in {E} unless stated, angles in rad, times in s; values that are not finite are null. `length` of
-    a beam is negative if the sonar reads its maximum.
+    Lengths are in m, angles in rad, times in s, and positions in {E} unless stated; values that are not finite are
+    null. The `length` of a beam is negative if the sonar reads its maximum range.
     """
     record, scenario, steps = run.record, run.scenario, frame_steps(run, apart=apart)
     frames = {
@@ -65,7 +65,7 @@ def player_frames(run: Run, *, apart: float = _APART) -> str:
 
 
 def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
-    """Return name and outline of each obstacle, and its centre in each frame; only one centre if it does not move."""
+    """Return name, outline and centres of each obstacle: one centre per frame, or a single centre if it is fixed."""
     entries: list[dict[str, object]] = []
     for name in dict.fromkeys(body.name for bodies in frames for body in bodies):
         history = [next((body for body in bodies if body.name == name), None) for bodies in frames]
@@ -83,7 +83,7 @@ def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
 
 
 def _beams(run: Run, steps: Sequence[int]) -> list[dict[str, object]]:
-    """Return apex and axis in {B} of each sonar, with its filtered ranges."""
+    """Return apex and axis of each sonar beam in {B}, with the filtered ranges of the sonar."""
     if run.sensing != "sonar":
         return []
     array, ranges = run.scenario.sensors.array_on(run.vehicle["radius"]), run.telemetry("ranges")[steps]

@@ -1,4 +1,4 @@
-"""Plots of priorities over time: how much each level was relaxed, and which rows caused it."""
+"""Plots of task priorities over time: how much each level was relaxed, and by which constraint rows of the QP."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from surctl.simulation.priority_timeline import NOTICEABLE, PriorityTimeline
 
 __all__ = ["plot_priority", "relaxation_text"]
 
-_MOST = 8  # largest number of rows shown: those that bind or are violated longest
+_MOST = 8  # largest number of constraint rows shown: those that bind or are violated longest
 
 
 def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
-    """Plot the relaxation of each level, highest priority first; below, one lane per row shows when it binds.
+    """Plot the relaxation of each level, highest priority first, and below it when each constraint row binds.
 
     Args:
         run: the run.
@@ -61,7 +61,7 @@ def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
 
 
 def relaxation_text(timeline: PriorityTimeline) -> str:
-    """Describe how much each level gave up, for how long and because of which rows, and which rows were violated."""
+    """Describe how much and how long each level was relaxed, by which constraint rows, and which rows were violated."""
     parts = []
     step = float(np.median(np.diff(timeline.time))) if len(timeline.time) > 1 else 0.0
     for level, (name, unit) in enumerate(zip(timeline.levels, timeline.units, strict=True)):
@@ -87,7 +87,7 @@ def _listed(rows: list[str]) -> str:
 
 
 def _longest(timeline: PriorityTimeline) -> list[int]:
-    """Return the indices of the rows to show, in the law's order."""
+    """Return the indices of the constraint rows `(n·v ≤ b)` to show, in the law's order."""
     counts = (timeline.binding | (timeline.missed > NOTICEABLE)).sum(axis=0)
     return sorted(np.argsort(-counts, kind="stable")[:_MOST].tolist())
 

@@ -1,4 +1,4 @@
-"""Plots of region certificates: level sets, the flow, and the points at which the certified rate fails."""
+"""Plots of region certificates: level sets, flow of the closed loop, and points at which the certified rate fails."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _LABELS = {
     "turning": ("heading against the path, ψ [rad]", "yaw rate [rad/s]"),
     "steering": ("across the path, y_e [m]", "heading against the path, ψ [rad]"),
 }
-_STILL = ("place", "steering")  # planes of positions: the velocities are 0 there, so there is no flow
-_ARROWS = 15  # number of arrows along each side
+_STILL = ("place", "steering")  # planes of positions: the velocities are 0 in them, so there is no flow
+_ARROWS = 15  # number of flow arrows along each side of the plot
 
 
 def plot_region(document: Mapping[str, Any]) -> Figure:
-    """Plot all planes of a region certificate side by side.
+    """Plot phase portraits of a region certificate in all its planes, side by side.
 
     Raises:
-        InputError: the certificate is of another kind.
+        InputError: the certificate is not a region certificate.
 
     Example:
         >>> from surctl.control import load_gains
@@ -54,7 +54,7 @@ def plot_region(document: Mapping[str, Any]) -> Figure:
 
 
 def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
-    """Plot one plane: the certified set (V ≤ 1, above the floor), points where the rate fails, and the flow."""
+    """Plot one phase portrait: certified set (V ≤ 1, above the floor), points where the rate fails, and flow."""
     alone = ax is None
     ax = dress(ax or new_axes(5.1, 4.9), x=_LABELS[one.plane][0], y=_LABELS[one.plane][1])
     ax.grid(visible=False)

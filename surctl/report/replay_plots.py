@@ -1,4 +1,4 @@
-"""Plots of a replayed sonar recording, one panel per sensor: raw samples, filtered range with bound, and health."""
+"""Plots of a replayed sonar recording, with raw samples, filtered range with bound, and health of each sensor."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ __all__ = ["plot_replay_sensor", "plot_sonar_replay"]
 
 _POINTS = 20_000  # largest number of steps and samples drawn
 _FAINT_BAD = "#F3C6C1"
-_STRIP = 0.04  # as a share of the panel's height
+_STRIP = 0.04  # height of a strip as a share of the panel's height
 
 
 def plot_sonar_replay(replayed: Replay, ax: Sequence[Axes] | None = None, *, title: str = "") -> Figure:
-    r"""Plot one panel for each sensor that sent data.
+    r"""Plot the replayed recording, with one panel for each sensor that sent data.
 
     Args:
         replayed: the replay.
-        ax: one axes for each of these sensors; None creates them.
+        ax: one axes for each sensor that sent data; None creates new axes.
         title: title above the panels.
 
     Returns:

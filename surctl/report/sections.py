@@ -1,4 +1,4 @@
-"""Sections of the page on the design: loops, sweep, export, computing time, and tables of parameters."""
+"""Sections of the HTML report on the design: loops, sweep, export, computing time, and tables of parameters."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _SWEPT = (
 
 
 def vehicle_section(data: ReportData) -> Section:
-    """Return all parameters with unit, range and provenance, first for the vehicle, then for other simulated ones."""
+    """Return a section with all vehicle parameters (unit, range, provenance); other simulated vehicles come last."""
     others = {run.vehicle.name: run.vehicle for run in data.runs if run.vehicle.name != data.vehicle.name}
     blocks: list[Block] = [*_note(data.vehicle), _parameters(data.vehicle)]
     for vehicle in others.values():
@@ -70,7 +70,7 @@ def _parameters(vehicle: Vehicle) -> Table:
 
 
 def gains_section(data: ReportData) -> Section:
-    """Return the gains with unit and meaning, and their provenance."""
+    """Return a section with the gains, their units and meanings, and their provenance."""
     rows = tuple(
         (Cell(name, code=True), Cell(number(value, digits=6), number=True), GAINS[name].unit, GAINS[name].meaning)
         for name, value in data.gains.values.items()
@@ -84,7 +84,7 @@ def _provenance(gains: Gains) -> str:
 
 
 def loops_section(data: ReportData) -> Section:
-    """Return the margins of each loop, Bode and Nyquist plots, and poles."""
+    """Return a section with the margins of each loop, Bode and Nyquist plots, and poles."""
     heads = (
         "loop", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
         "disk margin [1]", "crossover [rad/s]",
@@ -161,7 +161,7 @@ def _nyquist_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -
 
 
 def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
-    """Return pictures of the columns of the sweep, and a table of the picked point."""
+    """Return a section with plots of the columns of the sweep, and a table of the picked point."""
     feasible = sweep.column("feasible") > 0.5
     over = " and ".join(axis_title(axis) for axis in sweep.axes)
     text = (
@@ -213,7 +213,7 @@ def _parallel_picture(data: ReportData, sweep: SweepTable) -> Picture:
 
 
 def export_section(export: ExportSummary) -> Section:
-    """Return the exported files with size and SHA-256, and the comparison of the compiled C code with Python."""
+    """Return a section with the exported files (size, SHA-256), and the comparison of the compiled C with Python."""
     rows = tuple(
         (Cell(f.path.name, code=True), Cell(file_size(f.path), number=True), Cell(f.sha256, code=True))
         for f in export.files
@@ -295,7 +295,7 @@ def _count(failures: int, fine: str) -> Cell:
 
 
 def time_section(data: ReportData) -> Section:
-    """Return the computing time of each stage."""
+    """Return a section with the computing time of each part of the study."""
     rows = [(stage, Cell(number(value, digits=3), number=True)) for stage, value in data.seconds.items()]
     rows.append(("total", Cell(number(sum(data.seconds.values()), digits=3), number=True)))
     return Section("time", "Computing time", (Table("Time by stage", ("stage", "time [s]"), tuple(rows)),), folded=True)

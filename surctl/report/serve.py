@@ -1,4 +1,4 @@
-"""Serve the tuning page to this machine only."""
+"""Web server for the tuning page, reachable from this machine only."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _BENCHES: list[Bench] = []  # the page's cells run in threads of this process an
 
 
 def current_bench() -> Bench:
-    """The bench of the page that this process serves.
+    """Return the `Bench` (vehicle, scenario, goals) of the tuning page that this process serves.
 
     Raises:
-        InputError: this process serves no page.
+        InputError: this process does not serve a tuning page.
     """
     if not _BENCHES:
         raise InputError("no tuning page is served", key="page", remedy="start it with surctl tune --page")
@@ -35,9 +35,9 @@ def serve(bench: Bench, *, port: int | None = None, ready: Callable[[str], None]
     """Serve the tuning page until the process is interrupted.
 
     Args:
-        bench: the bench that the page shows.
-        port: port of 127.0.0.1; None picks a free one.
-        ready: called with the address of the page as soon as the server runs.
+        bench: vehicle, scenario and goals that the page shows.
+        port: port of 127.0.0.1; None picks a free port.
+        ready: function that is called with the address of the page as soon as the server runs.
 
     Raises:
         ToolMissing: marimo is not installed.

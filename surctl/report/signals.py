@@ -25,7 +25,7 @@ __all__ = [
     "spans",
 ]
 
-_UNKNOWN = 50.0  # [m] a larger nearest distance in the telemetry means that the law has no contact
+_UNKNOWN = 50.0  # [m] a larger nearest distance in the telemetry means that the law knows no contact
 
 
 def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
@@ -33,7 +33,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
 
     Args:
         run: the run.
-        ax: six axes, in the order clearance, path error, velocity, yaw rate, force, moment; None creates them.
+        ax: six axes, in the order clearance, path error, velocity, yaw rate, force, moment; None creates new axes.
 
     Returns:
         The figure that holds the axes.
@@ -61,7 +61,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
 
 
 def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the clearance from hull to nearest obstacle or wall [m]: the true one, and the one known to the law."""
+    """Plot the clearance from hull to nearest obstacle or wall [m]: the true value, and the value known to the law."""
     ax = _axes(run, ax, title="clearance", unit="m")
     time = run.record.time
     known = run.telemetry("nearest")[:, 0]
@@ -148,7 +148,7 @@ def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
 
 
 def spans(time: NDArray[np.float64], mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return start and end time of each interval in which the mask is true; a sample is valid until the next one."""
+    """Return (start, end) of each time interval in which `mask` is true; a sample is valid until the next sample."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(int)))
     ends = np.append(time, time[-1])
     return [(float(ends[a]), float(ends[b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,4 +1,4 @@
-"""Plots of ranging: a filtered range with its bound and health, errors of filters, and errors of LMS step rules."""
+"""Plots of sonar ranging: filtered range with its bound and health, errors of filters, errors of LMS step rules."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class RangeTrace:
 
 @dataclass(frozen=True, kw_only=True)
 class FilterErrors:
-    """Rms ranging errors [m] of several filters at rest and when closing in, with the largest errors allowed."""
+    """Rms range errors [m] of several filters, at rest and when approaching, with the largest errors allowed."""
 
     names: tuple[str, ...]
     still: tuple[float, ...]
@@ -58,10 +58,10 @@ class LmsTrace:
 
 
 def plot_range_trace(trace: RangeTrace, ax: Axes | None = None) -> Axes:
-    """Plot the range with its bound, readings and true range; a bar marks where the sensor is not healthy.
+    """Plot filtered range with its bound, readings, and true range; a bar marks when the sensor is not healthy.
 
     Args:
-        trace: the data of the sensor.
+        trace: readings and filtered range of the sensor.
         ax: axes to draw in.
     """
     ax = dress(ax or new_axes(8.4, 3.4), title=trace.title, x="time [s]", y="range [m]")
@@ -87,7 +87,7 @@ def plot_range_trace(trace: RangeTrace, ax: Axes | None = None) -> Axes:
 
 
 def plot_filter_errors(data: FilterErrors, ax: Axes | None = None) -> Axes:
-    """Plot bars of rms errors, at rest and closing in, with limits as lines; long bars are cut and labelled.
+    """Plot bars of rms range errors, at rest and approaching, with limits as lines; long bars are cut and labelled.
 
     Args:
         data: the errors.

@@ -17,18 +17,18 @@ from surctl.tuning import Sensitivity, SweepTable
 __all__ = ["plot_parallel", "plot_sensitivity"]
 
 _SHOWN = ("deviation_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin", "score")
-_LINES = 2000  # largest number of lines drawn: more would merge
+_LINES = 2000  # largest number of lines drawn, because more lines would merge
 
 
 def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: Axes | None = None) -> Axes:
-    """Plot parallel coordinates: one line per point over axes and columns, each with its own scale.
+    """Plot a sweep in parallel coordinates: one line for each point, one scale for each parameter and column.
 
     Feasible points are drawn over infeasible ones, and the picked point on top. The line of a point is interrupted at a
     column without a number. If there are very many points, an evenly spaced selection is drawn.
 
     Args:
         table: a sweep of any kind.
-        columns: names of the columns; by default the usual ones that the sweep contains.
+        columns: names of the columns; by default those columns of a standard list that the sweep contains.
         ax: axes to draw in.
 
     Raises:
@@ -78,10 +78,10 @@ def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: A
 
 
 def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
-    """Plot the first-order and total Sobol' indices of each axis with their confidence intervals.
+    """Plot the first-order and total Sobol' indices of each parameter with their confidence intervals.
 
     Args:
-        result: the indices.
+        result: the Sobol' indices.
         ax: axes to draw in.
 
     Example:
@@ -122,7 +122,7 @@ def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
 
 
 def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the least and largest finite value of a scale; the two differ even if all values are equal."""
+    """Return the two ends of a scale (least and largest finite value), which differ even if all values are equal."""
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0
@@ -137,7 +137,7 @@ def _collection(lines: NDArray[np.float64], colour: str, width: float, strength:
 
 
 def _upright(ax: Axes, titles: Sequence[str], ends: Sequence[tuple[float, float]]) -> None:
-    """Draw one vertical scale per quantity, with its ends written on it and its name below."""
+    """Draw one vertical scale for each quantity, with the end values on the scale and the name below."""
     ax.set_xlim(-0.3, len(titles) - 0.7)
     ax.set_ylim(-0.09, 1.09)
     ax.set_yticks([])
@@ -152,7 +152,7 @@ def _upright(ax: Axes, titles: Sequence[str], ends: Sequence[tuple[float, float]
 
 
 def _lines(text: str) -> str:
-    """Break a title into lines short enough to fit beside its neighbours."""
+    """Break a title into lines short enough to fit beside the neighbouring titles."""
     words, lines = text.split(), [""]
     for word in words:
         if lines[-1] and len(lines[-1]) + 1 + len(word) > 15:

@@ -68,7 +68,7 @@ def dress(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     ax.grid(visible=True, color="#DADCE0", linewidth=0.6)
     ax.set_axisbelow(True)
     ax.tick_params(labelsize=8.5, colors=INK, length=3)
-    ax.tick_params(which="minor", labelsize=8.5, colors=INK)  # a logarithmic axis within a decade writes these too
+    ax.tick_params(which="minor", labelsize=8.5, colors=INK)  # a logarithmic axis within a decade has minor labels
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     for side in ("bottom", "left"):
@@ -85,12 +85,12 @@ def head(figure: Figure, text: str, *, x: float = 0.5, ha: Literal["left", "cent
 
 
 def _wraps(text: str) -> bool:
-    """Whether matplotlib may break a title into lines: it always measures a title with a $ as a formula."""
+    """Return whether matplotlib may break a title into lines; matplotlib measures any title with a $ as a formula."""
     return "$" not in text
 
 
 def _broken(text: str, figure: Figure, *, share: float) -> str:
-    """Break a title that matplotlib must not break, for a share of the figure width and a typical letter width."""
+    """Break a title that matplotlib must not break, into lines of at most `share` of the figure width."""
     if _wraps(text):
         return text
     return fill(text, width=int(share * 72 * figure.get_size_inches()[0] / (0.75 * _TITLE)))
@@ -146,7 +146,7 @@ def legend_above(ax: Axes, *, columns: int = 6) -> None:
 
 
 def finite(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values with NaN instead of infinities; a plotted line is interrupted there."""
+    """Return the values with NaN instead of infinities; a plotted line is interrupted at a NaN."""
     array = np.asarray(values, dtype=float)
     return np.where(np.isfinite(array), array, np.nan)
 

@@ -1,4 +1,4 @@
-"""The pictures of `surctl verify --out`: margins, refuted claims, boxes, regions."""
+"""The plots that `surctl verify --out` writes: margins, refuted claims, boxes of proofs, and regions."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ __all__ = ["save_margins", "save_regions", "save_verdicts"]
 def save_margins(
     vehicle: Vehicle, gains: Mapping[str, float], folder: Path | str, *, cruise: float | Sequence[float], dt: float
 ) -> list[Path]:
-    r"""Write Bode plots of the tightest loops, Nyquist plots, disk margins, and S and T as PNGs; return the paths.
+    r"""Write PNGs of Bode (loops with the least margins), Nyquist, disk-margin, and S and T plots; return the paths.
 
-    With several cruise speeds [m/s], S and T are plotted at each and everything else at the largest. Nothing is written
-    for an unstable loop.
+    With several cruise speeds [m/s], S and T are plotted at each speed, and all other plots are for the largest speed.
+    Nothing is written for an unstable loop.
 
     Raises:
         InputError: see `loop_margins`; or the folder cannot be written.
@@ -70,7 +70,7 @@ def save_margins(
 
 
 def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]:
-    """Write PNGs for each claim: counterexample and slice, boxes of the proof, or open boxes; return the paths.
+    """Write PNGs for each claim (counterexample and slice, boxes of the proof, or open boxes); return the paths.
 
     Raises:
         InputError: the folder cannot be written.
@@ -91,7 +91,7 @@ def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]
 
 
 def save_regions(documents: Mapping[str, Mapping[str, Any]], folder: Path | str) -> list[Path]:
-    """Write PNGs of level sets, flow and failures for region certificates by name; return the paths.
+    """Write PNGs of level sets, flow and failure points for named region certificates; return the paths.
 
     Raises:
         InputError: a certificate is of another kind, or the folder cannot be written.

@@ -1,4 +1,4 @@
-"""Numbers, sizes and commands as the page writes them."""
+"""Format of numbers, sizes and commands in the HTML report."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def number(value: float | None, *, digits: int = 4) -> str:
 
 
 def interval(lower: float, upper: float) -> str:
-    """Format an interval as "a to b", or as one number if both ends are equal."""
+    """Format an interval as "a to b", or as a single number if both ends are equal."""
     return number(lower) if lower == upper else f"{number(lower)} to {number(upper)}"
 
 
@@ -40,7 +40,7 @@ def file_size(path: Path) -> str:
 
 
 def gains_argument(gains: Gains, gains_file: str) -> str | None:
-    """Return the `--gains` argument for these gains: `gains_file`, or their unchanged source; None if neither fits."""
+    """Return the `--gains` argument: `gains_file`, or the gains' source if they are unchanged; None if neither fits."""
     try:
         for source in filter(None, (gains_file, gains.source)):
             if load_gains(source).values == gains.values:
@@ -70,7 +70,7 @@ def simulate_command(run: Run, gains: str | None) -> str | None:
 def verify_command(
     claim: str, gains: str | None, vehicle: Vehicle, speeds: tuple[float, float] | None = None
 ) -> str | None:
-    """Return the command that decides the claim again, for the vehicle and for (cruise speed, speed limit) [m/s]."""
+    """Return the command that repeats the proof of the claim for the vehicle and (cruise speed, speed limit) [m/s]."""
     robot = _vehicle_argument(vehicle)
     if gains is None or robot is None:
         return None

@@ -1,4 +1,4 @@
-"""Any plant, any sampled controller and their closed loop: simulated, swept and linearised from one description."""
+"""Closed loops of any plant and any sampled controller, for simulation, parameter sweeps and linearisation."""
 
 from surctl.system.controller import Action, Controller, ControllerStep, SampledController
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise

@@ -1,4 +1,4 @@
-"""A sampled controller: one symbolic step with explicit state, and its guarded evaluation."""
+"""A sampled controller, defined by one symbolic step with explicit state, and the guarded evaluation of this step."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ NONFINITE = -2
 
 
 class Action(NamedTuple):
-    """What a controller computes in one step, as named expressions.
+    """Named expressions of the results that a controller computes in one step.
 
     Attributes:
-        command: each command port; for one port its expression is enough.
-        state: each state port one period later.
-        telemetry: each telemetry port.
-        status: 0, or a sum of bits that the controller defines; never negative.
+        command: expression of each command port; if there is only one port, its expression alone is enough.
+        state: expression of each state port one control period later.
+        telemetry: expression of each telemetry port.
+        status: expression of the status: 0, or a sum of bits that the controller defines; never negative.
     """
 
     command: Any
@@ -42,7 +42,7 @@ class Action(NamedTuple):
 
 
 class ControllerStep(NamedTuple):
-    """The numbers of one step: command (m,), next state (n,), status and telemetry (k,)."""
+    """Results of one step of a controller: command (m,), next state (n,), status, and telemetry (k,)."""
 
     tau: Vector
     x_next: Vector
@@ -51,41 +51,41 @@ class ControllerStep(NamedTuple):
 
 
 class SampledController(Protocol):
-    """What a closed loop needs of a controller; `Controller` and every built-in law have it."""
+    """Interface that a closed loop needs from a controller; `Controller` and every built-in law implement it."""
 
     @property
     def name(self) -> str:
-        """C identifier."""
+        """Return the name of the controller, a C identifier."""
 
     @property
     def dt(self) -> float:
-        """Control period [s]."""
+        """Return the control period [s]."""
 
     @property
     def state(self) -> Layout:
-        """Layout of x."""
+        """Return the layout of the controller state x."""
 
     @property
     def inputs(self) -> Layout:
-        """Layout of u: measurements and references."""
+        """Return the layout of the inputs u, which are measurements and references."""
 
     @property
     def gains(self) -> Layout:
-        """Layout of p."""
+        """Return the layout of the gains p."""
 
     @property
     def outputs(self) -> Layout:
-        """Layout of the commands, then of the telemetry."""
+        """Return the layout of the outputs: commands, then telemetry."""
 
     @property
     def block(self) -> Block:
-        """(x, u, p) → (command, x_next, status (1,), telemetry)."""
+        """Return the program or routine (x, u, p) → (command, x_next, status (1,), telemetry)."""
 
     def initial_state(self) -> Vector:
-        """State before the first step."""
+        """Return the controller state before the first step."""
 
     def step(self, x: Vector, u: Vector, p: Vector) -> Any:
-        """One guarded step: `tau`, `x_next`, `status`, `telemetry`."""
+        """Run one guarded step; the result has `tau` (command), `x_next`, `status` and `telemetry`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,16 +95,16 @@ class Controller:
     Attributes:
         name: C identifier.
         dt: control period [s].
-        inputs: ports of u. A port that the plant measures is fed by the plant; any other is a reference.
-        command: ports of the actuator commands, named as the plant's inputs.
-        law: (x, u, p), each a mapping from port name to CasADi SX, → `Action`, or the command alone.
-        state: ports of x with their initial values as defaults.
-        gains: ports of p with their nominal values as defaults.
+        inputs: ports of the inputs u. The plant feeds every port that it measures; every other port is a reference.
+        command: ports of the actuator commands, with the names of the plant's inputs.
+        law: function (x, u, p) → `Action`, or → command alone; x, u and p are mappings from port name to CasADi SX.
+        state: ports of the controller state x, with initial values as defaults.
+        gains: ports of the gains p, with nominal values as defaults.
         telemetry: ports of further outputs.
 
     Raises:
         InputError: a port without a unit, a period that is not positive, a law that does not return its ports, an
-            operation that cannot be compiled, or a symbol that is no argument.
+            operation that cannot be compiled, or a symbol that is not an argument of the law.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -139,15 +139,15 @@ class Controller:
             checked_layout(getattr(self, name), key=f"{self.name}.{name}")
         if not self.command.size:
             raise InputError("commands nothing", key=f"{self.name}.command", remedy="name the plant's inputs")
-        _ = self.outputs, self.block  # what cannot be compiled is a mistake of this controller, so it is found here
+        _ = self.outputs, self.block  # a law that cannot be compiled is reported when the controller is created
 
     @cached_property
     def outputs(self) -> Layout:
-        """The command ports, then the telemetry ports."""
+        """Return the layout of the outputs: command ports, then telemetry ports."""
         return Layout((*self.command, *self.telemetry))
 
     def action(self, x: ca.SX, u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """(command, next state, status, telemetry), flat, for flat symbolic vectors."""
+        """Return (command, next state, status, telemetry) as flat vectors, for flat symbolic vectors x, u and p."""
         parts, key = (self.state.split(x), self.inputs.split(u), self.gains.split(p)), f"{self.name}.law"
         result = called(self.law, *parts, key=key)
         act = result if isinstance(result, Action) else Action(result)
@@ -160,7 +160,7 @@ class Controller:
 
     @cached_property
     def block(self) -> Block:
-        """(x, u, p) → (tau, x_next, status, telemetry) as instructions; what runs and what is exported as C."""
+        """Return (x, u, p) → (tau, x_next, status, telemetry) as the instruction list that is run and exported as C."""
         with Recording() as recording:
             layouts = {"x": self.state, "u": self.inputs, "p": self.gains}
             symbols = {name: ca.SX.sym(name, layout.size) for name, layout in layouts.items()}
@@ -169,14 +169,14 @@ class Controller:
             return without_libm(recording.block(self.name, symbols, results))
 
     def initial_state(self) -> Vector:
-        """State before the first step."""
+        """Return the controller state before the first step."""
         return self.state.pack()
 
     def step(self, x: Any, u: Any, p: Any) -> ControllerStep:
-        """One step. A number that is not finite, before or after, gives a zero command and `NONFINITE`.
+        """Run one step; an argument or result that is not finite gives a zero command and the status `NONFINITE`.
 
         Raises:
-            InputError: a vector of another size than its layout.
+            InputError: the size of a vector differs from its layout.
         """
         vectors = [np.asarray(v, dtype=float).reshape(-1) for v in (x, u, p)]
         for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):

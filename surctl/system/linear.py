@@ -1,4 +1,4 @@
-"""Equilibria of a system and its linearisation there, with exact Jacobians, of the sampled loop."""
+"""Equilibria of a sampled closed loop, and linearisation of the loop at an equilibrium with exact Jacobians."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _REST = 1e-9
 
 @dataclass(frozen=True)
 class Operating:
-    """A point at which the loop rests: plant state x, controller state z and command f, flat; and its numbers."""
+    """An equilibrium of the loop: flat plant state x, controller state z and command f, and the numbers of the run."""
 
     x: Array
     z: Array
@@ -36,13 +36,14 @@ class Operating:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """The linear loop about an operating point; plant in continuous time, controller in discrete time.
+    """The linear loop about an operating point, with the plant in continuous time and the controller in discrete time.
 
     Attributes:
-        system: the loop.
-        at: the operating point.
-        plant: (A, B, E, C, D_d): x' = A x + B f + E d, y = C x + D_d d.
-        law: (A, B_y, B_r, C, D_y, D_r) of the controller: z⁺ = A z + B_y y + B_r r, command = C z + D_y y + D_r r.
+        system: the closed loop.
+        at: the operating point of the linearisation.
+        plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d.
+        law: matrices (A, B_y, B_r, C, D_y, D_r) of the controller, with z⁺ = A z + B_y y + B_r r and command = C z +
+            D_y y + D_r r.
     """
 
     system: System
@@ -51,7 +52,7 @@ class Linearisation:
     law: tuple[Array, ...]
 
     def plant_system(self) -> Any:
-        """`control.StateSpace` of the plant: inputs are its actuators and disturbances, outputs what it measures."""
+        """Return the plant as `control.StateSpace`, from actuator commands and disturbances to measured outputs."""
         import control  # takes seconds to import
 
         A, B, E, C, D = self.plant
@@ -64,7 +65,7 @@ class Linearisation:
         )  # fmt: skip
 
     def controller_system(self) -> Any:
-        """Discrete-time `control.StateSpace` of the controller: inputs are measurements and references."""
+        """Return the controller as discrete-time `control.StateSpace`, from measurements and references to commands."""
         import control  # takes seconds to import
 
         A, By, Br, C, Dy, Dr = self.law
@@ -76,9 +77,10 @@ class Linearisation:
         )  # fmt: skip
 
     def closed(self) -> Any:
-        """Discrete-time `control.StateSpace` of the closed loop, exact at the control instants.
+        """Return the closed loop as discrete-time `control.StateSpace`, exact at the control instants.
 
-        Inputs are references and disturbances, held over a period; outputs are the measured outputs and the commands.
+        Inputs are references and disturbances, which are held over a control period; outputs are the measured outputs
+        and the commands.
 
         Raises:
             InputError: the loop has no inputs.
@@ -101,14 +103,15 @@ class Linearisation:
         )  # fmt: skip
 
     def loop(self, *openings: str) -> Any:
-        """Discrete-time `control.StateSpace` L(z) of the loop opened at signals, all others closed.
+        """Return L(z), the loop opened at the given signals only, as discrete-time `control.StateSpace`.
 
         Args:
-            openings: commands or measured outputs by label: the port's name, with [i] where it has several entries.
-                Each is one channel, from what enters behind the break to what comes back, under negative feedback.
+            openings: labels of commands or measured outputs at which the loop is opened; a label is the port's name,
+                with [i] if the port has several entries. Each opening is one channel of L, from the signal injected
+                behind the opening to the signal that returns, under negative feedback.
 
         Raises:
-            InputError: no opening, or an unknown one.
+            InputError: no opening is given, or an opening is unknown.
         """
         import control  # takes seconds to import
 
@@ -119,7 +122,7 @@ class Linearisation:
         )  # fmt: skip
 
     def opened(self, *openings: str) -> tuple[Array, Array, Array, Array]:
-        """(A, B, C, D) of `loop`."""
+        """Return the matrices (A, B, C, D) of the opened loop that `loop` returns."""
         system = self.system
         commands, outputs = _labels(system.commands), _labels(system.plant.measurements)
         if not openings:
@@ -136,7 +139,7 @@ class Linearisation:
         Ad, Bd, _ = self._sampled_plant()
         C = self.plant[3]
         Az, By, _, Cz, Dy, _ = self.law
-        # what passes a break: a channel's own signal is cut, and its injection takes the place
+        # at a loop opening, the channel's own signal is cut, and the injected signal replaces it
         keep_f, keep_y = (
             np.eye(len(commands)) - at_command.T @ at_command,
             np.eye(len(outputs)) - at_output.T @ at_output,
@@ -149,46 +152,46 @@ class Linearisation:
         return A, B, -back, -(at_command @ f_e)
 
     def channels(self) -> list[str]:
-        """Where the loop can be opened: every command, then every measured output."""
+        """Return the labels of signals at which the loop can be opened: every command, then every measured output."""
         commands = _labels(self.system.commands)
         return [*commands, *(name for name in _labels(self.system.plant.measurements) if name not in commands)]
 
     def poles(self) -> NDArray[np.complex128]:
-        """Poles z of the sampled closed loop, the largest first; stable where all lie inside the unit circle."""
+        """Return the poles z of the sampled closed loop, largest first; it is stable if all lie in the unit circle."""
         poles = np.linalg.eigvals(self._transition()).astype(complex)
         return poles[np.argsort(-np.abs(poles), kind="stable")]
 
     def states(self) -> list[str]:
-        """Labels of the plant's states, then of the controller's."""
+        """Return the labels of the plant states, then of the controller states."""
         return [*_labels(self.system.plant.state), *_labels(self.system.controller.state, "controller ")]
 
     def _sampled_plant(self) -> tuple[Array, Array, Array]:
         return _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.system.dt)
 
     def _transition(self) -> Array:
-        """The closed loop from one control instant to the next."""
+        """Return the transition matrix of the closed loop from one control instant to the next."""
         Ad, Bd, _ = self._sampled_plant()
         Az, By, _, Cz, Dy, _ = self.law
         C = self.plant[3]
         return np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
 
     def _selection(self) -> Array:
-        """(plant inputs, commands): which command each actuator takes."""
+        """Return the selection matrix (plant inputs, commands), which is 1 where an actuator takes a command."""
         system = self.system
         commands, inputs = _labels(system.commands), _labels(system.plant.inputs)
         return np.array([[float(name == label) for label in commands] for name in inputs])
 
 
 def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = None) -> Operating:
-    """The point at which plant and controller rest for constant references and disturbances, by Newton's method.
+    """Return the equilibrium of plant and controller for constant references and disturbances, by Newton's method.
 
     Args:
-        system: the loop; its `reference` and `disturbance` are taken at t = 0.
-        values: numbers by name, see `run_numbers`. The search begins at `start.…`; where none is given at zero, then at
-            the default state.
+        system: the closed loop; its `reference` and `disturbance` are evaluated at t = 0.
+        values: numbers by name, see `run_numbers`. The search begins at the state `start.…`. If no start state is
+            given, the search begins at zero, then at the default state.
 
     Raises:
-        InputError: no equilibrium is found from there; the state that moves most is named.
+        InputError: the search finds no equilibrium; the message names the state that moves most.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -224,7 +227,7 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
 
 
 def _newton(functions: _Rest, point: Array) -> tuple[Array, bool]:
-    """Damped Newton steps, and whether they ended at rest."""
+    """Return the point after damped Newton steps, and whether it is an equilibrium."""
     for _ in range(_NEWTON):
         error, slope = functions.error(point)
         if not (np.isfinite(error).all() and np.isfinite(slope).all()):
@@ -243,15 +246,15 @@ def _newton(functions: _Rest, point: Array) -> tuple[Array, bool]:
 def linearise(
     system: System, values: Mapping[str, ArrayLike] | None = None, *, at: Operating | None = None
 ) -> Linearisation:
-    """The loop about an operating point, by exact derivatives of plant and controller.
+    """Return the linear loop about an operating point, from exact derivatives of plant and controller.
 
     Args:
-        system: the loop.
+        system: the closed loop.
         values: numbers by name, see `run_numbers`.
-        at: the operating point; default: `find_equilibrium(system, values)`.
+        at: the operating point; by default the result of `find_equilibrium(system, values)`.
 
     Raises:
-        InputError: as `find_equilibrium`.
+        InputError: as in `find_equilibrium`.
 
     Example:
         >>> import casadi as ca
@@ -284,7 +287,7 @@ def linearise(
 
 
 class _Rest:
-    """The conditions of rest for given numbers, x' = 0 and z⁺ = z, and the controller's derivatives."""
+    """Equilibrium conditions x' = 0 and z⁺ = z for given numbers of a run, and derivatives of the controller."""
 
     def __init__(self, system: System, numbers: RunNumbers) -> None:
         self.system, self.numbers = system, numbers
@@ -310,17 +313,17 @@ class _Rest:
         self._measure = measure
 
     def error(self, point: Array) -> tuple[Array, Array]:
-        """How fast the loop moves at (x, z), and the derivative of that."""
+        """Return the residual of the equilibrium conditions at (x, z), and its derivative."""
         error, slope, _ = self._error.call(self._split(point))
         return np.array(error).reshape(-1), np.array(slope)
 
     def operating(self, point: Array) -> Operating:
-        """The point with its command."""
+        """Return the operating point at (x, z), with its command."""
         x, z = self._split(point)
         return Operating(x, z, np.array(self._error.call([x, z])[2]).reshape(-1), self.numbers)
 
     def law(self, point: Operating) -> tuple[Array, ...]:
-        """The controller's derivatives: next state, then command, each by its state, measurements and references."""
+        """Return derivatives of next controller state, then command, by controller state, measurements, references."""
         results = self._slopes.call([point.z, self._measure(point.x), self.reference])
         return tuple(np.array(result) for result in results)
 
@@ -330,7 +333,7 @@ class _Rest:
 
 
 def _law_function(controller: SampledController) -> ca.Function:
-    """(x, u, p) → (command, next state, …) for CasADi; with its own functions where the expressions are at hand."""
+    """Return the law as a CasADi function (x, u, p) → (command, next state, …), from its expressions if available."""
     if not isinstance(controller, Controller):
         return to_casadi(controller.block)
     symbols = [
@@ -341,7 +344,7 @@ def _law_function(controller: SampledController) -> ca.Function:
 
 
 def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
-    """The plant over one period with its inputs held: x⁺ = A_d x + B_d f + E_d d, exact."""
+    """Return (A_d, B_d, E_d) of the plant over one period with held inputs: x⁺ = A_d x + B_d f + E_d d, exact."""
     from scipy.linalg import expm  # takes a second to import
 
     n, m = len(A), B.shape[1] + E.shape[1]
@@ -352,5 +355,5 @@ def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]
 
 
 def _labels(layout: Layout, prefix: str = "") -> list[str]:
-    """A name for each entry: the port's, with [i] where it has several."""
+    """Return a label for each entry of a layout: the name of the port, with [i] if the port has several entries."""
     return [f"{prefix}{p.name}{f'[{k}]' if p.size > 1 else ''}" for p in layout for k in range(p.size)]

@@ -1,4 +1,4 @@
-"""The closed loop of a plant and a sampled controller, as one description for every use."""
+"""The closed loop of a plant and a sampled controller, described once for simulation, sweeps and linearisation."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ How = Literal["integral", "mean", "rms", "max", "min", "final", "last_time"]
 
 
 class Signals(NamedTuple):
-    """The loop at one control instant, each a mapping from port name to CasADi SX.
+    """The signals of the loop at one control instant; all but the time t are mappings from port name to CasADi SX.
 
     Attributes:
         x: plant state.
-        f: actuator command that is applied from this instant on.
+        f: actuator command that is applied from this control instant on.
         y: measured outputs.
         r: references.
         d: disturbances.
@@ -52,15 +52,16 @@ class Signals(NamedTuple):
 
 @dataclass(frozen=True)
 class Cost:
-    """One figure of a run: an expression of the signals at the control instants, and how they become one number.
+    """One metric of a run: an expression of the signals, and how its values at the control instants become one number.
 
     Attributes:
-        of: `Signals` → a scalar expression.
-        how: `integral` (sum times the period), `mean`, `rms`, `max`, `min`, `final` (at the last instant), or
-            `last_time` [s]: the last instant at which the expression is positive, 0 if never; so a settling time is
-            the last time at which the error exceeds its band.
-        unit: SI unit of the figure.
-        meaning: what it is, for tables and plots.
+        of: function `Signals` → scalar expression.
+        how: how the values over a run become one number. `integral` is their sum times the period; `mean`, `rms`, `max`
+            and `min` have their usual meaning; `final` is the value at the last control instant. `last_time` is the
+            last time [s] at which the expression is positive, 0 if the expression never is. So the `last_time` of an
+            error minus its tolerance is a settling time.
+        unit: SI unit of the metric.
+        meaning: description of the metric, for tables and plots.
     """
 
     of: Callable[[Signals], Any]
@@ -71,22 +72,25 @@ class Cost:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """A plant under a sampled controller, with its references, disturbances, figures and reasons to stop.
+    """A plant under a sampled controller, with references, disturbances, metrics and reasons to stop a run.
 
-    Signals are connected by name: a controller input that the plant measures is fed by the plant, any other is a
-    reference; each plant input is a command of the controller. Shapes and units must agree.
+    Signals are connected by name: the plant feeds every controller input that it measures, and every other controller
+    input is a reference; each plant input is a command of the controller. Shapes and units of connected signals must
+    agree.
 
     Attributes:
-        plant: continuous dynamics.
-        controller: evaluated once a period; its command is held until the next one.
-        substeps: Runge-Kutta steps (fourth order) in a control period.
-        costs: figures of a run by name.
-        stops: reasons to end a run by name: `Signals` → an expression that is not 0 where it ends.
-        reference: (t, r) → each reference at time t [s], where r are the constants that a run sets; default: r.
-        disturbance: (t, d) → each disturbance at time t [s], likewise; default: d.
+        plant: continuous dynamics and measured outputs.
+        controller: controller that is evaluated once a control period; its command is held for this period.
+        substeps: number of fourth-order Runge-Kutta steps in a control period.
+        costs: metrics of a run by name.
+        stops: reasons to end a run by name; each is a function `Signals` → expression that is not 0 when the run ends.
+        reference: function (t, r) → each reference at time t [s], where r are the constants that a run sets; by default
+            the references are r.
+        disturbance: function (t, d) → each disturbance at time t [s], where d are the constants that a run sets; by
+            default the disturbances are d.
 
     Raises:
-        InputError: a port that is connected to nothing, or to one of another shape or unit.
+        InputError: a port is not connected, or is connected to a port of another shape or unit.
 
     Example:
         >>> import casadi as ca
@@ -137,11 +141,11 @@ class System:
         for port in self.controller.inputs:
             if port.name in self.plant.measurements:
                 _connected(port, self.plant.measurements, key=f"{self.controller.name}.inputs", to="measured output")
-        _ = self.signals  # a figure that cannot be computed is found here
+        _ = self.signals  # a metric that cannot be computed is reported here
 
     @cached_property
     def commands(self) -> Layout:
-        """The commands of the controller, in its order; the plant takes those of its inputs."""
+        """Return the commands of the controller, in its order; the plant uses the commands named like its inputs."""
         size, ports, at = self.controller.block.outputs[0][1], [], 0
         for port in self.controller.outputs:
             if at >= size:
@@ -152,48 +156,48 @@ class System:
 
     @cached_property
     def telemetry(self) -> Layout:
-        """The telemetry of the controller."""
+        """Return the layout of the telemetry of the controller."""
         return Layout(tuple(port for port in self.controller.outputs if port.name not in self.commands))
 
     @cached_property
     def references(self) -> Layout:
-        """The controller inputs that the plant does not measure."""
+        """Return the layout of the references, which are the controller inputs that the plant does not measure."""
         return Layout(tuple(port for port in self.controller.inputs if port.name not in self.plant.measurements))
 
     @property
     def dt(self) -> float:
-        """Control period [s]."""
+        """Return the control period [s]."""
         return self.controller.dt
 
     def reference_at(self, t: ca.SX, r: ca.SX) -> ca.SX:
-        """The references at time t, flat, for the constants r of a run."""
+        """Return the flat references at time t for the constants r of a run."""
         if self.reference is None:
             return r
         returned = called(self.reference, t, self.references.split(r), key="reference")
         return joined(self.references, returned, key="reference")
 
     def disturbance_at(self, t: ca.SX, d: ca.SX) -> ca.SX:
-        """The disturbances at time t, flat, for the constants d of a run."""
+        """Return the flat disturbances at time t for the constants d of a run."""
         if self.disturbance is None:
             return d
         returned = called(self.disturbance, t, self.plant.disturbances.split(d), key="disturbance")
         return joined(self.plant.disturbances, returned, key="disturbance")
 
     def inputs_of(self, y: ca.SX, r: ca.SX) -> ca.SX:
-        """The controller's inputs, flat, from measured outputs and references."""
+        """Return the flat inputs of the controller from measured outputs and references."""
         measured, references = self.plant.measurements.split(y), self.references.split(r)
         return self.controller.inputs.join(
             {**references, **{n: v for n, v in measured.items() if n in self.controller.inputs}}
         )
 
     def applied(self, command: ca.SX) -> ca.SX:
-        """The plant's inputs, flat, from the controller's command."""
+        """Return the flat inputs of the plant from the controller's command."""
         parts = self.commands.split(command)
         return self.plant.inputs.join({port.name: parts[port.name] for port in self.plant.inputs})
 
     @cached_property
     def signals(self) -> ca.Function:
-        """(x, command, d, r, p, g, k, t) → (costs (m,), stops (n,)) at one control instant, for CasADi."""
+        """Return a CasADi function (x, command, d, r, p, g, k, t) → (costs (m,), stops (n,)) at one control instant."""
         layouts = {
             "x": self.plant.state, "f": self.commands, "d": self.plant.disturbances, "r": self.references,
             "p": self.plant.parameters, "g": self.controller.gains, "k": self.telemetry,
@@ -207,7 +211,7 @@ class System:
     def evaluated(
         self, *, x: ca.SX, f: ca.SX, d: ca.SX, r: ca.SX, p: ca.SX, g: ca.SX, k: ca.SX, t: ca.SX
     ) -> tuple[ca.SX, ca.SX]:
-        """The expressions of all costs and of all stops for flat symbolic signals; d and r as constants of the run."""
+        """Return expressions of all costs and of all stops for flat symbolic signals; d and r are run constants."""
         late_d, late_r = self.disturbance_at(t, d), self.reference_at(t, r)
         y = self.plant.measurement(x, late_d, p)
         signals = Signals(
@@ -220,7 +224,7 @@ class System:
         return ca.vertcat(ca.SX(0, 1), *costs), ca.vertcat(ca.SX(0, 1), *stops)
 
     def digest(self) -> str:
-        """SHA-256 of what the loop computes: plant, controller, period and integration."""
+        """Return the SHA-256 of what the loop computes: plant, controller, period and integration."""
         text = f"{self.plant.digest()} {self.controller.block.digest()} {float(self.dt).hex()} {self.substeps}"
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -1,4 +1,4 @@
-"""Named parts of vectors: what a user's function takes and returns, checked once when its expressions are built."""
+"""Named parts of vectors, which a user's function takes and returns; they are checked when expressions are built."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ EMPTY = Layout(())
 
 
 def checked_layout(layout: object, *, key: str) -> Layout:
-    """The layout, after each port has a C identifier, a positive size and a unit.
+    """Return the layout after a check that each port has a C identifier, a positive size and a unit.
 
     Raises:
-        InputError: it is no layout, or a port has no unit ("1" where it has no dimension).
+        InputError: the argument is not a layout, or a port has no unit ("1" if it has no dimension).
     """
     if isinstance(layout, Port):
         raise InputError("is one port", key=key, remedy="write Layout((port,))")
@@ -36,10 +36,10 @@ def checked_layout(layout: object, *, key: str) -> Layout:
 
 
 def called(function: Callable[..., Any], *arguments: object, key: str) -> Any:
-    """What a user's function returns for symbols.
+    """Return the result of a user's function for symbolic arguments.
 
     Raises:
-        InputError: it raises an error for symbols, which is repeated with the function's name.
+        InputError: the function raises an error for symbols; the message repeats this error with the function's name.
     """
     try:
         return function(*arguments)
@@ -55,10 +55,10 @@ def called(function: Callable[..., Any], *arguments: object, key: str) -> Any:
 
 
 def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:
-    """The flat vector (n, 1) of named expressions, or of one flat vector.
+    """Return the flat vector (n, 1) of a layout from named expressions, or from one flat vector.
 
     Raises:
-        InputError: a name is missing or unknown, or an expression has another size than its port.
+        InputError: a name is missing or unknown, or the size of an expression differs from that of its port.
     """
     if isinstance(returned, Mapping):
         unknown = [name for name in returned if name not in layout]

@@ -1,4 +1,4 @@
-"""A plant: ordinary differential equations in named, dimensioned parts."""
+"""A plant, defined by ordinary differential equations whose states, inputs and parameters have names and units."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ class Plant:
 
     Attributes:
         name: C identifier.
-        state: ports of x.
-        inputs: ports of f, the actuator commands; constant over a control period.
-        ode: (x, f, d, p), each a mapping from port name to CasADi SX, → the time derivative of each state port.
-        parameters: ports of p; their defaults are the nominal values.
-        disturbances: ports of d; zero unless a run sets them.
-        outputs: ports of y that a controller can measure; default: the state.
-        measure: (x, d, p) → each port of `outputs`; needed where `outputs` is given.
+        state: ports of the plant state x.
+        inputs: ports of the actuator commands f, which are constant over a control period.
+        ode: function (x, f, d, p) → time derivative of each state port; the arguments are mappings from port name to
+            CasADi SX.
+        parameters: ports of the parameters p; the defaults of the ports are the nominal values.
+        disturbances: ports of the disturbances d, which are zero unless a run sets them.
+        outputs: ports of the outputs y that a controller can measure; by default the state.
+        measure: function (x, d, p) → each port of `outputs`; required if `outputs` is given.
 
     Raises:
         InputError: a port without a unit, a function that does not return its ports, an operation that cannot be
-            compiled, or a symbol that is no argument.
+            compiled, or a symbol that is not an argument of the function.
 
     Example:
         >>> import casadi as ca
@@ -69,21 +70,21 @@ class Plant:
         if (self.measure is None) != (self.outputs.size == 0):
             lacks, other = ("measure", "outputs") if self.measure is None else ("outputs", "measure")
             raise InputError(f"is missing beside {other}", key=f"{self.name}.{lacks}", remedy="give both, or none")
-        _ = self.block, self.measured  # what cannot be compiled is a mistake of this plant, so it is found here
+        _ = self.block, self.measured  # a plant that cannot be compiled is reported when it is created
 
     @property
     def measurements(self) -> Layout:
-        """Layout of y: `outputs`, or the state where none are given."""
+        """Return the layout of the measured outputs y, which is `outputs`, or the state if `outputs` is not given."""
         return self.state if self.measure is None else self.outputs
 
     def derivative(self, x: ca.SX, f: ca.SX, d: ca.SX, p: ca.SX) -> ca.SX:
-        """x' (n, 1) for flat symbolic vectors."""
+        """Return the time derivative x' (n, 1) of the state for flat symbolic vectors."""
         parts = self.state.split(x), self.inputs.split(f), self.disturbances.split(d), self.parameters.split(p)
         key = f"{self.name}.ode"
         return joined(self.state, called(self.ode, *parts, key=key), key=key)
 
     def measurement(self, x: ca.SX, d: ca.SX, p: ca.SX) -> ca.SX:
-        """y (m, 1) for flat symbolic vectors."""
+        """Return the measured outputs y (m, 1) for flat symbolic vectors."""
         if self.measure is None:
             return x
         parts, key = (self.state.split(x), self.disturbances.split(d), self.parameters.split(p)), f"{self.name}.measure"
@@ -91,14 +92,14 @@ class Plant:
 
     @cached_property
     def block(self) -> Block:
-        """(x, f, d, p) → x' as instructions, without functions of the mathematical library."""
+        """Return (x, f, d, p) → x' as an instruction list, without libm functions such as sin."""
         with Recording() as recording:
             symbols = self._symbols()
             return without_libm(recording.block(self.name, symbols, {"xdot": self.derivative(*symbols.values())}))
 
     @cached_property
     def measured(self) -> Block:
-        """(x, d, p) → y as instructions, without functions of the mathematical library."""
+        """Return (x, d, p) → y as an instruction list, without libm functions such as sin."""
         with Recording() as recording:
             symbols = {name: symbol for name, symbol in self._symbols().items() if name != "f"}
             outputs = {"y": self.measurement(*symbols.values())}
@@ -106,14 +107,14 @@ class Plant:
 
     @cached_property
     def function(self) -> ca.Function:
-        """(x, f, d, p) → x' for CasADi: numbers, expressions and exact derivatives."""
+        """Return the CasADi function (x, f, d, p) → x' for numbers, expressions and exact derivatives."""
         symbols = self._symbols()
         return ca.Function(
             self.name, list(symbols.values()), [self.derivative(*symbols.values())], list(symbols), ["xdot"]
         )
 
     def digest(self) -> str:
-        """SHA-256 of what the plant computes: dynamics and measurement."""
+        """Return the SHA-256 of what the plant computes: dynamics and measurement."""
         return f"{self.block.digest()}{self.measured.digest()}"
 
     def _symbols(self) -> dict[str, ca.SX]:

@@ -1,4 +1,4 @@
-"""One run of a system, recorded signal by signal."""
+"""Recording of all signals of one run of a system."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The signals of one run at its n control instants; `record["name"]` is a signal (n, size) or a figure.
+    """The signals of one run at its n control instants; `record["name"]` is a signal (n, size) or a metric.
 
     Attributes:
-        system: the loop.
-        time: (n,) [s].
-        signals: port name → (n, size), for states, commands, measured outputs, references and telemetry; a state of
-            the controller has the prefix `controller.` where the plant has one of that name.
-        status: (n,) of each step.
-        figures: cost → value.
-        stopped: a stop of the system, "time" or "not finite".
-        controller: (n, states), (n, inputs) and (gains,): what the controller was given, for back-to-back checks.
+        system: the closed loop.
+        time: (n,) times of the control instants [s].
+        signals: port name → (n, size), for states, commands, measured outputs, references and telemetry; a controller
+            state has the prefix `controller.` if a plant state has an equal name.
+        status: (n,) status of each step.
+        figures: value of each metric (cost) by name.
+        stopped: reason for the end of the run: the name of a stop of the system, "time" or "not finite".
+        controller: arguments of the controller for back-to-back checks: states (n, states), inputs (n, inputs), and
+            gains (gains,).
     """
 
     system: System
@@ -52,15 +53,15 @@ class Record:
 
 
 def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None) -> Record:
-    """Simulate one run step by step in Python; it needs no compiler, and agrees with `simulate_system` to rounding.
+    """Simulate one run in Python, without a compiler; the results equal those of `simulate_system` up to rounding.
 
     Args:
-        system: the loop.
-        seconds: duration of the run [s] unless a stop ends it.
-        values: numbers by name, see `run_numbers`; one run.
+        system: the closed loop.
+        seconds: duration of the run [s] unless a stop ends it earlier.
+        values: numbers of one run by name, see `run_numbers`.
 
     Raises:
-        InputError: as `run_numbers`, or values for several runs.
+        InputError: as in `run_numbers`; also if `values` are for several runs.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -129,7 +130,7 @@ def _named(system: System, tables: list[Array]) -> dict[str, Array]:
 
 
 def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
-    """Measurement with inputs and references, the plant's motion over a period, and costs with stops."""
+    """Return three functions: outputs with inputs and references, plant state after a period, and costs with stops."""
     plant, t = system.plant, ca.SX.sym("t")
     x, p = ca.SX.sym("x", plant.state.size), ca.SX.sym("p", plant.parameters.size)
     r, d = ca.SX.sym("r", system.references.size), ca.SX.sym("d", plant.disturbances.size)
@@ -142,7 +143,7 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
 
 
 def _figure(how: How, series: Array, dt: float) -> float:
-    """The figure of a run from its values at the control instants."""
+    """Return the metric of a run from its values at the control instants."""
     past = np.flatnonzero(series > 0)
     return float(
         {

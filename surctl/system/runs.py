@@ -1,4 +1,4 @@
-"""Many runs of a system at once, compiled."""
+"""Compiled simulation of many runs of a system at once."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ Array = NDArray[np.float64]
 ENDED, LOST = "time", "not finite"
 """Why a run ended, where no stop of the system ended it: its time was over, or a number was no longer finite."""
 
-_FINITE = 1e300  # what is larger counts as infinite
+_FINITE = 1e300  # numbers with a larger absolute value count as infinite
 _FIRST = MappingProxyType({"max": -np.inf, "min": np.inf})
 _programs: WeakKeyDictionary[System, Batch] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
 class Runs:
-    """What came of n runs; `runs["name"]` is a figure.
+    """Results of n runs; `runs["name"]` returns a metric (n,).
 
     Attributes:
-        figures: cost → (n,); NaN for a run that lost its numbers.
-        stopped: (n,) names: a stop of the system, "time" or "not finite".
-        time: (n,) duration [s].
-        state: (n, states) plant state at the end.
+        figures: values (n,) of each metric (cost) by name; NaN for a run that produced a number that is not finite.
+        stopped: (n,) reasons for the end of each run: the name of a stop of the system, "time" or "not finite".
+        time: (n,) duration of each run [s].
+        state: (n, states) plant state at the end of each run.
     """
 
     figures: Mapping[str, Array]
@@ -66,17 +66,17 @@ class Runs:
 def simulate_system(
     system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None, *, threads: int = 1
 ) -> Runs:
-    """Simulate a system for every row of values, compiled; the results do not depend on the number of threads.
+    """Simulate many runs of a system with compiled code; the results do not depend on the number of threads.
 
     Args:
-        system: the loop.
+        system: the closed loop.
         seconds: duration of a run that nothing stops [s]; a whole number of control periods is simulated.
         values: numbers by name, see `run_numbers`: gains, `plant.…`, `reference.…`, `disturbance.…`, `start.…`.
-        threads: that share the runs.
+        threads: number of threads that share the runs.
 
     Raises:
-        InputError: as `run_numbers`, or a duration shorter than a control period.
-        ToolMissing: there is no C compiler; `run_system` needs none.
+        InputError: as in `run_numbers`, or the duration is shorter than a control period.
+        ToolMissing: there is no C compiler; `run_system` needs no compiler.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -115,10 +115,10 @@ def simulate_system(
 
 
 def periods(system: System, seconds: float) -> int:
-    """The control periods of so many seconds.
+    """Return the number of control periods in a duration in seconds.
 
     Raises:
-        InputError: no time, or less than half a period.
+        InputError: the duration is not a positive number, or is less than half a period.
     """
     steps = round(seconds / system.dt) if np.isfinite(seconds) else 0
     if steps < 1:
@@ -129,7 +129,7 @@ def periods(system: System, seconds: float) -> int:
 
 
 def loop_step(system: System) -> Block:
-    """(state, parameters) → state after one control period, as the batch runs it."""
+    """Return the batch step (state, parameters) → state after one control period, as a program or routine."""
     plant, controller = system.plant, system.controller
     state, parameters = _layouts(system)
     s, now = state.symbols("s")
@@ -172,7 +172,7 @@ def loop_step(system: System) -> Block:
 
 
 def _layouts(system: System) -> tuple[Layout, Layout]:
-    """Of the batch's state, whose first entry is the flag that ends a run, and of its parameters."""
+    """Return the layouts of the batch's state, whose first entry is the flag that ends a run, and of its parameters."""
     sizes = {"plant": system.plant.state.size, "controller": system.controller.state.size, "sums": len(system.costs)}
     constants = {
         "plant": system.plant.parameters.size, "reference": system.references.size,
@@ -189,7 +189,7 @@ def _stack(name: str, size: int) -> Port:
 
 
 def moved_state(system: System, x: ca.SX, command: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX) -> ca.SX:
-    """The plant's state one period later, by Runge-Kutta's fourth order, the command held."""
+    """Return the plant state one period later, by fourth-order Runge-Kutta steps with a constant command."""
     f, h = system.applied(command), system.dt / system.substeps
 
     def derivative(state: ca.SX, late: ca.SX) -> ca.SX:
@@ -208,7 +208,7 @@ def moved_state(system: System, x: ca.SX, command: ca.SX, constants: Mapping[str
 
 
 def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX) -> ca.SX:
-    """What each figure has come to, with the value of this instant."""
+    """Return the accumulated value of each metric, updated with its value at the present control instant."""
     after = []
     for k, cost in enumerate(system.costs.values()):
         old, value = sums[k], costs[k]
@@ -227,7 +227,7 @@ def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX) -> ca.SX:
 
 
 def _figure(cost: Cost, total: Array, count: Array) -> Array:
-    """The figure of a whole run from what was summed over its instants."""
+    """Return the metric of each run from its accumulated value and its number of control instants."""
     if cost.how == "mean":
         return total / np.maximum(count, 1)
     return np.sqrt(total / np.maximum(count, 1)) if cost.how == "rms" else total

@@ -21,7 +21,7 @@ _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
 
 @dataclass(frozen=True)
 class RunNumbers:
-    """The numbers of n runs, a row each: start (n, states), and flat parameters, references, disturbances, gains."""
+    """Numbers of n runs; row k of each array (start states, parameters, references, disturbances, gains) is run k."""
 
     start: Array
     plant: Array
@@ -31,17 +31,18 @@ class RunNumbers:
 
     @property
     def count(self) -> int:
-        """Number of runs."""
+        """Return the number of runs."""
         return len(self.start)
 
 
 def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
-    """Defaults of all ports, and the given values by name.
+    """Return the numbers of runs from the given values; a port without a value has its default.
 
     Args:
         system: the loop.
-        values: by name: a gain `k`, `plant.NAME`, `reference.NAME`, `disturbance.NAME` or `start.NAME`; with `[i]` one
-            entry of a port. A scalar holds for every run and entry, (n,) is one number a run, (n, size) a row a run.
+        values: values by the name of a gain (`k`), or by `plant.NAME`, `reference.NAME`, `disturbance.NAME` or
+            `start.NAME`; with `[i]`, the name denotes one entry of a port. A scalar holds for every run and entry; an
+            array (n,) has one number for each run; an array (n, size) has one row for each run.
 
     Raises:
         InputError: an unknown name, a number that is not finite, or arrays of different numbers of runs.
