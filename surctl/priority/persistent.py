@@ -1,8 +1,9 @@
-"""Solvers that keep their state between control periods: DAQP and OSQP through their own interfaces.
+"""QP solvers that keep their state between control periods: DAQP and OSQP through their own interfaces.
 
-Both are kernels: `solve_least_distance(..., backend=PersistentDaqp())`. The number of rows varies between control
-periods, since elimination drops some, and neither solver can change its size, so one solver is kept for each size. If a
-solution fails its check, the solver is discarded and a new one is set up when that size occurs again.
+Both can be passed as a backend: `solve_least_distance(..., backend=PersistentDaqp())`. The number of constraint rows
+varies between control periods, because the elimination of equalities drops some rows. Neither solver can change its
+problem size, so one solver is stored for each size. If a solution fails the check of the optimality conditions, the
+solver is discarded, and a new solver is set up when the size occurs again.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ __all__ = ["PersistentDaqp", "PersistentOsqp"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_MOST = 64  # largest number of sizes; the one first stored is dropped first
+_MOST = 64  # largest number of stored problem sizes; the oldest is dropped first
 _RHO = 0.1  # OSQP's default step size, from which it adapts
 
 
 class _Persistent(ABC):
-    """Common part of the persistent solvers: a dictionary with one solver for each problem size."""
+    """Base class of the persistent solvers: it stores one solver for each problem size."""
 
     def __init__(self, *, warm: bool = False) -> None:
         self.warm = warm
@@ -45,7 +46,8 @@ class _Persistent(ABC):
     def __call__(self, G: Array, lower: Array, upper: Array, /) -> KernelSolution:
         """Return the point nearest to 0 with lower (m,) ≤ G (m, d) y ≤ upper (m,), rows of length 1, ±inf allowed.
 
-        The status is "infeasible" also where bounds cross, and "failed" for a NaN; neither raises an exception.
+        The status is also "infeasible" if bounds cross (lower > upper), and "failed" for a NaN; neither case raises an
+        exception.
 
         Raises:
             InputError: the shapes disagree (DAQP would then use the old bounds).
@@ -68,11 +70,11 @@ class _Persistent(ABC):
 
     @abstractmethod
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
-        """Set up a solver, and solve."""
+        """Set up a solver for this problem size, and solve the problem."""
 
     @abstractmethod
     def _again(self, solver: Any, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
-        """Update the numbers of a solver of this size, and solve."""
+        """Update the data of a solver of this problem size, and solve the problem."""
 
 
 class PersistentDaqp(_Persistent):

@@ -18,7 +18,7 @@ ZERO_ROW = 1e-15
 
 @dataclass(frozen=True)
 class RowSpace:
-    """J = left · diag(s) · rows, without singular values below the cut-off.
+    """A singular value decomposition J = left · diag(s) · rows, without singular values below the cut-off.
 
     Attributes:
         left: (k, r), orthonormal columns.
