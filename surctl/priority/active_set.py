@@ -24,7 +24,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 _CAP = 100
 _PATIENT = 20
-"""After this many steps the first wrong row is dropped, not the worst: this rule cannot cycle (Bland 1977)."""
+"""After this many steps, drop the first constraint with a wrong sign, not the worst; this cannot cycle (Bland 1977)."""
 
 _STILL = 1e-14
 _WRONG_SIGN = 1e-11

@@ -83,8 +83,8 @@ class PersistentDaqp(_Persistent):
     Do not share an object between threads.
 
     Args:
-        warm: start from the last active set of that size. If off, the solution depends only on the problem, to the
-            bit.
+        warm: start from the active set of the last problem of the same size. If False, the solution depends on the
+            problem alone, to the last bit.
     """
 
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
@@ -114,8 +114,8 @@ class PersistentOsqp(_Persistent):
     Do not share an object between threads.
 
     Args:
-        warm: start from the last point, multipliers and step size of that size. If off, the solution depends only
-            on the problem, to the bit.
+        warm: start from the point, multipliers and step size of the last problem of the same size. If False, the
+            solution depends on the problem alone, to the last bit.
     """
 
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:

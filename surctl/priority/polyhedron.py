@@ -121,7 +121,10 @@ class Polyhedron:
 
 
 def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
-    """The problem's rows, scaled. A row of zeros keeps its bounds: it is always or never satisfied."""
+    """Return the limits of the problem as constraint rows of length 1.
+
+    A constraint row with zero normal keeps its bounds, so it is either always or never satisfied.
+    """
     rows, n = problem.rows, problem.width
     A = np.array([row.a for row in rows]).reshape(len(rows), n)
     length = _lengths(A)

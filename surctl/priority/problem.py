@@ -83,7 +83,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class PriorityProblem:
-    """Levels, highest priority first, and limit rows; `build_problem` checks and builds it."""
+    """A priority problem from `build_problem`: levels, highest priority first, and limits as constraint rows."""
 
     levels: tuple[Level, ...]
     rows: tuple[Row, ...] = ()

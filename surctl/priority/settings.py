@@ -18,8 +18,8 @@ Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
 its last projection, that of the first task, restricted to the rows. lexicographic: strict priority inside the rows."""
 
 Fallback: TypeAlias = Literal["exact", "bounded"]
-"""What a compiled step does if task and rows are incompatible. exact: it computes the optimum, at any cost. bounded: it
-computes at constant cost a v that violates the limits no more than the target moved into the box, or v = 0, does."""
+"""What a compiled step does if task and limits are incompatible. exact: compute the optimum at any cost. bounded:
+compute at constant cost a v that violates the limits no more than the target moved into the box, or v = 0, does."""
 
 _BOUNDED: tuple[Mode, ...] = ("filter", "projected")
 

@@ -11,7 +11,7 @@ from surctl.errors import InputError
 __all__ = ["nsb_symbolic", "projection"]
 
 _DEPENDENT = 1e-12
-"""A row is dependent if its squared distance from the rows above it is below this fraction of its square."""
+"""A row of J is dependent if its squared distance from the rows above is below this fraction of its squared length."""
 
 _ZERO_SQUARE = 1e-30
 """Squared length below which a row counts as zero and its task as inactive (`rowspace.ZERO_ROW` squared)."""
