@@ -121,7 +121,7 @@ def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: N
 
 
 def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """Outward normals (p, n) of all finite bounds of the chosen rows, and the distance (p,) of v from each bound."""
+    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and the distance (p,) of v to each."""
     value = rows.A @ v
     above, below = np.isfinite(rows.upper), np.isfinite(rows.lower)
     if chosen is not None:

@@ -57,7 +57,7 @@ class Polyhedron:
         return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
     def missed(self, v: Array) -> dict[str, float]:
-        """Rows that v violates by more than rounding, by name, with the violation in the unit of the row."""
+        """Return the violation of each row that v violates by more than rounding, by name, in the unit of the limit."""
         amount = self.violation(v)
         tolerance = _ROUNDING * (1.0 + float(np.abs(v).max()))
         return {self.names[i]: float(amount[i] * self.length[i]) for i in np.flatnonzero(amount > tolerance)}

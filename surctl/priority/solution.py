@@ -71,7 +71,7 @@ class PrioritySolution:
         return self.settings.mode
 
     def explain(self) -> str:
-        """Return one or two sentences: which task gave up how much, because of which row."""
+        """Return one or two sentences that state which task is not fully met, by how much, and due to which limit."""
         if self.status == "clamped":
             return "The actuator rows contradict each other, or all solvers failed: v is only moved into the box."
         text = self._losses()
@@ -92,7 +92,7 @@ class PrioritySolution:
         )
 
     def _losses(self) -> str:
-        """The sentence on tasks: which task gave up how much, grouped by the rows that cause it."""
+        """Return a sentence on which tasks are not fully met and by how much, grouped by the limits that cause it."""
         bind = tuple(name for name, _ in self.binding)
         lost: dict[tuple[str, ...], list[str]] = {}
         for name, residual in self.residuals.items():

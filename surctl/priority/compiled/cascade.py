@@ -36,7 +36,7 @@ _STATE = ("stop", "v", "base", "N", "rows", "held", "hold", "active", "multiplie
 
 
 class _Sizes:
-    """Sizes: n velocities, k rows of the largest level, m rows including one for each set-based level at the end."""
+    """Sizes: n velocities, k rows of the largest J, m constraint rows, of which the last are for set-based levels."""
 
     def __init__(self, shape: StackShape, rows: int) -> None:
         self.shape, self.n, self.k, self.limit_rows = shape, shape.n, shape.tallest, rows
@@ -59,7 +59,7 @@ class _Sizes:
 
     @property
     def level(self) -> tuple[tuple[str, int], ...]:
-        """Padded inputs of one level; is_set, first: flags; slot: selects the place for a set-based row."""
+        """Padded inputs of one level. is_set, first: flags. slot: position of the row of a set-based level."""
         return (
             ("J_i", self.k * self.n),
             ("lower_i", self.k),
@@ -125,7 +125,7 @@ def _arrange(sizes: _Sizes) -> Program:
 
 
 def _begin(sizes: _Sizes) -> Program:
-    """(v, active, multipliers, status, count, sound) → the initial state of the levels without its rows."""
+    """Instruction list (v, active, multipliers, status, count, sound) → initial state of the levels without `rows`."""
     n = sizes.n
     v, active, multipliers = (ca.SX.sym(name, n) for name in ("v", "active", "multipliers"))
     status, count, sound = (ca.SX.sym(name) for name in ("status", "count", "sound"))

@@ -83,7 +83,10 @@ def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
 
 
 def _direction(row: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
-    """Part of the row orthogonal to earlier directions, normalised, or zero; two passes suffice (Parlett 1998, 6.9)."""
+    """Return the unit vector of the row's part orthogonal to earlier directions, or 0.
+
+    Two passes suffice (Parlett 1998, 6.9).
+    """
     q = _outside(row, Q, N)
     length = ca.sqrt(ca.sumsqr(q))
     alive = length > CUTOFF

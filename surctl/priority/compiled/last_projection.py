@@ -246,7 +246,10 @@ def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) 
 
 
 def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
-    """(w, J, lower, upper, rows, box) → the same over (v, s); a set-based level becomes a row and not a task."""
+    """Instruction list (w, J, lower, upper, rows, box) → safe-step inputs over (v, s).
+
+    A set-based level becomes a constraint row and not a task.
+    """
     n, (flat, levels) = shape.n, shape.symbols()
     level = levels[0]
     q = level.J.shape[0]

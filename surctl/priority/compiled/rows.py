@@ -47,6 +47,6 @@ def reduced_row(n: int) -> Program:
 
 
 def longer_row(n: int, more: int) -> Program:
-    """row → the same row over `more` additional variables, which it does not bound."""
+    """Instruction list: row → the constraint row over `more` additional variables, which the row does not bound."""
     row = ca.SX.sym("row", n + 3)
     return lower(ca.Function("longer_row", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(more), row[n:]))]))

@@ -75,7 +75,10 @@ class PriorityStep:
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> None:
-        """Take the arguments and raise the errors of `priority_step`. All rows start idle and the box unbounded."""
+        """Compile a step; arguments and errors are those of `priority_step`.
+
+        Initially all constraint rows are idle and the box is unbounded.
+        """
         shapes = tuple(levels)
         routine = priority_step(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping, fallback=fallback)
         inputs, outputs, self.solve, self.compiled = bound(routine)
@@ -84,7 +87,7 @@ class PriorityStep:
         self.box[:] = [[-np.inf], [np.inf]]
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Refuse to replace a view by another array; `step.J += 1` is allowed, since it assigns the same array."""
+        """Refuse to replace a view by another array; `step.J += 1` is allowed: it assigns the array to itself."""
         if name in _VIEWS and name in self.__dict__ and value is not self.__dict__[name]:
             raise InputError("is a view of the step's buffer", key=name, remedy=f"write into it: step.{name}[...] = …")
         super().__setattr__(name, value)

@@ -56,7 +56,7 @@ def largest(vector: ca.SX) -> ca.SX:
 
 
 def _unit_pull(n: int, precision: Precision) -> Program:
-    """The pull scaled to largest entry 1 with opening 0, its size, and whether it is zero (nothing to compute)."""
+    """Instruction list: pull → (pull scaled to largest entry 1, opening 0), largest entry, whether the pull is zero."""
     pull = ca.SX.sym("pull", n)
     size = largest(pull)
     none = ca.logic_not(size > precision.priced)
