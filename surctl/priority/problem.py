@@ -107,7 +107,10 @@ class PriorityProblem:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; an absent bound is null. `from_dict` restores exactly the same numbers."""
+        """Return the problem as plain data for JSON; an absent bound is null.
+
+        `from_dict` restores the numbers exactly.
+        """
         return {
             "levels": [
                 {

@@ -138,7 +138,7 @@ class AssembledStep(PriorityStep):
         self.inputs = MappingProxyType(dict(zip(assembly.sizes, inputs, strict=True)))
 
     def load(self, problem: PriorityProblem) -> None:
-        """Raise an InputError always: `solve` computes these arrays from the inputs and would overwrite the problem."""
+        """Always raise an InputError: `solve` computes the arrays from `inputs` and would overwrite the problem."""
         del problem
         raise InputError(
             "cannot load a problem", key="step", remedy="write into its inputs, or use PriorityStep.of(problem)"

@@ -98,7 +98,7 @@ def cascade(shape: StackShape, rows: int) -> Routine:
 
 
 def _arrange(sizes: _Sizes) -> Program:
-    """(J, lower, upper, rows) → levels padded to one size, flags, slots, zeros, rows with places for sets."""
+    """Instruction list (J, lower, upper, rows) → padded levels, flags, slots, zeros, rows with free slots."""
     shape, n, k = sizes.shape, sizes.n, sizes.k
     flat, levels = shape.symbols()
     rows = ca.SX.sym("rows", sizes.limit_rows * sizes.row)

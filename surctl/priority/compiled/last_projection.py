@@ -90,7 +90,7 @@ def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
 
 
 def _plain(shape: StackShape) -> Program:
-    """(J, lower, upper) → J_1, x_1 of two rows, and whether these have similar lengths and are not nearly parallel."""
+    """Instruction list (J, lower, upper) → two-row J_1, x_1, whether the rows are similar in length, not parallel."""
     flat, levels = shape.symbols()
     J = levels[0].J
     a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
@@ -162,7 +162,7 @@ def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
 
 
 def _pull(n: int, k: int) -> Program:
-    """(J_1, x_1, v, status) → whether no row limits the task, the gradient Jᵀ(x − J v), and the identity."""
+    """Instruction list (J_1, x_1, v, status) → whether no limit binds the task, Jᵀ(x − J v), identity matrix."""
     J, x, v, status = ca.SX.sym("J", k * n), ca.SX.sym("x", k), ca.SX.sym("v", n), ca.SX.sym("status")
     matrix = as_matrix(J, n)
     met = ca.logic_not(ca.logic_or(ca.eq(status, LIMITED), ca.eq(status, RELAXED)))

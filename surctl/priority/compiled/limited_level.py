@@ -134,7 +134,7 @@ def _moved(n: int) -> Program:
 
 
 def _pulled(n: int, k: int) -> Program:
-    """(v, point, feasible, task, turn, J, x) → the point if feasible, else v; the gradient there; whether it moved."""
+    """Instruction list (v, point, feasible, task, turn, J, x) → new v (point if feasible), gradient, moved."""
     v, point, feasible = ca.SX.sym("v", n), ca.SX.sym("point", n + 1), ca.SX.sym("feasible")
     task, turn, J, x = ca.SX.sym("task", k * n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
     chosen = ca.if_else(feasible, point[:n], v)
@@ -145,7 +145,7 @@ def _pulled(n: int, k: int) -> Program:
 
 
 def _converged(n: int) -> Program:
-    """(rest, pull, multipliers, square, moved, counts) → multipliers in the units of the level, count, converged."""
+    """Instruction list (rest, pull, multipliers, square, moved, counts) → scaled multipliers, count, converged."""
     rest, pull, part = (ca.SX.sym(name, n) for name in ("rest", "pull", "part"))
     square, moved = ca.SX.sym("square"), ca.SX.sym("moved")
     counts = [ca.SX.sym(name) for name in ("count", "spent", "more")]

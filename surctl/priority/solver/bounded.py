@@ -130,7 +130,7 @@ def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """First sweep; also the largest violation of any row, and of a hard row, by near and by v = 0."""
+    """First sweep of projections; also the largest violation of any row, and of a hard row, by near and by v = 0."""
     (point, worst, hard), (near,) = state, fixed
     after: list[tuple[ca.SX, ca.SX]] = []
     for k, (above, below) in enumerate((_misses(row, dot(row[:-3], near)), (-row[-2], row[-3]))):

@@ -75,7 +75,7 @@ class Space:
 
 
 def pricing(space: Space) -> Program:
-    """(turn, best, row, point) → best: the most violated row so far, as (violation, signed row number from 1).
+    """Instruction list (turn, best, row, point) → best: (violation, signed number) of the most violated row so far.
 
     The comparison is strict: of equally violated rows of one lane the first is chosen, and a NaN is never chosen.
     """
@@ -129,7 +129,7 @@ def halve() -> Program:
 
 
 def close() -> Program:
-    """(best, pending, status) → status: optimal if no row is violated and none is pending."""
+    """Instruction list (best, pending, status) → status: optimal if no row is violated and no row is pending."""
     best, pending, status = ca.SX.sym("best", 2), ca.SX.sym("pending", 2), ca.SX.sym("status")
     idle = ca.logic_and(ca.eq(best[1], 0), ca.eq(pending[0], 0))
     after = ca.if_else(ca.logic_and(ca.eq(status, 0), idle), OPTIMAL, status)
@@ -144,7 +144,7 @@ def _size(v: ca.SX) -> ca.SX:
 
 
 def which() -> Program:
-    """(best, pending) → index and signed number of the row to process: the pending row, if any."""
+    """Instruction list (best, pending) → index and signed number of the row to process (a pending row goes first)."""
     best, pending = ca.SX.sym("best", 2), ca.SX.sym("pending", 2)
     number = ca.if_else(ca.eq(pending[0], 0), best[1], pending[0])
     return lower(ca.Function("which", [best, pending], [ca.fabs(number) - 1, number]))

@@ -53,7 +53,7 @@ class Reflection(NamedTuple):
 
 
 def reflect(J: ca.SX, b: ca.SX, target: ca.SX, precision: Precision = FLOAT64) -> Reflection:
-    """Householder elimination of p < n rows, expected to be independent, at a third of the cost of `eliminate`."""
+    """Eliminate p < n independent rows of J by Householder reflections, at a third of the cost of `eliminate`."""
     p, n = J.shape
     full, normals, weights, solved = ca.SX(1), list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for k in range(p):

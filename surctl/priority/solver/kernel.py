@@ -44,14 +44,14 @@ def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
 
 
 def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Reorder (…, rows, width) to (…, rows·width) in blocks, as the routines here expect them in double."""
+    """Reorder constraint rows (…, rows, width) to blocks (…, rows·width), as the routines expect in double."""
     *batch, count, width = rows.shape
     lanes = lanes_of(count)
     return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
 
 
 def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> Routine:
-    """The same routine with its first input, `rows` rows, stored row by row instead of in blocks."""
+    """Return the routine with its first input, `rows` constraint rows, stored row by row instead of in blocks."""
     if lanes_of(rows, precision) == 1:
         return routine
     (name, size), *others = routine.inputs
@@ -194,7 +194,7 @@ def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
 
 
 def _turn(space: Space, rows: int) -> Routine:
-    """One step with the pending row or the most violated row; then all rows are priced again."""
+    """Routine for one iteration with the pending or most violated row, and the violations after it."""
     state, lanes = _state(space), lanes_of(rows, space.precision)
     free = (("M", space.n * space.d),) if space.mapped else ()
     names = tuple(name for name, _ in state[:-2])
@@ -213,7 +213,7 @@ def _turn(space: Space, rows: int) -> Routine:
 
 
 def certificate(space: Space, rows: int) -> Routine:
-    """(rows, point) → 1 if the point (n + 1,) satisfies every row to `feasibility`·max(1, |v|), else 0.
+    """Routine (rows, point) → 1 if the point (n + 1,) satisfies every row to `feasibility`·max(1, |v|), else 0.
 
     The test is written as the condition that must hold, because every comparison with a NaN is false.
     """

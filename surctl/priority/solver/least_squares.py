@@ -59,7 +59,7 @@ def _begin(sizes: Sizes) -> Program:
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """One proximal step, then the minimiser on the active rows of that step."""
+    """Routine for one proximal step, followed by the direct solution with the active rows of the step."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("delta", 1), ("status", 1), ("count", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p))
@@ -169,7 +169,7 @@ def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.
 
 
 def _decide(sizes: Sizes) -> Program:
-    """Stop if the direct point is optimal and feasible (1), or if no feasible point exists (3); otherwise reduce δ."""
+    """Instruction list: stop if the direct solution is optimal and feasible (1) or none exists (3); else reduce δ."""
     n = sizes.n
     point, active, delta = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("delta")
     status, count = ca.SX.sym("status"), ca.SX.sym("count")
@@ -190,7 +190,7 @@ def _decide(sizes: Sizes) -> Program:
 
 
 def _end(sizes: Sizes) -> Program:
-    """(status, δ, feasible) → whether the point is valid: optimal, or the result of at least one proximal step."""
+    """Instruction list (status, δ, feasible) → whether the point is optimal or the result of a proximal step."""
     status, delta, feasible = ca.SX.sym("status"), ca.SX.sym("delta"), ca.SX.sym("feasible")
     stepped = ca.logic_or(ca.eq(status, OPTIMAL), delta < sizes.precision.delta)
     return lower(ca.Function("least_squares_end", [status, delta, feasible], [ca.logic_and(stepped, feasible)]))

@@ -51,7 +51,7 @@ class SafePoint:
 
 @cache
 def step_runner(n: int, p: int, m: int) -> Runner:
-    """`safe_step` of these sizes, compiled once; without a compiler `replay` gives the same numbers, but slower."""
+    """A `safe_step` of fixed sizes, compiled once; without a compiler, `replay` gives the same numbers more slowly."""
     return runnable(safe_step(n, p, m))
 
 

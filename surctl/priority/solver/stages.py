@@ -115,7 +115,7 @@ def _dependent(sizes: Sizes) -> Routine:
 
 
 def lower_stages(sizes: Sizes) -> Routine:
-    """Stages 2 and 3: meet the task as well as the rows allow; if infeasible, open soft rows for the next pass."""
+    """Routine for stages 2 and 3: meet the task as well as the rows allow, or open soft rows for the next pass."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("near", n), ("J", p * n), ("x", p))
@@ -177,7 +177,7 @@ def _opening_turn(sizes: Sizes) -> Routine:
 
 
 def _done(flag: str) -> Program:
-    """Instruction list: flag → 0, which ends the loop after one pass."""
+    """Instruction list: flag → 1, which ends the loop after one pass."""
     return lower(ca.Function("done", [ca.SX.sym(flag)], [ca.SX.ones(1)]))
 
 
@@ -188,7 +188,7 @@ def _opening(n: int) -> Program:
 
 
 def _open_row(sizes: Sizes) -> Program:
-    """A row whose bounds are moved outwards by the opening of the point, if it is soft."""
+    """Instruction list: row → row with bounds moved outwards by the opening of the point if the row is soft."""
     n = sizes.n
     row, point = ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
     widening = row[n + 2] * point[n]
