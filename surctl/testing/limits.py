@@ -246,7 +246,7 @@ class _Check:
         return compared
 
     def _trials(self, A: Array, lower: Array, upper: Array, rng: np.random.Generator, velocity: float) -> list[Array]:
-        """Random velocities, and velocities on both sides of every bound that satisfy the other rows."""
+        """Return random velocities, and velocities on both sides of every bound that satisfy all other rows."""
         trials = list(rng.uniform(-velocity, velocity, (5, 4)))
         for a, *bounds in zip(A, lower, upper, strict=True):
             for bound in bounds:

@@ -25,7 +25,7 @@ _MOST_CORNERS = 10  # largest number of entries for which all corners of the box
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Symbols stored one after another, with the lowest and highest value of each entry; low, high: (total,)."""
+    """Symbols and their ranges. low, high: (total,), lowest and highest value of each entry of all symbols."""
 
     symbols: tuple[ca.SX, ...]
     low: Array
@@ -36,7 +36,7 @@ class Ranges:
         return rng.uniform(self.low, self.high, (count, self.low.size))
 
     def corners(self) -> Array:
-        """(corners, total): all corners of the box for few entries, otherwise only its lowest and highest corner."""
+        """Return corners (corners, total) of the box: all corners for few entries, else the lowest and the highest."""
         if self.low.size == 0:
             return np.zeros((1, 0))
         if self.low.size > _MOST_CORNERS:

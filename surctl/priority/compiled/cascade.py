@@ -138,7 +138,7 @@ def _begin(sizes: _Sizes) -> Program:
 
 
 def _level(sizes: _Sizes) -> Routine:
-    """Steps for one level: test whether the level is reachable; if not, meet the level as well as the limits allow."""
+    """Routine for one level: test whether the level is reachable; if not, meet it as well as the limits allow."""
     n, k, m = sizes.n, sizes.k, sizes.m
     space = Space(n, n)
     level = tuple(pair for pair in sizes.level if pair[1])

@@ -90,7 +90,7 @@ def _nothing(n: int) -> Program:
 
 
 def _again(n: int, k: int, m: int) -> Routine:
-    """Steps of one pass: call `safe_step` from v, find the constraint rows that limit the level, test optimality."""
+    """Routine for one pass: call `safe_step` from v, find the constraint rows that limit the level, test optimality."""
     state = (("v", n), ("numbers", n), ("u", n), ("count", 1), ("converged", 1))
     fixed = (
         ("rows", m * (n + 3)), ("N", n * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k), ("square", 1),
@@ -162,7 +162,7 @@ def _frozen(n: int, k: int) -> Program:
 
 
 def _chosen(n: int) -> Program:
-    """Steps that find the point nearest to 0 with the value of the level; if rounding leaves none, the result is v."""
+    """Instruction list → the point nearest to 0 with the value of the level; if rounding leaves no such point, v."""
     v, base, N = ca.SX.sym("v", n), ca.SX.sym("base", n + 1), ca.SX.sym("N", n * n)
     point, act, press = ca.SX.sym("point", n + 1), ca.SX.sym("act", n), ca.SX.sym("press", n)
     end, feasible, count, spent = (ca.SX.sym(name) for name in ("end", "feasible", "count", "spent"))

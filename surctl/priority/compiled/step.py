@@ -191,7 +191,7 @@ def _unlimited(n: int) -> Program:
 
 
 def _finish(n: int, *, boxed: bool) -> Program:
-    """(outputs, sound, box) → finite outputs; v is 0 moved into the box if the stack or the sweep is not finite."""
+    """Instruction list (outputs, sound, box) → finite outputs; without a finite v, v is 0 moved into the box."""
     flat = [ca.SX.sym(name, size) for name, size in zip(OUTPUTS, (n, n, n, 1, 1, 1, n), strict=True)]
     v, active, multipliers, opening, status, count, target = flat
     sound, box = ca.SX.sym("sound"), ca.SX.sym("box", 2 * n)

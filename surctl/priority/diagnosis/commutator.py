@@ -54,7 +54,7 @@ class Directions:
 
     @property
     def rows(self) -> Array:
-        """An orthonormal basis of the row space (..., n, n), one vector for each row, followed by zero rows."""
+        """Return an orthonormal basis (..., n, n) of the row space, one vector in each row, followed by zero rows."""
         basis: Array = self.vectors * (self.s > 0.0)[..., None]
         return basis
 

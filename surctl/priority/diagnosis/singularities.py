@@ -52,7 +52,7 @@ def task_rank(values: Values, i: int) -> int:
 
 
 def gained_rank(values: Values, i: int) -> int:
-    """Largest number of directions of level i outside the row space above, over the samples."""
+    """Return the largest number, over the samples, of directions of level i outside the row space above it."""
     return int(np.count_nonzero(freedom(values, i) > TOLERANCE, axis=1).max())
 
 

@@ -162,7 +162,7 @@ def _choose(sizes: Sizes) -> Program:
 
 
 def _sweep_again(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Instruction list for one constraint row in the second sweep of projections."""
+    """Return the state after one constraint row in the second sweep of projections."""
     return [_moved(state[0], row, _SWEEPS[1])]
 
 
@@ -185,7 +185,7 @@ def _inside(sizes: Sizes) -> Program:
 
 
 def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Fraction of the path from safe to goal within the row's slack; largest violation of any row at the goal."""
+    """Fraction of the path from safe to goal on which a row is violated by at most slack; largest violation at goal."""
     (part, missed), (safe, goal, slack) = state, fixed
     from_, to = dot(row[:-3], safe), dot(row[:-3], goal)
     above, below = _misses(row, from_)

@@ -120,7 +120,7 @@ def threshold(space: Space) -> Program:
 
 
 def halve() -> Program:
-    """(two violations, two row numbers) → (violation, number) of the row violated more; if equal, of the first row."""
+    """Instruction list (two violations, two numbers) → (violation, number) of the row violated more, else the first."""
     four = ca.SX.sym("four", 4)
     tie = ca.logic_and(ca.eq(four[0], four[1]), ca.fabs(four[3]) < ca.fabs(four[2]))
     second = ca.logic_or(four[0] < four[1], tie)
@@ -299,7 +299,9 @@ class _Step:
 
 
 def iteration(space: Space) -> Program:
-    """(point, normals, multipliers, numbers, pending, status, count, number, row[, M]) → the first seven after a step.
+    """Instruction list for one iteration: it updates the first seven of its inputs.
+
+    The inputs are point, normals, multipliers, numbers, pending, status, count, number, row and, if `mapped`, M.
 
     normals: (d·d,), slot by slot. multipliers: (d,), Lagrange multiplier in each slot. numbers: (d,), signed row number
     in each slot. pending: (2,), signed number (0: none) and multiplier of the pending row. number: signed number of the
@@ -335,7 +337,7 @@ def iteration(space: Space) -> Program:
 
 
 def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, multiplier: ca.SX) -> _Slots:
-    """Slots after the step: those behind a dropped row move up, and the entering row takes the first empty slot."""
+    """Return the slots after the step: slots behind a dropped row move up, the entering row takes an empty slot."""
     columns: tuple[list[ca.SX], ...] = ([], [], [])
     left = [ca.fmax(u - step.length * ratio, 0) for u, ratio in zip(slots.multipliers, r, strict=True)]
     new = (entering.normal, multiplier, entering.number)

@@ -27,7 +27,7 @@ from surctl.priority.solver.stages import LIMITED, RELAXED, exact_stage, lower_s
 __all__ = ["BOUNDED", "CLAMPED", "LIMITED", "MET", "RELAXED", "safe_step"]
 
 MET, CLAMPED = 1, 4
-"""Status values in addition to `LIMITED`, `RELAXED` and `BOUNDED`: task met; v only moved into the box."""
+"""Status values besides `LIMITED`, `RELAXED`, `BOUNDED`. MET: task met. CLAMPED: v is only moved into the box."""
 
 
 def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallback: Fallback = "exact") -> Routine:
@@ -144,7 +144,10 @@ def _near(n: int) -> Program:
 
 
 def _judge(sizes: Sizes) -> Program:
-    """(point, kernel status, feasible, J, x) → MET or 0: MET if every task row holds, relative to its length."""
+    """Instruction list (point, solver status, feasible, J, x) → MET or 0.
+
+    MET: every row of J v = x holds to rounding, relative to the length of the row.
+    """
     n, p = sizes.n, sizes.p
     point, end, feasible = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("feasible")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -162,8 +165,8 @@ def _judge(sizes: Sizes) -> Program:
 def _finish(sizes: Sizes) -> Program:
     """Instruction list (point, status, safe, target, J, x, box) → v inside the box and always finite, opening, status.
 
-    A point that results from a non-finite task or target does not count as a solution. If stage 2 failed for the opened
-    rows, a point of stage 3 that satisfies the opened rows is accepted.
+    A point that results from a non-finite task or target does not count as a solution. If no stage found a solution
+    (status 0), a point of stage 3 that satisfies the opened constraint rows is accepted.
     """
     n, p, huge = sizes.n, sizes.p, sizes.precision.huge
     point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)
