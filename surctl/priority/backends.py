@@ -111,7 +111,7 @@ def solve_least_distance(
     b_eq: Array | None = None,
     backend: Backend = "daqp",
 ) -> LeastDistance:
-    """Return the point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper (m rows, ±inf allowed).
+    """Return the point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper, bounds (m,), ±inf allowed.
 
     Dependent equalities are allowed if they are consistent. An infeasible problem gives the status "infeasible" and
     raises no error. `backend` is a name in `BACKENDS` or a solver function (`Kernel`). The solver receives only the

@@ -103,7 +103,7 @@ def wide(levels: list[Level] | tuple[Level, ...], *, span: float = 1e3) -> Prior
 def inequality_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
     """Return a problem with limits that v = 0 satisfies, and random levels with rows of length 1 in J.
 
-    Some rows occur twice in a level, some also in the level above, and some are set-based.
+    Some rows of J occur twice in a level, some also occur in the level above, and some are set-based.
     """
     levels: list[Level] = []
     for i in range(rng.integers(1, most + 1)):

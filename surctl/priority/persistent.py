@@ -108,8 +108,8 @@ class PersistentDaqp(_Persistent):
 class PersistentOsqp(_Persistent):
     """OSQP (Stellato et al. 2020), set up once for each size, then `update(l, u, Ax)`; settings as in `osqp_kernel`.
 
-    Like a new OSQP it may stop before it reaches 1e-8 on degenerate rows, with status "unfinished";
-    `solve_least_distance` then polishes and checks the point.
+    Like a new OSQP, a stored OSQP may stop before it reaches a tolerance of 1e-8 on degenerate constraint rows, with
+    status "unfinished"; `solve_least_distance` then polishes and checks the point.
 
     Do not share an object between threads.
 

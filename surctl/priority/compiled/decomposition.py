@@ -17,7 +17,7 @@ class Decomposition(NamedTuple):
     Attributes:
         Q: k columns (n, 1), orthonormal basis of the row space of J N; a column is zero if its row depends on the rows
             above.
-        P: k columns (k, 1), orthonormal; a column is zero if the column of Q with the same index is zero.
+        P: k columns (k, 1), orthonormal; column i is zero if column i of Q is zero.
         T: k lists of k entries: upper triangular matrix; row and column i are zero if column i of Q is zero.
         inverse: reciprocals of the k diagonal entries of T; 0 for a diagonal entry of 0.
         scale: 1/‖J‖, where ‖J‖ is the length of the longest row of J; 0 for a zero J (inactive task).
@@ -83,9 +83,9 @@ def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
 
 
 def _direction(row: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
-    """Return the unit vector of the row's part orthogonal to earlier directions, or 0.
+    """Return the unit vector along the part of a row of J orthogonal to earlier directions; 0 if this part is 0.
 
-    Two passes suffice (Parlett 1998, 6.9).
+    Two orthogonalisation passes suffice (Parlett 1998, 6.9).
     """
     q = _outside(row, Q, N)
     length = ca.sqrt(ca.sumsqr(q))

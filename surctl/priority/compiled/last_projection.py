@@ -135,7 +135,7 @@ def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, f
 
 
 def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
-    """Steps (J_1, x_1, rows, solution) → the solution, its list of active rows headed by those that limit task 1."""
+    """Routine (J_1, x_1, rows, solution) → the solution, its list of active rows headed by those that limit task 1."""
     solution = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     fixed = (("rows", rows * (n + 3)), ("v", n), ("opening", 1), ("pull", n), ("Z", n * n))
     add = Routine(
@@ -246,7 +246,7 @@ def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) 
 
 
 def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
-    """Instruction list (w, J, lower, upper, rows, box) → safe-step inputs over (v, s).
+    """Instruction list (w, J, lower, upper, rows, box) → inputs of `safe_step` over (v, s).
 
     A set-based level becomes a constraint row and not a task.
     """

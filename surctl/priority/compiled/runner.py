@@ -35,7 +35,7 @@ class PriorityStep:
 
     Every array is a view of one buffer that each `solve` reads or overwrites: copy results that must last, and assign
     to the elements. Replacing an array raises an InputError, because `solve` would never read the new array. Do not
-    share a step between threads. Without a C compiler, `replay` computes the same numbers slowly.
+    share a step between threads. Without a C compiler, `replay` interprets the step slowly, with equal results.
 
     Attributes:
         J (K, n), lower (K,), upper (K,): the Jacobians and the bounds of J v, stacked, highest priority first; upper =
@@ -45,7 +45,7 @@ class PriorityStep:
         box (2, n): lower and upper bounds into which v is moved at the end.
         v (n,), active, multipliers (n,), opening, status, count (1,), target (n,): see `priority_step`.
         solve: computes one step; no arguments, returns None.
-        level_names, row_names: set by `load`; otherwise "level 1", … and "row 0", ….
+        level_names, row_names: set by `load`; otherwise "level 1", … and "row 0", … for the constraint rows.
         levels: the shape of each level.
         compiled: whether the step runs as compiled C code.
     """

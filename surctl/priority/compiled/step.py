@@ -1,9 +1,9 @@
 """One compiled step for each priority mode: (tasks, limits, box) → a velocity that is always finite.
 
-nsb          the sweep of projections (16), without limit rows.
-filter       the point inside the rows that is nearest to the result of nsb.
-projected    the sweep down to level 2, then the last projection, that of level 1, inside the rows (`last_projection`).
-lexicographic strict priority inside the rows (`cascade`).
+nsb: the law (16) as projections from the lowest level to level 1, without limits.
+filter: the point that satisfies the limits and is nearest to the result of nsb.
+projected: the projections up to level 2, then the projection on level 1 subject to the limits (`last_projection`).
+lexicographic: strict priority subject to the limits (`cascade`).
 """
 
 from __future__ import annotations

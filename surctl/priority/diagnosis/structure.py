@@ -46,13 +46,13 @@ def commuting_levels(stack: Stack) -> tuple[bool, ...]:
 
 
 def orthogonal_pairs(stack: Stack) -> set[tuple[int, int]]:
-    """Return the pairs (i, j), i < j, of tasks whose rows are orthogonal as expressions."""
+    """Return the pairs (i, j), i < j, of tasks whose Jacobian rows are orthogonal as expressions."""
     levels = world_jacobians(stack)
     return {(i, j) for j, B in enumerate(levels) for i, A in enumerate(levels[:j]) if _vanishes(A @ B.T)}
 
 
 def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
-    """Return whether AᵀA maps the span of the rows above, given as columns (n, 1), into itself.
+    """Return whether AᵀA maps the span of the rows of higher levels, given as columns (n, 1), into itself.
 
     The span is range(P) of the constant rows, plus the parts of the other rows outside range(P). The result remains
     valid if the dimension of the span varies from pose to pose.

@@ -3,8 +3,9 @@
 The stage first determines a safe point: the target moved into the box, or v = 0, whichever satisfies the hard
 constraint rows and violates the soft rows less. From the point where stage 1 stopped, the stage projects on one
 violated row after another, in a few sweeps over all constraint rows (Agmon 1954; Motzkin and Schoenberg 1954). The last
-sweep makes shorter steps, because rows may contradict each other. Then v moves from the safe point towards the result
-of the projections. The move ends before v violates a hard row, or a soft row by more than the safe point does.
+sweep makes shorter steps, because constraint rows may contradict each other. Then v moves from the safe point towards
+the result of the projections. The move ends before v violates a hard row, or a soft row by more than the safe point
+does.
 
 So v violates the constraint rows no more than the safe point does, but v is not optimal: the stage may miss a point
 that satisfies all rows, and it does not reduce the task residual.
@@ -130,7 +131,7 @@ def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """First sweep of projections; also the largest violation of any row, and of a hard row, by near and by v = 0."""
+    """Return the state after one row in the first sweep, with the largest violations by near and by v = 0 so far."""
     (point, worst, hard), (near,) = state, fixed
     after: list[tuple[ca.SX, ca.SX]] = []
     for k, (above, below) in enumerate((_misses(row, dot(row[:-3], near)), (-row[-2], row[-3]))):

@@ -5,11 +5,11 @@ The constraint rows apply to a point, which depends on the unknown y (d,):
     lower ≤ g·point ≤ upper,   point = start + M y
 
 or, if the opening t of the soft rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). The violation
-of the rows is evaluated (priced) at the point itself, `lanes` rows at a time, so the last evaluation also checks the
-returned point. Up to d active rows are stored in slots, with empty slots at the end. A slot holds normal, multiplier
-and signed row number (+ at the upper bound, − at the lower, 0 empty). Every iteration orthogonalises the normals again
-(modified Gram–Schmidt), so errors do not accumulate as they would in an updated factorisation. A violated row that
-needs several steps to enter the active set is called pending between these steps.
+of the constraint rows is evaluated (priced) at the point itself, `lanes` rows side by side, so the last evaluation also
+checks the returned point. Up to d active rows are stored in slots, with empty slots at the end. A slot holds normal,
+multiplier and signed row number (+ at the upper bound, − at the lower, 0 empty). Every iteration orthogonalises the
+normals again (modified Gram–Schmidt), so errors do not accumulate as they would in an updated factorisation. A violated
+constraint row that needs several steps to enter the active set is called pending between these steps.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ class Space:
 
 
 def pricing(space: Space) -> Program:
-    """Instruction list (turn, best, row, point) → best: (violation, signed number) of the most violated row so far.
+    """Instruction list (turn, best, row, point) → best: (violation, signed number) of the worst constraint row so far.
 
-    The comparison is strict: of equally violated rows of one lane the first is chosen, and a NaN is never chosen.
+    The comparison is strict: of equally violated constraint rows the first is chosen, and a NaN is never chosen.
     """
     turn, best = ca.SX.sym("turn"), ca.SX.sym("best", 2)
     row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.point)
@@ -120,7 +120,7 @@ def threshold(space: Space) -> Program:
 
 
 def halve() -> Program:
-    """Instruction list (two violations, two numbers) → (violation, number) of the row violated more, else the first."""
+    """Instruction list (two violations, two numbers) → those of the row violated more, or of the first if equal."""
     four = ca.SX.sym("four", 4)
     tie = ca.logic_and(ca.eq(four[0], four[1]), ca.fabs(four[3]) < ca.fabs(four[2]))
     second = ca.logic_or(four[0] < four[1], tie)
@@ -235,7 +235,7 @@ class _Place:
     Attributes:
         outside: whether the normal of the entering row is sufficiently outside the span of the active normals.
         whole, full: if outside, the step of the multiplier and the displacement (d,) of y that satisfy the entering
-            row.
+            constraint row.
         rate: displacement (d,) of y for a unit step of the multiplier. r: decrease of the active multipliers for a unit
             step. ratios: multipliers divided by r.
     """

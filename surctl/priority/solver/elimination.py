@@ -15,7 +15,8 @@ class Elimination(NamedTuple):
     """Result of the elimination of p equalities J x = b, J (p, n), from n variables.
 
     Attributes:
-        lift: (n, p): v + lift (b − J v) is the point of J x = b nearest to v. Columns of dependent rows are zero.
+        lift: (n, p): v + lift (b − J v) is the point of J x = b nearest to v. The columns for dependent rows of J are
+            zero.
         basis: (n, n), orthonormal columns; the first `rank` columns span the row space of J, the others the free
             directions.
         rank: number of independent rows of J.

@@ -2,7 +2,7 @@
 
 Constraint rows are stored in groups (blocks) of as many rows as the processor handles side by side (lanes), entry by
 entry (`surctl.ir.Loop`), so that one instruction evaluates several rows. The choice between equally violated rows does
-not depend on the number of lanes: one lane and four lanes give the same numbers.
+not depend on the number of lanes: the result with one lane equals the result with four lanes.
 """
 
 from __future__ import annotations
@@ -94,11 +94,11 @@ def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
 
 
 def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """Routine (rows, origin, start, skip, Z) → outputs of `kernel`; it searches in d < n variables.
+    """Routine (rows, origin, start, skip, Z) → outputs of `kernel`, by a search in d < n variables.
 
     The point is origin + Z y with opening 0, and y (d,) is the feasible value nearest to start. The constraint rows are
-    converted to rows on y once. The origin (n,) should be about as large as the solution, or the bounds of the rows
-    lose digits; start may be far away.
+    converted once to constraints on y. The origin (n,) should be about as large as the solution, or the bounds of the
+    constraint rows lose digits; start may be far from the solution.
     """
     n, d = space.n, space.d
     lanes = lanes_of(rows, space.precision)
@@ -126,7 +126,7 @@ def _reduce(space: Space) -> Program:
 
 
 def _search(space: Space, rows: int, cap: int | None) -> Routine:
-    """Routine (rows, start, skip[, M]) → (point, numbers, multipliers, status, count)."""
+    """Routine (constraint rows, start, skip[, M]) → (point, numbers, multipliers, status, count)."""
     free = (("M", space.n * space.d),) if space.mapped and not space.opening else ()
     space = space if free else Space(space.n, space.d, space.opening, mapped=False, precision=space.precision)
     width = space.row
@@ -176,7 +176,7 @@ def _start(space: Space) -> Program:
 
 
 def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
-    """Steps that find the most violated row at point{tag}: first in each lane, then among pairs of lanes."""
+    """Steps that find the most violated row at point{tag}: first in each lane of parallel rows, then among lanes."""
     lanes = lanes_of(rows, space.precision)
     names = [f"best{tag}" if left == 1 else f"best{tag}_of_{left}" for left in (8, 4, 2, 1) if left <= lanes]
     halves: list[Step] = []
@@ -194,7 +194,7 @@ def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
 
 
 def _turn(space: Space, rows: int) -> Routine:
-    """Routine for one iteration with the pending or most violated row, and the violations after it."""
+    """Routine for one iteration with the pending or most violated constraint row; it then evaluates all violations."""
     state, lanes = _state(space), lanes_of(rows, space.precision)
     free = (("M", space.n * space.d),) if space.mapped else ()
     names = tuple(name for name, _ in state[:-2])

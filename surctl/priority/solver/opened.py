@@ -3,8 +3,8 @@
 The minimisation of t subject to the constraint rows is a linear programme. A proximal step of this programme from (v,
 t) is a least-distance problem with target (v, t − γ). Finitely many steps reach a minimiser (Mangasarian and Meyer 1979
 for a single step, Ferris 1991 for several steps). After a step of length s, t is at most s·D/γ above the minimum, where
-D is the diameter of the feasible set; the steps stop when this bound is negligible. γ grows, since nearly parallel rows
-need a large γ, and is small in the last step to limit rounding.
+D is the diameter of the feasible set; the steps stop when this bound is negligible. γ grows, since nearly parallel
+constraint rows need a large γ. In the last step, γ is small to limit rounding errors.
 """
 
 from __future__ import annotations

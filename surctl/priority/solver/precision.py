@@ -23,7 +23,7 @@ class Precision:
         pushing: smallest decrease rate of a multiplier that does not count as 0.
         cutoff: largest distance from the span of the rows above at which a row of length 1 counts as dependent.
         short: largest length at which a row counts as a row of zeros.
-        unit: largest difference between squared length and 1 at which a row is not scaled.
+        unit: largest difference between squared length and 1 at which a constraint row is not scaled.
         never: number that replaces infinity. huge: largest allowed entry of a solution.
         delta: start value of δ in the proximal steps of stage 2. shrink: reduction factor of δ.
         sign: tolerance for a multiplier of the wrong sign in stage 2, relative to the task residual. noise: the
@@ -31,7 +31,8 @@ class Precision:
         pull: start value of γ in the proximal steps of stage 3. growth: growth factor of γ. gap: tolerance at which
             these steps stop.
         margin: margin added to the smallest opening.
-        lanes: number of rows processed side by side: 1, 2 or 4; 1 for float, for processors without vector units.
+        lanes: number of constraint rows processed side by side: 1, 2 or 4; 1 for float, for processors without vector
+            units.
     """
 
     priced: float

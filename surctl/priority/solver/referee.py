@@ -3,11 +3,11 @@
 The check shares no code with the solver. For `limited` and `relaxed` solutions v with opening t of the soft constraint
 rows, the check computes
 
-* by how much t could be smaller: the linear programme min t over all rows (HiGHS);
+* by how much t could be smaller: from the linear programme min t subject to all constraint rows (HiGHS);
 * by how much ‖J v − x‖ could be smaller: with r = x − J v, an upper bound is the largest r·J(w − v)/‖r‖ over all w that
-  satisfy the rows (a convex function lies above its tangent), also a linear programme. The multipliers of this
-  programme show how much of the bound is due to rounding of the rows: nearly parallel rows make any solution
-  inaccurate;
+  satisfy the constraint rows (a convex function lies above its tangent), also a linear programme. The multipliers of
+  this programme show how much of the bound is due to rounding of the constraint rows, because nearly parallel rows make
+  any solution inaccurate;
 * the point nearest to the target with the value of J v, from a least-distance problem solved as non-negative least
   squares (Lawson and Hanson 1974, chapter 23; scipy's nnls).
 """
@@ -37,7 +37,7 @@ class Finding:
         task: ‖J v − x‖ minus the smallest value that the opened constraint rows allow, divided by the length of J's
             longest row.
         weight: largest sum of the multipliers in the bound for `task`, that is, the sensitivity of `task` to changes of
-            the rows.
+            the constraint rows.
         distance: largest entry of the difference between v and the nearest point, relative to 1 + max |target|.
     """
 

@@ -17,11 +17,12 @@ class Sizes:
 
     Attributes:
         precision: tolerances.
-        cap: largest number of iterations of a search for v; None means the limit of `kernel`.
+        cap: largest number of iterations of a search for v; None means the limit that module `kernel` sets.
         general: search space with v free in n directions. fast: search space with v free in n − p directions, after
             elimination of p independent rows of J (None if p ≥ n). opening: search space with v and the opening free.
         rows: number of entries of all constraint rows. lanes: number of rows in a block. blocks: number of blocks.
-        general_kernel, opening_kernel, certificate, opening_certificate: routines from `kernel`.
+        general_kernel, opening_kernel: solver routines from module `kernel`. certificate, opening_certificate:
+            feasibility checks from that module.
     """
 
     def __init__(self, n: int, p: int, m: int, precision: Precision = FLOAT64, *, cap: int | None = None) -> None:
@@ -41,9 +42,9 @@ class Sizes:
 def unit_rows(sizes: Sizes) -> tuple[Step, ...]:
     """Steps that convert `rows` (m·(n + 3),), stored row by row, to `unit`: in blocks, each row scaled to length 1.
 
-    A constraint row with zero normal keeps its bounds, so it is either always or never satisfied. A row whose squared
-    length exceeds `huge` is never satisfied. With one lane a block holds one row, and rows that already have length 1
-    are not copied.
+    A constraint row with zero normal keeps its bounds, so it is either always or never satisfied. A constraint row
+    whose squared length exceeds `huge` is never satisfied. If a block holds one constraint row (one lane), rows that
+    already have length 1 are not copied.
     """
     if sizes.lanes == 1:
         look: tuple[Step, ...] = (

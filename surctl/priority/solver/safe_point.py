@@ -86,14 +86,14 @@ def least_distance(
         A: (m, n), normals of the constraint rows, of any length. lower, upper: (m,), bounds of A v; an absent bound is
             ±inf.
         J, x: the task, (p, n) and (p,). None: no task.
-        soft: (m,), true for rows that may open when the rows contradict each other. None: all may.
+        soft: (m,), true for constraint rows that may open if the rows contradict each other. None: all may.
         box: lower and upper (n,) into which v is moved at the end. None: no box. A must contain the bounds of the box
             as rows as well.
         names: names of the constraint rows; "row 0", … if None.
 
     Raises:
-        InputError: the shapes disagree, a number is not finite, an entry of A or J exceeds 1e140, or bounds cross;
-            the message names the row.
+        InputError: the shapes disagree, a number is not finite, an entry of A or J exceeds 1e140, or bounds cross; the
+            message names the constraint row.
 
     Example:
         >>> import numpy as np

@@ -182,7 +182,7 @@ def _done(flag: str) -> Program:
 
 
 def _opening(n: int) -> Program:
-    """point → its opening."""
+    """Instruction list: point → the opening of the point."""
     point = ca.SX.sym("point", n + 1)
     return lower(ca.Function("opening", [point], [point[n]]))
 
