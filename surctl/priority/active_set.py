@@ -49,7 +49,10 @@ class LevelSolution:
 
 
 def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedom, cutoff: float) -> LevelSolution:
-    """Minimise the level's residual over the v that satisfy the rows and lie in `freedom`; so must the start (n,)."""
+    """Minimise the level's residual over all v in `freedom` that satisfy the constraint rows.
+
+    start: (n,), a velocity in `freedom` that satisfies the constraint rows.
+    """
     goal = level.exact
     if goal.all():
         return _least_squares(level.J, level.lower, start, rows, Z=freedom.Z, cutoff=cutoff)

@@ -23,14 +23,14 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Result of a priority mode.
+    """Result of `descend`: the solution of a priority mode.
 
     Attributes:
         v: (n,), velocity. target: (n,), the point from which the last projection starts. free: (n,), the solution
             without limits.
         status: the fallback stage. "optimal" includes the case that limits keep a level from its value; "unconfirmed"
             means that v satisfies the limits but no solver confirmed that v is optimal.
-        binding, causes, iterations: as in `CascadeSolution`.
+        binding, causes, iterations: see the attributes of `CascadeSolution`.
         conflict: names of the limits that contradict each other.
     """
 

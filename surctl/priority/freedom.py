@@ -39,8 +39,8 @@ class Freedom:
     def narrowed(self, J: Array, x: Array, *, cutoff: float) -> Freedom:
         """Return the velocities of the set that minimise ‖J v − x‖, J (k, n).
 
-        Singular values of J Z below `cutoff`·‖J‖ count as 0. The cut-off is relative to J and not to J Z: if no freedom
-        is left, J Z is only rounding noise.
+        Singular values of J Z below `cutoff`·‖J‖ count as 0. The cut-off is relative to ‖J‖ and not to ‖J Z‖, because J
+        Z is only rounding noise if no freedom is left.
         """
         if J.shape[0] == 0:
             return self

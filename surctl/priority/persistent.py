@@ -106,7 +106,9 @@ class PersistentDaqp(_Persistent):
 
 
 class PersistentOsqp(_Persistent):
-    """OSQP (Stellato et al. 2020), set up once for each size, then `update(l, u, Ax)`; settings as in `osqp_kernel`.
+    """OSQP (Stellato et al. 2020), set up once for each size, then changed by `update(l, u, Ax)`.
+
+    The settings are those of `osqp_kernel`.
 
     Like a new OSQP, a stored OSQP may stop before it reaches a tolerance of 1e-8 on degenerate constraint rows, with
     status "unfinished"; `solve_least_distance` then polishes and checks the point.

@@ -48,7 +48,7 @@ class Polyhedron:
 
     @property
     def width(self) -> int:
-        """The number of velocities n."""
+        """Return the number of velocities n."""
         return int(self.A.shape[1])
 
     def violation(self, v: Array) -> Array:

@@ -33,7 +33,7 @@ class PrioritySolution:
         settings: mode, sweeps, damping, cut-off.
         target: (n,), the point from which the last projection starts: the result w_2 of the levels below the first for
             "projected", the result of the law (16) for "filter", 0 for "lexicographic".
-        residuals: ‖J_i v − x_i‖ of each level [unit of σ per second].
+        residuals: norm ‖J_i v − x_i‖ of each level, by name [unit of σ per second].
         without_limits: ‖J_i v − x_i‖ of each level for v of the law (16) without limits; it shows what a level loses to
             the levels above it alone.
         binding: (name, Lagrange multiplier) of each limit that binds, for the unscaled constraint row; positive at the

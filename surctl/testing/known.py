@@ -17,7 +17,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """The problem min ½‖y‖² subject to lower ≤ G y ≤ upper, with its solution.
+    """A problem min ½‖y‖² subject to lower ≤ G y ≤ upper, together with its solution.
 
     Attributes:
         G: (m, d). lower, upper: (m,).

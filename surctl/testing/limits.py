@@ -40,7 +40,7 @@ class LimitReport:
         samples: number of points at which the constraint rows were evaluated, including corners of the ranges.
         narrowest: smallest upper − lower found, as a velocity; inf if no constraint row has two bounds. narrowest_row:
             the constraint row with this gap.
-        compared: number of velocities for which `holds` was called.
+        compared: number of velocities at which `holds` was compared with the constraint rows.
     """
 
     names: tuple[str, ...]
@@ -63,9 +63,9 @@ def check_limit(
 
     The names of the constraint rows lower ≤ a·v ≤ upper must be unique, consist of identifiers joined by dots, and be
     the same at every call. The kinds must be known, and the shape of a must be (1, 4). At random points and at corners
-    of the ranges, a must be finite, the bounds must not be NaN and must satisfy lower ≤ upper, and a row of zeros must
-    allow 0. The check then searches for crossing bounds, row by row, by random steps from the narrowest points. The
-    actuator rows together must allow a velocity (by linear programming).
+    of the ranges, the normal a must be finite, the bounds must not be NaN, and lower ≤ upper must hold. If a = 0, the
+    bounds must include 0. For each constraint row, the check then searches for crossing bounds by random steps from the
+    points with the smallest upper − lower. Some velocity must satisfy all actuator rows (tested by linear programming).
 
     Args:
         limit: any object with a method `rows()`.
@@ -184,7 +184,7 @@ class _Check:
         return gaps
 
     def search(self, i: int, starts: Array, rng: np.random.Generator) -> Array:
-        """Smallest gaps found: the gap of row i is minimised from each start by random steps, halved if none helps."""
+        """Return the smallest gaps found by random steps from each start; the step length is halved if none helps."""
         best = np.full(len(self.rows), math.inf)
         span = self.ranges.high - self.ranges.low
         for start in starts if span.any() else starts[:0]:

@@ -61,10 +61,11 @@ def check_task(
 ) -> TaskReport:
     """Check a task, or the task that a builder returns for an eta symbol.
 
-    At random poses, J must equal central differences of σ along the motion of every velocity, with (1)–(2) implemented
-    independently. σ, J and reference must be finite (a set-based task may have no lower or no upper bound; its bounds
-    must not cross), and an angular error must lie in [−π, π]. A full turn of the vehicle must change neither J nor the
-    reference. At the poses in `near`, and close to these poses, all values must be finite.
+    At random poses, J must equal the central differences of σ along the motion due to each velocity. The check uses its
+    own implementation of the kinematics (1)–(2). σ, J and reference must be finite (a set-based task may have no lower
+    or no upper bound; its bounds must not cross), and an angular error must lie in [−π, π]. A full turn of the vehicle
+    must change neither J nor the reference. At the poses in `near`, and close to these poses, all values must be
+    finite.
 
     Args:
         task: the task, or a function that returns the task for a symbol eta, SX (4, 1).

@@ -119,7 +119,7 @@ class AssembledStep(PriorityStep):
     def __init__(
         self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
     ) -> None:
-        """See `Assembly.step` for the arguments."""
+        """`Assembly.step` explains the arguments."""
         for task in assembly.stack.tasks:
             if isinstance(task, SetTask) and task.size > 1:
                 raise InputError(

@@ -2,7 +2,7 @@
 
 The velocities that the higher levels leave free are v = base + N y. N is an orthogonal projector and base is orthogonal
 to the range of N. So the feasible point nearest to base, which the least-distance solver finds, is also the feasible
-point nearest to 0. Each level then is one of:
+point nearest to 0. For each level, one of two cases applies:
 
 1. reachable: the value of J v is fixed by elimination (base moves, N loses the directions of the level). A set-based
    level instead becomes a constraint row;

@@ -64,7 +64,8 @@ def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
     """Decompose J (k, n) inside the range of the orthogonal projector N (n, n); N = None means the whole space.
 
     A row of J counts as dependent if its part inside N and orthogonal to the rows above it is shorter than
-    `CUTOFF`·‖J‖. The cut-off is relative to J and not to J N: if N leaves nothing free, J N is only rounding noise.
+    `CUTOFF`·‖J‖. The cut-off is relative to ‖J‖ and not to ‖J N‖, because J N is only rounding noise if N leaves no
+    free direction.
     """
     k = J.shape[0]
     longest = ca.SX(0)

@@ -29,7 +29,7 @@ class LevelShape:
 
 @dataclass(frozen=True)
 class SymbolicLevel:
-    """A level as symbolic expressions: J (k, n), lower, upper (k, 1)."""
+    """A level as symbolic expressions: J (k, n), Jacobian; lower, upper (k, 1), bounds of J v."""
 
     J: ca.SX
     lower: ca.SX
@@ -43,7 +43,7 @@ class SymbolicLevel:
 
 @dataclass(frozen=True)
 class StackShape:
-    """The shape of a stack: n velocities and the levels over them, highest priority first.
+    """The shape of a stack: n velocities and the levels of tasks for these velocities, highest priority first.
 
     Raises:
         InputError: n or the number of rows of a J is not a whole number of at least 1, the stack has no level, or the J

@@ -26,16 +26,17 @@ _VIEWS = frozenset(("J", "lower", "upper", "rows", "box", *OUTPUTS))
 
 
 class PriorityStep:
-    """`priority_step` compiled for one caller: write the inputs, call `solve`, read the outputs.
+    """A compiled `priority_step` with its own arrays: write the inputs, call `solve`, read the outputs.
 
         step = PriorityStep.of(problem, mode="projected")
         step.J[...], step.lower[...], step.upper[...] = J, x, x
         step.solve()
         step.v, step.stage, step.binding()
 
-    Every array is a view of one buffer that each `solve` reads or overwrites: copy results that must last, and assign
-    to the elements. Replacing an array raises an InputError, because `solve` would never read the new array. Do not
-    share a step between threads. Without a C compiler, `replay` interprets the step slowly, with equal results.
+    Every array is a view of one buffer that each `solve` reads or overwrites. Copy results that must last, and assign
+    to the elements of an input array, not to its name. Replacing an array raises an InputError, because `solve` would
+    never read the new array. Do not share a step between threads. Without a C compiler, `replay` interprets the step
+    slowly, with equal results.
 
     Attributes:
         J (K, n), lower (K,), upper (K,): the Jacobians and the bounds of J v, stacked, highest priority first; upper =

@@ -4,14 +4,14 @@ For all references x, NSB equals strict (lexicographic) priority
 
     v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}),   N = I − P,   P the projector on the row space of all tasks above i
 
-if and only if J_iᵀJ_i commutes with P at every level i ≥ 2. Ranks do not matter: a task may be rank-deficient, depend
-on the tasks above it, or have no freedom left. Sketch of the proof: With x_i = 0, both laws for the first i levels must
-equal the laws for the first i − 1 levels inside range(P), because strict priority uses all of range(P) for the levels
-above i. So the correction by level i vanishes in range(P): (J_i N)⁺J_i P = 0, which means N J_iᵀJ_i P = 0. Conversely,
-N then commutes with J_iᵀJ_i, hence with J_i⁺J_i, so that (J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i is the projector on the
-intersection of the null spaces.
+if and only if J_iᵀJ_i commutes with P at every level i ≥ 2. The condition holds for any ranks: a task may be
+rank-deficient, depend on the tasks above it, or have no freedom left. Sketch of the proof: With x_i = 0, both laws for
+the first i levels must equal the laws for the first i − 1 levels inside range(P), because strict priority uses all of
+range(P) for the levels above i. So the correction by level i vanishes in range(P): (J_i N)⁺J_i P = 0, which means N
+J_iᵀJ_i P = 0. Conversely, N then commutes with J_iᵀJ_i, hence with J_i⁺J_i, so that (J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i is
+the projector on the intersection of the null spaces.
 
-All functions here accept arrays with leading axes for samples: J (..., k, n).
+All functions of this module accept arrays with leading axes for samples: J (..., k, n).
 """
 
 from __future__ import annotations

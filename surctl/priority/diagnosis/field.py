@@ -25,7 +25,7 @@ _APART = 0.1  # least distance between two starts, in unit boxes, times the root
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of all tasks at N points.
+    """Values of all tasks of a stack at N points.
 
     Attributes:
         jacobians: Jacobians (N, k, 4) of each task.
@@ -47,7 +47,7 @@ Measure: TypeAlias = Callable[[Values], Array]
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A stack compiled over a region.
+    """A stack of tasks, compiled to a numeric function over a region of poses and parameters.
 
     Attributes:
         names: names of the tasks. sizes: number of rows of each task. units: unit of σ̇ of each task.

@@ -38,7 +38,7 @@ class Equality:
         task: the level with the largest commutator norm; None if NSB equals strict priority at all levels. where: the
             pose of this norm, or None.
         by_task: largest commutator norm found at each level.
-        structural: levels whose commutator vanishes as an expression.
+        structural: names of the levels whose commutator vanishes as an expression.
         searches: number of local searches.
     """
 
@@ -53,7 +53,7 @@ class Equality:
 
 @dataclass(frozen=True)
 class Pair:
-    """The relation between the row spaces of two tasks.
+    """The finding on the relation between the row spaces of two tasks.
 
     Attributes:
         first: name of the task with the higher priority. second: name of the other task.
@@ -64,7 +64,7 @@ class Pair:
         where: the pose at which the angle is `smallest`.
         shared: largest number of directions that both row spaces contain, over the samples.
         structural: True if the tasks are orthogonal as an identity of the expressions.
-        equal: `Equality.verdict` for these two tasks alone (from samples, without search).
+        equal: `Equality.verdict` for a stack of only these two tasks (from samples, without local search).
     """
 
     first: str

@@ -27,7 +27,7 @@ _ROUNDING = 1e-12  # constants of this size are rounding errors of zero
 
 
 def world_jacobians(stack: Stack) -> list[ca.SX]:
-    """Return A = ∂σ/∂η (k, 4) of each task, with σ̇ = A η̇ in {E}. Equal subexpressions are shared."""
+    """Return A = ∂σ/∂η (k, 4) of each task, with σ̇ = A η̇ in {E}. The expressions share equal subexpressions."""
     parts = [ca.jacobian(task.sigma, stack.eta) for task in stack.tasks]
     together = ca.cse(ca.vertcat(*parts))
     ends = np.cumsum([0, *(task.size for task in stack.tasks)])
@@ -37,8 +37,8 @@ def world_jacobians(stack: Stack) -> list[ca.SX]:
 def commuting_levels(stack: Stack) -> tuple[bool, ...]:
     """Return for each level whether its commutator vanishes as an expression, that is, for all η and all parameters.
 
-    The commutator vanishes if A_iᵀA_i maps the row space above into itself, which is tested row by row, or if that row
-    space contains all rows of A_i.
+    The commutator vanishes if A_iᵀA_i maps the row space of the higher levels into itself, which is tested row by row,
+    or if the row space of the higher levels contains all rows of A_i.
     """
     levels = world_jacobians(stack)
     rows = [[A[i, :].T for i in range(A.shape[0])] for A in levels]

@@ -186,7 +186,7 @@ def _inside(sizes: Sizes) -> Program:
 
 
 def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Fraction of the path from safe to goal on which a row is violated by at most slack; largest violation at goal."""
+    """Return the fraction of the path safe → goal with a violation of at most slack, and the largest goal violation."""
     (part, missed), (safe, goal, slack) = state, fixed
     from_, to = dot(row[:-3], safe), dot(row[:-3], goal)
     above, below = _misses(row, from_)

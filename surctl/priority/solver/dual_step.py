@@ -4,12 +4,13 @@ The constraint rows apply to a point, which depends on the unknown y (d,):
 
     lower ≤ g·point ≤ upper,   point = start + M y
 
-or, if the opening t of the soft rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). The violation
-of the constraint rows is evaluated (priced) at the point itself, `lanes` rows side by side, so the last evaluation also
-checks the returned point. Up to d active rows are stored in slots, with empty slots at the end. A slot holds normal,
-multiplier and signed row number (+ at the upper bound, − at the lower, 0 empty). Every iteration orthogonalises the
-normals again (modified Gram–Schmidt), so errors do not accumulate as they would in an updated factorisation. A violated
-constraint row that needs several steps to enter the active set is called pending between these steps.
+or, if the opening t of the soft constraint rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). The
+violation of the constraint rows is evaluated (priced) at the point itself, `lanes` rows side by side, so the last
+evaluation also checks the returned point. Up to d active rows are stored in slots, with empty slots at the end. A slot
+holds normal, multiplier and signed row number (+ at the upper bound, − at the lower, 0 empty). Every iteration
+orthogonalises the normals again (modified Gram–Schmidt), so errors do not accumulate as they would in an updated
+factorisation. A violated constraint row that needs several steps to enter the active set is called pending between
+these steps.
 """
 
 from __future__ import annotations

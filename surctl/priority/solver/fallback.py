@@ -8,7 +8,8 @@
 
 Every result is moved into the box and checked. Module `stages` describes how stages 1 to 3 are solved.
 
-The bounded fallback tries stage 1 for a few iterations, then one stage of constant cost; see module `bounded`.
+The bounded fallback runs stage 1 for a few iterations and, if stage 1 fails, one stage of constant cost; see module
+`bounded`.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ OPEN_CAP = 80
 
 
 def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
-    """Return the number of rows in a block: the largest of 4, 2, 1 up to the precision's lanes that divides `rows`."""
+    """Return the number of rows in a block: the largest of 4, 2, 1 that divides `rows` and is at most the lanes."""
     return math.gcd(rows, precision.lanes)
 
 

@@ -34,7 +34,8 @@ class Planar(NamedTuple):
 def planar(normals: list[ca.SX], numbers: list[ca.SX], multipliers: list[ca.SX], entering: ca.SX) -> Planar:
     """Compute the step for two slots, empty slots last; a perpendicular vector replaces the normal of an empty slot.
 
-    All divisions that depend on the entering row run in parallel, so the longest chain contains one division.
+    All divisions that depend on the entering constraint row run in parallel, so the longest chain contains one
+    division.
     """
     one, two = numbers[0] != 0, numbers[1] != 0
     first = ca.if_else(one, normals[0], _across(-entering))

@@ -37,7 +37,8 @@ class SafePoint:
         v: velocity (n,), always finite and inside the box.
         stage: the fallback stage that gave v.
         binding: (name, Lagrange multiplier) of each active constraint row in min ½‖v − target‖², for the unscaled row;
-            positive at an upper bound, negative at a lower bound. Empty unless v solves a least-distance problem.
+            positive at an upper bound, negative at a lower bound. `binding` is empty unless v solves a least-distance
+            problem.
         opening: amount by which soft constraint rows had to open [row of length 1].
         iterations: number of active-set iterations, over all stages.
     """
@@ -87,8 +88,8 @@ def least_distance(
             ±inf.
         J, x: the task, (p, n) and (p,). None: no task.
         soft: (m,), true for constraint rows that may open if the rows contradict each other. None: all may.
-        box: lower and upper (n,) into which v is moved at the end. None: no box. A must contain the bounds of the box
-            as rows as well.
+        box: lower (n,) and upper (n,), bounds into which v is moved at the end. None: no box. A must contain the bounds
+            of the box as rows as well.
         names: names of the constraint rows; "row 0", … if None.
 
     Raises:

@@ -30,7 +30,8 @@ def exact_stage(sizes: Sizes) -> Routine:
     """Routine (unit, target, J, x, skip) → (point, active, multipliers, status, count) of stage 1; point has opening 0.
 
     If the rows of J are independent, they are eliminated, which leaves n − p unknowns; otherwise there are n unknowns.
-    The bounded fallback does not handle a J with several dependent rows; stage 1 then ends with status `SKIPPED`.
+    The bounded fallback does not handle dependent rows in a J with several rows; stage 1 then ends with status
+    `SKIPPED`.
     """
     n, p, fast = sizes.n, sizes.p, sizes.fast
     outputs = ("point", "active", "multipliers", "status", "count")

@@ -145,13 +145,13 @@ def _task(inside: Array, p: int, has: dict[str, NDArray[np.bool_]], rng: np.rand
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """KKT residuals of a solution that is reported as optimal, relative to 1 + max |v|, |target|; all (N,).
+    """KKT residuals of a solution that is reported as optimal, (N,) each, relative to 1 + max(|v|, |target|).
 
     Attributes:
         missed: largest violation of a constraint row of length 1. task: residual of J v = x for rows of J of length 1.
         stationary: part of target − v outside the cone of the active normals and the span of the rows of J.
         loose: largest distance from the bound for a constraint row with a nonzero multiplier.
-        negative: largest multiplier of the wrong sign.
+        negative: largest absolute value of a multiplier with the wrong sign.
     """
 
     missed: Array
