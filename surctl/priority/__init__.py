@@ -1,4 +1,4 @@
-"""Priority laws: the null-space-based sweep of projections (16) of the paper, and QP forms that satisfy limits."""
+"""Priority laws: the null-space-based behavioural (NSB) law (16) of the paper, and QP forms that satisfy limits."""
 
 from __future__ import annotations
 

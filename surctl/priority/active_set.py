@@ -1,7 +1,8 @@
-"""Least-squares solution of one priority level inside limit rows, by a primal active-set method.
+"""Least-squares solution of one priority level subject to the limits, by a primal active-set method.
 
-The method starts at a point that satisfies the rows and stays inside them, so it can be stopped after any step. Each
-step goes to the best point on the active rows, or stops at the first blocking row (Nocedal and Wright 2006, 16.5).
+The method starts at a point that satisfies all constraint rows lower ≤ a·v ≤ upper and keeps satisfying them, so it can
+be stopped after any step. Each step goes to the best point on the active constraints, or stops at the first constraint
+that blocks it (Nocedal and Wright 2006, 16.5).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 _CAP = 100
 _PATIENT = 20
-"""After this many steps the first wrong row is dropped, not the worst: this rule cannot cycle (Bland 1977)."""
+"""After this many steps, drop the first constraint with a wrong sign, not the worst; this cannot cycle (Bland 1977)."""
 
 _STILL = 1e-14
 _WRONG_SIGN = 1e-11
@@ -31,14 +32,14 @@ _WRONG_SIGN = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class LevelSolution:
-    """A point with the smallest residual of the level that the limit rows allow.
+    """A point at which the residual of the level is as small as the constraint rows allow.
 
     Attributes:
         v: the velocity (n,).
-        multipliers: (m,) of ½‖residual‖², positive at an upper bound.
+        multipliers: (m,) Lagrange multiplier of each constraint row in min ½‖residual‖², positive at an upper bound.
         iterations: number of active-set steps.
-        converged: whether the last multipliers have the right signs; if not, v satisfies the rows but may not be
-            optimal.
+        converged: whether the last multipliers have the signs that optimality requires; if not, v satisfies the
+            constraint rows but may not be optimal.
     """
 
     v: Array
@@ -48,7 +49,10 @@ class LevelSolution:
 
 
 def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedom, cutoff: float) -> LevelSolution:
-    """Minimise the level's residual over the rows and the freedom, from a start (n,) that lies in both."""
+    """Minimise the level's residual over all v in `freedom` that satisfy the constraint rows.
+
+    start: (n,), a velocity in `freedom` that satisfies the constraint rows.
+    """
     goal = level.exact
     if goal.all():
         return _least_squares(level.J, level.lower, start, rows, Z=freedom.Z, cutoff=cutoff)
@@ -66,7 +70,7 @@ def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedo
 
 
 def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Array, cutoff: float) -> LevelSolution:
-    """Minimise ‖J v − x‖ over v = start + Z y inside the rows."""
+    """Minimise ‖J v − x‖ over all v = start + Z y that satisfy the constraint rows."""
     rows = rows.holding(start)
     scale = float(np.linalg.norm(J, 2))
     v, active, multipliers = start, np.zeros(len(rows.names)), np.zeros(len(rows.names))
@@ -91,7 +95,7 @@ def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Arr
 
 
 def _as_far_as(v: Array, step: Array, rows: Polyhedron, active: Array) -> tuple[float, int | None]:
-    """The fraction of the step, at most 1, that stays inside the rows, and the row that blocks the rest (or None)."""
+    """Return the largest fraction ≤ 1 of the step that violates no constraint row, and the blocking row (or None)."""
     rate = rows.A @ step
     with np.errstate(invalid="ignore"):
         slack = np.where(rate > 0.0, rows.upper, rows.lower) - rows.A @ v

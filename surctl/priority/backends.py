@@ -1,7 +1,7 @@
-"""The least-distance problem: minimise ‖v − target‖ subject to equalities and named rows, with a choice of solvers.
+"""The least-distance problem min ‖v − target‖ subject to equalities and inequalities, with a choice of solvers.
 
-Equalities are eliminated first and rows are scaled to length 1. The optimality conditions of every result are checked
-here; the status that a solver reports is not trusted.
+Equalities are eliminated first, and the normal of each inequality is scaled to length 1. This module checks the
+optimality conditions of every result; it does not trust the status that a solver reports.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
 
 
 class _Solvers(Mapping[str, Kernel]):
-    """Three solvers are always known; other names import qpsolvers, which loads every solver that it finds."""
+    """Solvers by name: three are always known; any other name imports qpsolvers, which loads each installed solver."""
 
     _known: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel, "own": own_kernel})
 
@@ -75,11 +75,11 @@ class LeastDistance:
 
     Attributes:
         x: the nearest point (n,), or None unless `status` is "optimal".
-        multipliers: (m,) of ½‖x − target‖², for the rows as passed in: positive at an upper bound, negative at a
-            lower bound.
+        multipliers: (m,) Lagrange multiplier of each row of A in min ½‖x − target‖², for the unscaled row; positive at
+            an upper bound, negative at a lower bound.
         iterations: number of iterations of the solver.
-        status: "infeasible" when no point satisfies rows and equalities, "failed" when the solver's result
-            did not pass the check.
+        status: "infeasible" when no point satisfies inequalities and equalities, "failed" when the solver's result did
+            not pass the check.
     """
 
     x: Array | None
@@ -89,7 +89,10 @@ class LeastDistance:
 
 
 def check_backend(backend: Backend) -> Kernel:
-    """Return the kernel with this name, or the kernel itself; an unknown name raises an InputError."""
+    """Return the solver function with this name, or `backend` itself if it is a solver function.
+
+    An unknown name raises an InputError.
+    """
     if isinstance(backend, str) and backend in BACKENDS:
         return BACKENDS[backend]
     if isinstance(backend, str) or not callable(backend):
@@ -108,10 +111,11 @@ def solve_least_distance(
     b_eq: Array | None = None,
     backend: Backend = "daqp",
 ) -> LeastDistance:
-    """Return the point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper (m rows, ±inf allowed).
+    """Return the point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper, bounds (m,), ±inf allowed.
 
-    Dependent equalities are allowed if they are consistent. Infeasibility is a status, not an error. `backend` is a
-    name in `BACKENDS` or a kernel. A kernel sees only the rows that are left after elimination, so their number varies.
+    Dependent equalities are allowed if they are consistent. An infeasible problem gives the status "infeasible" and
+    raises no error. `backend` is a name in `BACKENDS` or a solver function (`Kernel`). The solver receives only the
+    rows of A that are left after the equalities are eliminated, so their number varies.
 
     Raises:
         InputError: unknown backend.
@@ -159,10 +163,10 @@ def _nearest(
     *,
     guess: Array | None = None,
 ) -> LeastDistance:
-    """Solve like `solve_least_distance`, with rows satisfied to a tolerance relative to 1 + max |target|.
+    """Solve like `solve_least_distance`, with A x in its bounds up to a tolerance relative to 1 + max |target|.
 
-    If the kernel finds no solution, the rows with a multiplier in `guess` (m,) are tried as the active set; that
-    candidate must pass the same check.
+    If the solver finds no solution, the rows of A with a nonzero multiplier in `guess` (m,) are tried as the active
+    set; the resulting point must pass the check of the optimality conditions too.
     """
     nothing = np.zeros(lower.size)
     base, free = _eliminate(target, A_eq, b_eq)
@@ -199,7 +203,7 @@ def _nearest(
 
 
 def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[Array | None, Array]:
-    """The nearest point of A_eq x = b_eq (None if there is none), and a basis (d, n) of the null space."""
+    """Return the x with A_eq x = b_eq nearest to the target (None if there is none), and a null-space basis (d, n)."""
     if A_eq is None or b_eq is None or A_eq.shape[0] == 0:
         return target, np.eye(target.size)
     space = row_space(A_eq)
@@ -210,7 +214,7 @@ def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[A
 
 
 def _checked(solution: KernelSolution, G: Array, lower: Array, upper: Array, *, tolerance: Array) -> KernelSolution:
-    """Return the solution if it passes the check, else its polished form if that passes, else status "failed"."""
+    """Return the solution if it passes `holds`, else its polished form if that passes `holds`, else status "failed"."""
     if solution.y is None:
         return solution
     for candidate in (solution, _polish(solution, G, lower, upper)):
@@ -220,9 +224,9 @@ def _checked(solution: KernelSolution, G: Array, lower: Array, upper: Array, *, 
 
 
 def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolerance: Array | float) -> bool:
-    """Whether the KKT conditions of min ½‖y‖² hold: feasible within tolerance (m,) or (), stationary, complementary.
+    """Return whether y is feasible within tolerance (m,) or (), stationary and complementary for min ½‖y‖² (KKT).
 
-    A solution with a NaN does not pass.
+    A solution that contains a NaN does not satisfy these conditions.
     """
     y, multipliers = solution.y, solution.multipliers
     if y is None:
@@ -237,7 +241,7 @@ def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolera
 
 
 def _polish(solution: KernelSolution, G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Turn the rows with a nonzero multiplier into equalities and solve those exactly."""
+    """Turn the constraint rows with a nonzero multiplier into equalities, and solve these equalities exactly."""
     active = np.flatnonzero(np.abs(solution.multipliers) > 1e-6 * (1.0 + np.abs(solution.multipliers).max()))
     bound = np.where(solution.multipliers[active] > 0.0, upper[active], lower[active])
     if not np.isfinite(bound).all():

@@ -1,9 +1,9 @@
-"""Strict levels solved one after another inside the limit rows, then the remaining point nearest to a target.
+"""Solver of strict levels one after another subject to the limits, then of the remaining point nearest to a target.
 
-With no strict level this filters the target. With one strict level it is the last projection of the paper's sweep,
-restricted to the rows. With all levels and target 0 it is strict (lexicographic) priority (Kanoun, Lamiraux and
-Wieber 2011; Escande, Mansard and Wieber 2014). The value that a level attains is fixed by eliminating variables, never
-by an inequality with a tolerance.
+With no strict level, the cascade returns the point nearest to the target that satisfies the limits. With one strict
+level, the cascade is the last projection of law (16) of the paper, restricted to the limits. With all levels strict and
+target 0, the cascade is strict (lexicographic) priority (Kanoun, Lamiraux and Wieber 2011; Escande, Mansard and Wieber
+2014). The value that a level attains is fixed by eliminating variables, never by an inequality with a tolerance.
 """
 
 from __future__ import annotations
@@ -26,22 +26,24 @@ __all__ = ["CascadeSolution", "solve_cascade"]
 Array: TypeAlias = NDArray[np.float64]
 
 _MISSED = 1e-9
-_FELT = 1e-9  # a multiplier up to this, relative to 1 + max |v|, counts as rounding
+_FELT = 1e-9  # a multiplier up to 1e-9, relative to 1 + max |v|, counts as rounding
 _SLACK = 1e-9
-"""Widening of soft rows of length 1, used where the feasible set has no interior and a solver calls it empty."""
+"""Widening of soft constraint rows of length 1 where the feasible set has no interior and a solver calls it empty."""
 
 
 @dataclass(frozen=True, eq=False)
 class CascadeSolution:
-    """Result of the cascade.
+    """Result of `solve_cascade`.
 
     Attributes:
         v: the velocity (n,).
-        binding: (name, multiplier) of the active rows, for the rows as passed in and in their order. The multiplier is
-            that of ½‖v − target‖², or of ½‖residual‖² for a row that limits a strict level.
-        causes: for each strict level that rows limit, the names of these rows.
+        binding: (name, Lagrange multiplier) of each active constraint row, in the order of the rows and for the
+            unscaled row. The multiplier belongs to min ½‖v − target‖², or to min ½‖residual‖² if the constraint limits
+            a strict level.
+        causes: for each strict level that constraint rows limit, the names of these rows.
         iterations: number of iterations of all solvers together.
-        confirmed: whether every step passed its check; if not, v satisfies the rows but may not be optimal.
+        confirmed: whether every level passed the optimality check; if not, v satisfies the constraint rows but may not
+            be optimal.
     """
 
     v: Array
@@ -61,7 +63,7 @@ class CascadeSolution:
         held: Mapping[str, float] | None = None,
         causes: Mapping[str, tuple[str, ...]] | None = None,
     ) -> CascadeSolution:
-        """Build from multipliers (m,) of rows of length 1; a multiplier in `held` replaces that of its row."""
+        """Build the solution from multipliers (m,) of rows of length 1; a multiplier in `held` takes precedence."""
         by_name = named_multipliers(rows, multipliers, above=_FELT * (1.0 + float(np.abs(v).max()))) | dict(held or {})
         return CascadeSolution(
             v,
@@ -73,16 +75,16 @@ class CascadeSolution:
 
 
 def named_multipliers(rows: Polyhedron, multipliers: Array, *, above: float) -> dict[str, float]:
-    """Multipliers (m,) of rows of length 1 that exceed `above`, by name, converted to the rows as passed in."""
+    """Return the multipliers (m,) that exceed `above` by row name, converted from rows of length 1 to unscaled rows."""
     return {rows.names[i]: float(u / rows.length[i]) for i, u in enumerate(multipliers) if abs(u) > above}
 
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """State after some levels: the remaining freedom, the rows, and the point in both that is nearest to the target.
+    """State after some levels: remaining freedom, constraint rows, and the nearest point to the target in both.
 
-    multipliers: (m,) of that point. held: multipliers of the rows that limit the level. confirmed: whether the point
-    passed its check.
+    multipliers: (m,) Lagrange multipliers at the point `inside`. held: multipliers of the constraint rows that limit
+    the level. confirmed: whether `inside` passed the optimality check.
     """
 
     freedom: Freedom
@@ -103,7 +105,10 @@ def solve_cascade(
     cutoff: float,
     inside: Array | None = None,
 ) -> CascadeSolution | None:
-    """Solve the cascade; None if no v satisfies the rows. target (n,); inside (n,): a known feasible point, or None."""
+    """Solve the levels in order; return None if no v satisfies the constraint rows.
+
+    target: (n,). inside: (n,), a point known to satisfy the constraint rows, or None.
+    """
     freedom = Freedom.whole(target.size)
     rows = rows if inside is None else rows.holding(inside)
     causes: dict[str, tuple[str, ...]] = {}
@@ -139,7 +144,7 @@ def solve_cascade(
 def _met(
     level: Level, target: Array, rows: Polyhedron, *, freedom: Freedom, backend: Backend, cutoff: float
 ) -> _Place | None:
-    """The state with the level met as well as the higher levels allow; None if the rows do not allow that."""
+    """Return the state with the level met as well as the higher levels allow; None if the limits prevent this."""
     goal = level.exact
     narrow = freedom.narrowed(level.J[goal], level.lower[goal], cutoff=cutoff)
     more = _with_set_rows(level, rows, ~goal)
@@ -147,7 +152,7 @@ def _met(
 
 
 def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cutoff: float) -> _Place:
-    """The state with the level met as well as the rows allow, and its value fixed there."""
+    """Return the state with the level met as well as the constraint rows allow, and J v of the level fixed."""
     solution = solve_level(level, place.inside, place.rows, freedom=place.freedom, cutoff=cutoff)
     value = level.J @ solution.v
     off = np.abs(level.miss(solution.v)) > _MISSED * (1.0 + np.abs(value))
@@ -164,7 +169,7 @@ def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cu
 
 
 def _with_set_rows(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedron:
-    """The rows together with the chosen rows of a set-based level."""
+    """Return the constraint rows extended by the chosen rows of a set-based level."""
     if not chosen.any():
         return rows
     one = level.lower.size == 1
@@ -175,7 +180,7 @@ def _with_set_rows(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) ->
 def _nearest(
     freedom: Freedom, rows: Polyhedron, target: Array, *, backend: Backend, inside: Array | None = None
 ) -> _Place | None:
-    """The point nearest to the target; if solvers fail, the known feasible point, unconfirmed; None without either."""
+    """Return the state at the point nearest to the target; if solvers fail, at `inside`; None without either."""
     solution = freedom.nearest(target, rows, backend=backend)
     spent = solution.iterations
     if solution.x is None and inside is not None:

@@ -1,4 +1,4 @@
-"""Fallback stages: inside the rows; inside rows that are opened as little as possible; otherwise only in the box."""
+"""Fallback stages of `solve`: satisfy all limits; else open soft limits as little as possible; else only the box."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Result of a priority mode.
+    """Result of `descend`: the solution of a priority mode.
 
     Attributes:
-        v: (n,). target: (n,), the start of the last projection. free: (n,), the solution without rows.
-        status: the fallback stage; "optimal" includes the case that rows limit levels; "unconfirmed" means that v
-            satisfies the rows but a solver failed to confirm it.
-        binding, causes, iterations: as in `CascadeSolution`.
-        conflict: names of the rows that contradict each other.
+        v: (n,), velocity. target: (n,), the point from which the last projection starts. free: (n,), the solution
+            without limits.
+        status: the fallback stage. "optimal" includes the case that limits keep a level from its value; "unconfirmed"
+            means that v satisfies the limits but no solver confirmed that v is optimal.
+        binding, causes, iterations: see the attributes of `CascadeSolution`.
+        conflict: names of the limits that contradict each other.
     """
 
     v: Array
@@ -49,9 +50,9 @@ def descend(
     """Return the solution of the first fallback stage that succeeds; v is always finite and inside the box.
 
     Args:
-        find: (rows, inside) → the mode's solution inside the rows, None if no v satisfies them; `inside` (n,) is a
-            known feasible point, or None.
-        target: (n,), the start of `find`. free: (n,), the solution without rows.
+        find: function (rows, inside) → the solution of the mode subject to the constraint rows, or None if no v
+            satisfies these rows; `inside` (n,) is a point known to satisfy the rows, or None.
+        target: (n,), the point from which `find` starts. free: (n,), the solution without limits.
     """
     result = find(rows, inside=None)
     if result is not None:
@@ -60,7 +61,7 @@ def descend(
     if relaxed is None:
         return _last_resort(free, target, rows, backend)
     result = find(relaxed.rows, inside=relaxed.inside)
-    if result is None:  # only possible after a solver failure, since a feasible point is known
+    if result is None:  # possible only after a solver failure, since a feasible point is known
         return _last_resort(free, target, rows, backend)
     status: Outcome = "relaxed" if relaxed.opened else "optimal"
     if not (result.confirmed and relaxed.least):
@@ -82,7 +83,7 @@ def _solution(
 
 
 def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> Solution:
-    """Solution if actuator rows contradict each other or all solvers fail: the candidate that violates them least."""
+    """Return the candidate with the least actuator violation, if actuator limits conflict or all solvers fail."""
     hard = rows.mask("actuator")
     solution = Freedom.whole(free.size).nearest(free, rows.only(hard), backend=backend)
     options = [rows.clamp(option) for option in (solution.x, free, np.zeros(free.size)) if option is not None]

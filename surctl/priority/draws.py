@@ -19,11 +19,11 @@ _N = 4
 def draw_levels(
     rng: np.random.Generator, *, most: int = 5, conditioned: bool = False, deficient: bool = True
 ) -> list[Level]:
-    """Return 1 … `most` random levels of 1–4 rows over 4 velocities, named task0, task1, …
+    """Return 1 to `most` random levels for 4 velocities, with 1–4 rows of J each, named task0, task1, …
 
     Args:
-        conditioned: if true, singular values lie between 0.3 and 3.
-        deficient: if true, some levels repeat a row, have rank 1, are zero, or select single velocities.
+        conditioned: if true, the singular values of each J lie between 0.3 and 3.
+        deficient: if true, the J of some levels repeats a row, has rank 1, is zero, or selects single velocities.
     """
     levels = []
     for i in range(rng.integers(1, most + 1)):
@@ -52,15 +52,15 @@ def _spoiled(J: Array, rng: np.random.Generator) -> Array:
 
 
 def unit(rng: np.random.Generator) -> Array:
-    """A random direction (4,)."""
+    """Return a random unit vector (4,)."""
     a = rng.normal(size=_N)
     return np.asarray(a / np.linalg.norm(a))
 
 
 def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
-    """Random levels with consistent box and thrust rows, and barrier and set rows that often contradict them.
+    """Return random levels with consistent box and thrust limits; barrier and set limits often contradict these.
 
-    Barrier rows have lengths between 0.1 and 10; some are repeated, some oppose each other.
+    The normals of barrier limits have lengths between 0.1 and 10; some limits are repeated, some oppose each other.
     """
     half = rng.uniform(0.05, 1.0, _N)
     rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -half[i], half[i]) for i in range(_N)]
@@ -82,7 +82,7 @@ def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
 
 
 def with_sets(problem: PriorityProblem, rng: np.random.Generator) -> PriorityProblem:
-    """The same problem, with some rows of a third of its levels replaced by intervals."""
+    """Return the problem with some desired values in a third of its levels replaced by intervals."""
     levels = []
     for level in problem.levels:
         k = level.lower.size
@@ -95,13 +95,16 @@ def with_sets(problem: PriorityProblem, rng: np.random.Generator) -> PriorityPro
 
 
 def wide(levels: list[Level] | tuple[Level, ...], *, span: float = 1e3) -> PriorityProblem:
-    """The levels with rows that do not bind: a box of ± `span` and a barrier."""
+    """Return a problem of these levels with limits that never bind: a box of ± `span` and a barrier."""
     rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -span, span) for i in range(_N)]
     return build_problem(levels, [*rows, Row("wall", "barrier", np.ones(_N), -np.inf, span)])
 
 
 def inequality_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
-    """Random levels of unit rows (some repeated, some shared, some set-based), with limits that 0 satisfies."""
+    """Return a problem with limits that v = 0 satisfies, and random levels with rows of length 1 in J.
+
+    Some rows of J occur twice in a level, some also occur in the level above, and some are set-based.
+    """
     levels: list[Level] = []
     for i in range(rng.integers(1, most + 1)):
         J = np.array([unit(rng) for _ in range(rng.integers(1, 4))])

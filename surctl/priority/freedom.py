@@ -1,4 +1,4 @@
-"""The velocities that the higher levels leave free: v = base + Z y."""
+"""The set of velocities v = base + Z y that the higher priority levels leave free."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Freedom:
 
     Attributes:
         base: (n,), one velocity of the set.
-        Z: (n, d), orthonormal columns: the free directions.
-        fixed: (n − d, n), orthonormal rows: the fixed directions.
+        Z: (n, d), orthonormal columns: the directions in which v is free.
+        fixed: (n − d, n), orthonormal rows: the directions in which v is fixed.
     """
 
     base: Array
@@ -33,14 +33,14 @@ class Freedom:
 
     @staticmethod
     def whole(n: int) -> Freedom:
-        """The set of all velocities."""
+        """Return the set of all velocities."""
         return Freedom(np.zeros(n), np.eye(n), np.zeros((0, n)))
 
     def narrowed(self, J: Array, x: Array, *, cutoff: float) -> Freedom:
-        """The velocities of the set that meet J v = x best, J (k, n).
+        """Return the velocities of the set that minimise ‖J v − x‖, J (k, n).
 
-        Singular values of J Z below `cutoff`·‖J‖ count as 0. The cut-off is relative to J and not to J Z: if no freedom
-        is left, J Z is only rounding noise.
+        Singular values of J Z below `cutoff`·‖J‖ count as 0. The cut-off is relative to ‖J‖ and not to ‖J Z‖, because J
+        Z is only rounding noise if no freedom is left.
         """
         if J.shape[0] == 0:
             return self
@@ -50,7 +50,7 @@ class Freedom:
         return Freedom(base, self.Z @ space.null.T, np.vstack([self.fixed, space.rows @ self.Z.T]))
 
     def nearest(self, target: Array, rows: Polyhedron, *, backend: Backend) -> LeastDistance:
-        """The velocity of the set that satisfies the rows and is nearest to target (n,)."""
+        """Return the velocity of the set that satisfies the constraint rows and is nearest to target (n,)."""
         return solve_least_distance(
             target,
             A=rows.A,

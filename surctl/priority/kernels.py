@@ -1,4 +1,4 @@
-"""Solvers behind a common interface: each minimises ½‖y‖² subject to lower ≤ G y ≤ upper."""
+"""QP solvers behind a common interface: each solver minimises ½‖y‖² subject to lower ≤ G y ≤ upper."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NO_BOUND = 1e30
 """The value that DAQP and OSQP use for infinity."""
 
 DAQP_TOLERANCE = 1e-11
-"""Largest violation of a row of length 1 that DAQP accepts."""
+"""Largest violation of an inequality that DAQP accepts, for a normal of length 1."""
 
 DAQP_INFEASIBLE = -1
 """The flag with which DAQP reports an infeasible problem."""
@@ -44,7 +44,10 @@ DAQP_INFEASIBLE = -1
 
 @dataclass(frozen=True)
 class KernelSolution:
-    """y (d,) or None, multipliers (m,) with y + Gᵀ·multipliers = 0, iterations, and the status that the solver reports.
+    """Result of one call of a QP solver.
+
+    y: (d,), the solution, or None. multipliers: (m,), such that y + Gᵀ·multipliers = 0. iterations: number of
+    iterations. status: the status that the solver reports.
 
     "unfinished" means that the solver stopped early, for example at an iteration limit; y is its last iterate.
     """
@@ -56,17 +59,18 @@ class KernelSolution:
 
 
 class Kernel(Protocol):
-    """Any solver of min ½‖y‖² subject to lower ≤ G y ≤ upper: a function, or an object with state between calls."""
+    """A solver of min ½‖y‖² subject to lower ≤ G y ≤ upper: a function, or a callable with state between calls."""
 
     def __call__(self, G: Array, lower: Array, upper: Array, /) -> KernelSolution:
-        """The solution for rows G (m, d) of length 1 and bounds (m,); an absent bound is ±inf."""
+        """Return the solution for G (m, d) with rows of length 1, and bounds (m,); an absent bound is ±inf."""
         ...
 
 
 def unfit(G: Array, lower: Array, upper: Array) -> KernelSolution | None:
-    """The result without a solver call: "infeasible" where bounds cross, "failed" for a NaN; None if a call is needed.
+    """Return the result if no solver call is needed: "infeasible" for crossed bounds, "failed" for a NaN; else None.
 
-    DAQP treats a row with a NaN as satisfied. DAQP and OSQP refuse crossed bounds but then return the last solution.
+    DAQP treats an inequality with a NaN as satisfied. DAQP and OSQP reject crossed bounds (lower > upper) but then
+    return the solution of the previous call.
     """
     if (lower <= upper).all() and np.isfinite(G).all():  # comparisons with a NaN are false
         return None
@@ -75,7 +79,7 @@ def unfit(G: Array, lower: Array, upper: Array) -> KernelSolution | None:
 
 
 def daqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method; its flag is checked."""
+    """Solve with DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method, and check its exit flag."""
     m, d = G.shape
     return daqp_solution(
         m,
@@ -92,7 +96,7 @@ def daqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
 
 
 def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolution:
-    """The result that DAQP returned for m rows, with its flag checked."""
+    """Return the result of DAQP for m inequalities as a KernelSolution, after a check of the exit flag."""
     iterations = int(info["iterations"])
     if flag == 1:
         return KernelSolution(np.array(y, dtype=float), np.array(info["lam"], dtype=float), iterations, "optimal")
@@ -100,16 +104,19 @@ def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolut
 
 
 def osqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """OSQP (Stellato et al. 2020), an operator-splitting method, with tight settings.
+    """Solve with OSQP (Stellato et al. 2020), an operator-splitting method, with tight tolerances.
 
-    OSQP's default tolerances leave bounds violated by 1e-3 and call feasible problems infeasible.
+    With its default tolerances OSQP leaves bounds violated by 1e-3 and reports feasible problems as infeasible.
     """
     low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
     return unfit(G, low, high) or osqp_solution(new_osqp(G, low, high, warm=False))
 
 
 def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
-    """An `osqp.OSQP` that stores all entries of G (m, d), so that even zeros can be updated; finite bounds (m,)."""
+    """Return an `osqp.OSQP` that stores all entries of G (m, d), so that zeros can be updated too.
+
+    lower, upper: (m,), finite.
+    """
     import osqp
     from scipy import sparse
 
@@ -149,7 +156,7 @@ def osqp_solution(solver: Any) -> KernelSolution:
 
 
 def own_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """This package's own dual active-set method (`dual_step`), compiled where there is a C compiler."""
+    """Solve with the dual active-set method of this package (`dual_step`), compiled if there is a C compiler."""
     y, multipliers, status, iterations = nearest_to_zero(G, lower, upper)
     if status == OPTIMAL:
         return KernelSolution(y, multipliers, iterations, "optimal")
@@ -157,7 +164,7 @@ def own_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
 
 
 def qpsolvers_kernels() -> dict[str, Kernel]:
-    """One kernel for every other installed solver that qpsolvers (Caron et al.) finds, for cross-checks."""
+    """Return a `Kernel` for each other installed solver that qpsolvers (Caron et al.) finds, for cross-checks."""
     import qpsolvers
 
     others = sorted(set(qpsolvers.available_solvers) - {"daqp", "osqp"})

@@ -1,4 +1,4 @@
-"""The null-space-based law (16), implemented as printed in the paper."""
+"""The null-space-based behavioural (NSB) law (16), implemented as printed in the paper."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ __all__ = ["nsb"]
 def nsb(problem: PriorityProblem, *, cutoff: float = CUTOFF) -> NDArray[np.float64]:
     """Return v (n,) of the printed law (16): v = v_1 + N_1(v_2 + N_2(v_3 + …)).
 
-    v_i = J_i⁺x_i (15), N_i = I − J_i⁺J_i. Singular values below `cutoff`·‖J_i‖ count as 0. The law ignores limit
-    rows.
+    Here v_i = J_i⁺x_i (15) and N_i = I − J_i⁺J_i. Singular values of J_i below `cutoff`·‖J_i‖ count as 0. The law
+    ignores limits.
 
     Raises:
-        InputError: a level is set-based; the printed law has no such task.
+        InputError: a level is set-based; the printed law (16) has no set-based tasks.
 
     Example:
         >>> import numpy as np

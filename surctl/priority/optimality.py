@@ -1,8 +1,9 @@
-"""An independent check of a solution: the optimality conditions, evaluated from v and the problem alone.
+"""An independent check of a solution: it evaluates the optimality conditions from v and the problem alone.
 
-Each condition states that a vector is a non-negative combination of the outward normals of the rows. Rows away from v
-must have weight 0: the sum of weight times distance is the duality gap, which gives one more equation. The test is
-a non-negative least-squares problem (Lawson and Hanson 1974), which shares no code with the QP solvers.
+Each condition states that a vector is a non-negative combination of the outward normals of the constraint rows.
+Constraints that v does not touch must have weight 0. One more equation ensures this: the sum of weight times distance,
+which is the duality gap, must be 0. The check solves a non-negative least-squares problem (Lawson and Hanson 1974) and
+shares no code with the QP solvers.
 """
 
 from __future__ import annotations
@@ -25,13 +26,14 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float = 1e-6) -> bool:
-    """Whether v (n,) is optimal for the mode, within `tol` relative to 1 + the size of the compared values.
+    """Return whether v (n,) is optimal for the mode, within `tol` relative to 1 + the size of the compared values.
 
-    In mode nsb, v must equal the printed law (16), or the result of its sweeps. In the other modes: (a) no actuator row
-    is violated; (b) the violation of the barrier rows, then of the set rows, cannot be smaller; (c) for every strict
-    level, no v in the relaxed set that preserves the higher levels meets the level better; (d) no v that preserves all
-    of them is nearer to `target` (n,), the target of the mode (computed from the problem alone; for several sweeps of
-    "projected" it is only checked to be finite).
+    In mode nsb, v must equal the printed law (16), or the result of repeated sweeps of (16). In the other modes, four
+    conditions must hold. (a) v violates no actuator limit. (b) The violation of the barrier limits, and then that of
+    the set limits, cannot be smaller. (c) For every strict level, no other v that satisfies the relaxed limits and
+    preserves the higher levels meets the level better. (d) No v that preserves all strict levels is nearer to `target`
+    (n,), the point from which the last projection starts. The target is compared with a value computed from the problem
+    alone; only for several sweeps of "projected" it is just checked to be finite.
     """
     if v.shape != (problem.width,) or not np.isfinite(v).all():
         return False
@@ -55,7 +57,7 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
 
 
 def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
-    """Whether the point is the start of the mode's last projection."""
+    """Return whether `target` is the point from which the last projection of the mode starts."""
     n = problem.width
     if settings.mode == "lexicographic":
         return not target.any()
@@ -78,7 +80,7 @@ def _size(level: Level) -> float:
 
 
 def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> tuple[Array, Array]:
-    """Add the normals of the level's rows: both signs where the value is fixed, otherwise those of its bounds."""
+    """Add the normals of the level: both signs of a row of J with a fixed value, otherwise those of its bounds."""
     J = level.J / _size(level)
     fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(level.J @ v)))
     value = level.J @ v
@@ -91,7 +93,7 @@ def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> 
 
 
 def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
-    """The rows relaxed by their violation at v, if no smaller relaxation is feasible; None otherwise."""
+    """Return the constraint rows relaxed by their violation at v; None if a smaller relaxation is feasible."""
     slack = tol * (1.0 + float(np.abs(v).max(initial=0.0)))
     missed = rows.violation(v)
     if missed[rows.mask("actuator")].max(initial=0.0) > slack:
@@ -109,7 +111,7 @@ def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
 
 
 def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: NDArray[np.bool_], tol: float) -> bool:
-    """Farkas certificate: normals of soft rows, with weights that sum to 1, balance normals of hard rows."""
+    """Return whether normals of soft limits, with weights of sum 1, balance those of hard limits (Farkas)."""
     pushing, near = _bounds(rows, v, soft)
     holding, far = _bounds(rows, v, hard)
     weight = np.append(np.ones(near.size), np.zeros(far.size))
@@ -119,7 +121,7 @@ def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: N
 
 
 def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """Outward normals (p, n) of all finite bounds of the chosen rows, and the distance (p,) of v from each bound."""
+    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and the distance (p,) of v to each."""
     value = rows.A @ v
     above, below = np.isfinite(rows.upper), np.isfinite(rows.lower)
     if chosen is not None:
@@ -130,7 +132,7 @@ def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None)
 
 
 def _in_cone(goal: Array, normals: Array, gaps: Array, tol: float) -> bool:
-    """Whether goal (d,) is a non-negative combination of normals (p, d) with the sum of weight · gap equal to 0."""
+    """Return whether goal (d,) is a combination of normals (p, d) with weights ≥ 0 and a sum of weight · gap of 0."""
     from scipy.optimize import nnls
 
     size = float(np.abs(goal).max(initial=0.0))

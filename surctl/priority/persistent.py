@@ -1,8 +1,9 @@
-"""Solvers that keep their state between control periods: DAQP and OSQP through their own interfaces.
+"""QP solvers that keep their state between control periods: DAQP and OSQP through their own interfaces.
 
-Both are kernels: `solve_least_distance(..., backend=PersistentDaqp())`. The number of rows varies between control
-periods, since elimination drops some, and neither solver can change its size, so one solver is kept for each size. If a
-solution fails its check, the solver is discarded and a new one is set up when that size occurs again.
+Both can be passed as a backend: `solve_least_distance(..., backend=PersistentDaqp())`. The number of constraint rows
+varies between control periods, because the elimination of equalities drops some rows. Neither solver can change its
+problem size, so one solver is stored for each size. If a solution fails the check of the optimality conditions, the
+solver is discarded, and a new solver is set up when the size occurs again.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ __all__ = ["PersistentDaqp", "PersistentOsqp"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_MOST = 64  # largest number of sizes; the one first stored is dropped first
+_MOST = 64  # largest number of stored problem sizes; the oldest is dropped first
 _RHO = 0.1  # OSQP's default step size, from which it adapts
 
 
 class _Persistent(ABC):
-    """Common part of the persistent solvers: a dictionary with one solver for each problem size."""
+    """Base class of the persistent solvers: it stores one solver for each problem size."""
 
     def __init__(self, *, warm: bool = False) -> None:
         self.warm = warm
@@ -45,7 +46,8 @@ class _Persistent(ABC):
     def __call__(self, G: Array, lower: Array, upper: Array, /) -> KernelSolution:
         """Return the point nearest to 0 with lower (m,) ≤ G (m, d) y ≤ upper (m,), rows of length 1, ±inf allowed.
 
-        The status is "infeasible" also where bounds cross, and "failed" for a NaN; neither raises an exception.
+        The status is also "infeasible" if bounds cross (lower > upper), and "failed" for a NaN; neither case raises an
+        exception.
 
         Raises:
             InputError: the shapes disagree (DAQP would then use the old bounds).
@@ -68,11 +70,11 @@ class _Persistent(ABC):
 
     @abstractmethod
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
-        """Set up a solver, and solve."""
+        """Set up a solver for this problem size, and solve the problem."""
 
     @abstractmethod
     def _again(self, solver: Any, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
-        """Update the numbers of a solver of this size, and solve."""
+        """Update the data of a solver of this problem size, and solve the problem."""
 
 
 class PersistentDaqp(_Persistent):
@@ -81,8 +83,8 @@ class PersistentDaqp(_Persistent):
     Do not share an object between threads.
 
     Args:
-        warm: start from the last active set of that size. If off, the solution depends only on the problem, to the
-            bit.
+        warm: start from the active set of the last problem of the same size. If False, the solution depends on the
+            problem alone, to the last bit.
     """
 
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
@@ -104,16 +106,18 @@ class PersistentDaqp(_Persistent):
 
 
 class PersistentOsqp(_Persistent):
-    """OSQP (Stellato et al. 2020), set up once for each size, then `update(l, u, Ax)`; settings as in `osqp_kernel`.
+    """OSQP (Stellato et al. 2020), set up once for each size, then changed by `update(l, u, Ax)`.
 
-    Like a new OSQP it may stop before it reaches 1e-8 on degenerate rows, with status "unfinished";
-    `solve_least_distance` then polishes and checks the point.
+    The settings are those of `osqp_kernel`.
+
+    Like a new OSQP, a stored OSQP may stop before it reaches a tolerance of 1e-8 on degenerate constraint rows, with
+    status "unfinished"; `solve_least_distance` then polishes and checks the point.
 
     Do not share an object between threads.
 
     Args:
-        warm: start from the last point, multipliers and step size of that size. If off, the solution depends only
-            on the problem, to the bit.
+        warm: start from the point, multipliers and step size of the last problem of the same size. If False, the
+            solution depends on the problem alone, to the last bit.
     """
 
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:

@@ -1,4 +1,4 @@
-"""The set of velocities that the rows allow: V = {v : lower ≤ A v ≤ upper}, every row scaled to length 1."""
+"""The set of velocities that satisfy the limits: V = {v : lower ≤ A v ≤ upper}, each row of A scaled to length 1."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ _ROUNDING = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Polyhedron:
-    """Rows scaled to length 1, so that a violation is a velocity, with their names and kinds.
+    """Constraint rows scaled to length 1, so that a violation is a velocity, with their names and kinds.
 
     Attributes:
-        A: (m, n). lower, upper: (m,). length: (m,), of the rows before scaling.
+        A: (m, n), normals. lower, upper: (m,), bounds. length: (m,), length of each normal before scaling.
         kinds, names: (m,).
-        box: the actuator rows that bound one velocity each, as lower and upper (n,); ±inf elsewhere.
+        box: lower and upper bound (n,) of each velocity, from the actuator limits that bound a single velocity; ±inf
+            where there is no such limit.
     """
 
     A: Array
@@ -41,47 +42,47 @@ class Polyhedron:
 
     @staticmethod
     def none(n: int) -> Polyhedron:
-        """The set without any row, over n velocities."""
+        """Return the set of all velocities (n,), without any constraint row."""
         nothing, unbounded = np.zeros(0), np.full(n, np.inf)
         return Polyhedron(np.zeros((0, n)), nothing, nothing, nothing, (), (), (-unbounded, unbounded))
 
     @property
     def width(self) -> int:
-        """The number of velocities n."""
+        """Return the number of velocities n."""
         return int(self.A.shape[1])
 
     def violation(self, v: Array) -> Array:
-        """Violation (m,) of each row by v (n,); 0 where v satisfies the row."""
+        """Return the violation (m,) of each constraint row by v (n,); 0 where v satisfies the row."""
         value = self.A @ v
         return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
     def missed(self, v: Array) -> dict[str, float]:
-        """Rows that v violates by more than rounding, by name, with the violation in the unit of the row."""
+        """Return the violation of each row that v violates by more than rounding, by name, in the unit of the limit."""
         amount = self.violation(v)
         tolerance = _ROUNDING * (1.0 + float(np.abs(v).max()))
         return {self.names[i]: float(amount[i] * self.length[i]) for i in np.flatnonzero(amount > tolerance)}
 
     def contains(self, v: Array) -> bool:
-        """Whether v satisfies every row, without tolerance; False for a NaN."""
+        """Return whether v satisfies every constraint row without tolerance; False for a NaN."""
         value = self.A @ v
         return bool(((self.lower <= value) & (value <= self.upper)).all())
 
     def mask(self, *kinds: Kind) -> NDArray[np.bool_]:
-        """Mask (m,) of the rows of these kinds."""
+        """Return a mask (m,) of the constraint rows of these kinds."""
         return np.array([kind in kinds for kind in self.kinds], dtype=bool)
 
     def relaxed(self, rows: NDArray[np.bool_], by: float) -> Polyhedron:
-        """The same set with both bounds of the chosen rows moved outwards by `by`."""
+        """Return the set with both bounds of the chosen constraint rows moved outwards by `by`."""
         move = np.where(rows, by, 0.0)
         return replace(self, lower=self.lower - move, upper=self.upper + move)
 
     def holding(self, v: Array) -> Polyhedron:
-        """The same set with bounds moved just far enough that v satisfies them exactly; v must be feasible."""
+        """Return the set with bounds moved just far enough that v satisfies them exactly; v must be feasible."""
         value = self.A @ v
         return replace(self, lower=np.minimum(self.lower, value), upper=np.maximum(self.upper, value))
 
     def only(self, rows: NDArray[np.bool_]) -> Polyhedron:
-        """The set that only the chosen rows define."""
+        """Return the set that the chosen constraint rows alone define."""
         chosen = np.flatnonzero(rows)
         return replace(
             self,
@@ -94,7 +95,7 @@ class Polyhedron:
         )
 
     def also(self, J: Array, lower: Array, upper: Array, *, names: Sequence[str]) -> Polyhedron:
-        """The same set with additional rows J v in [lower, upper], J (k, n), of kind "set"."""
+        """Return the set with k additional constraint rows lower ≤ J v ≤ upper, J (k, n), of kind "set"."""
         length = _lengths(J)
         kind: Kind = "set"
         return replace(
@@ -108,19 +109,22 @@ class Polyhedron:
         )
 
     def widened(self, J: Array, lower: Array, upper: Array) -> Polyhedron:
-        """The rows over (v, s) with s (k,), and k additional rows J v + s in [lower, upper]."""
+        """Return the set over (v, s), s (k,), with k additional constraint rows lower ≤ J v + s ≤ upper."""
         k = J.shape[0]
         wide = replace(self, A=np.hstack([self.A, np.zeros((self.A.shape[0], k))]))
         return wide.also(np.hstack([J, np.eye(k)]), lower, upper, names=["slack"] * k)
 
     def clamp(self, v: Array) -> Array:
-        """v moved into the box, entry by entry."""
+        """Return v with each entry moved into the bounds of the box."""
         clamped: Array = np.clip(v, *self.box)
         return clamped
 
 
 def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
-    """The problem's rows, scaled. A row of zeros keeps its bounds: it is always or never satisfied."""
+    """Return the limits of the problem as constraint rows of length 1.
+
+    A constraint row with zero normal keeps its bounds, so it is either always or never satisfied.
+    """
     rows, n = problem.rows, problem.width
     A = np.array([row.a for row in rows]).reshape(len(rows), n)
     length = _lengths(A)
@@ -132,7 +136,7 @@ def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
 
 
 def _lengths(A: Array) -> Array:
-    """Length of each row; 1 for a row of zeros."""
+    """Return the length (m,) of each row of A; 1 for a row of zeros."""
     largest = np.abs(A).max(axis=1, initial=0.0)
     largest[largest == 0.0] = 1.0
     scaled = A / largest[:, None]  # without this scaling the square of a row of 1e155 would overflow
@@ -142,13 +146,13 @@ def _lengths(A: Array) -> Array:
 
 
 def _is_zero(A: Array) -> NDArray[np.bool_]:
-    """Mask (m, 1) of the rows that count as zero."""
+    """Return a mask (m, 1) of the rows of A that count as zero."""
     zero: NDArray[np.bool_] = np.abs(A).max(axis=1, initial=0.0, keepdims=True) <= ZERO_ROW
     return zero
 
 
 def _box(A: Array, lower: Array, upper: Array, kinds: tuple[Kind, ...]) -> tuple[Array, Array]:
-    """Bounds of single velocities; where two rows contradict each other, both bounds are their midpoint."""
+    """Return the bounds of each velocity; if two limits contradict each other, both bounds are their midpoint."""
     low, high = np.full(A.shape[1], -math.inf), np.full(A.shape[1], math.inf)
     for i in np.flatnonzero(np.count_nonzero(A, axis=1) == 1):
         if kinds[i] != "actuator":

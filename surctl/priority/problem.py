@@ -1,4 +1,4 @@
-"""The priority problem of one control period as data: named levels and named rows that can be printed and saved."""
+"""The priority problem of one control period as data: named levels and named limits that can be printed and saved."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One task at one instant, row by row: lower ≤ J v ≤ upper.
+    """One priority level, that is, one task at one instant: lower ≤ J v ≤ upper for each row of J.
 
-    `Level(name, J, x)` requires J v = x. A set-based task has both bounds, ±inf if absent; between different bounds a
-    row has no effect.
+    `Level(name, J, x)` requires J v = x. A set-based task has lower < upper; an absent bound is ±inf. Such a row of J
+    has no effect while its J v lies between its bounds.
 
     Attributes:
         J: (k, n).
-        lower, upper: (k,) [unit of σ per second]; upper = None means the same as lower.
-        unit: unit of σ̇, for example "m/s", for explanations.
+        lower, upper: (k,) bounds of J v [unit of σ per second]; upper = None means upper = lower.
+        unit: unit of σ̇ for the text of explanations, for example "m/s".
     """
 
     name: str
@@ -40,7 +40,7 @@ class Level:
 
     @property
     def x(self) -> Array:
-        """The desired value (k,) of a level without set-based rows; otherwise its lower bounds."""
+        """Return the desired value (k,) of a level without set-based rows; otherwise the lower bounds of the level."""
         return self.lower
 
     @property
@@ -50,29 +50,29 @@ class Level:
 
     @property
     def exact(self) -> NDArray[np.bool_]:
-        """Mask (k,) of the rows with one desired value."""
+        """Return a mask (k,) of the rows of J with one desired value (lower = upper)."""
         rows: NDArray[np.bool_] = self.lower == self.high
         return rows
 
     @property
     def is_goal(self) -> bool:
-        """Whether every row has one desired value."""
+        """Return whether every row of J has one desired value (lower = upper)."""
         return self.upper is None or bool(self.exact.all())
 
     def miss(self, v: Array) -> Array:
-        """Signed distance (k,) from J v to the nearest allowed value, for v (n,); 0 where a row is satisfied."""
+        """Return the signed distance (k,) from J v to the nearest allowed value, for v (n,); 0 inside the bounds."""
         value = self.J @ v
         lacks: Array = np.clip(value, self.lower, self.high) - value
         return lacks
 
     def residual(self, v: Array) -> float:
-        """Norm of `miss`; this is ‖J v − x‖ for a task with one desired value."""
+        """Return the norm of `miss`; it is ‖J v − x‖ for a task with one desired value x."""
         return float(np.sqrt((self.miss(v) ** 2).sum()))
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One limit at one instant: lower ≤ a·v ≤ upper with a (n,); an absent bound is ±inf."""
+    """One limit at one instant as a constraint row: lower ≤ a·v ≤ upper with a (n,); an absent bound is ±inf."""
 
     name: str
     kind: Kind
@@ -83,18 +83,18 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class PriorityProblem:
-    """Levels, highest priority first, and limit rows; `build_problem` checks and builds it."""
+    """A priority problem from `build_problem`: levels, highest priority first, and limits as constraint rows."""
 
     levels: tuple[Level, ...]
     rows: tuple[Row, ...] = ()
 
     @property
     def width(self) -> int:
-        """n, the number of velocities (4 for this vehicle)."""
+        """Return the number of velocities n (4 for this vehicle)."""
         return int(self.levels[0].J.shape[1])
 
     def __str__(self) -> str:
-        """Return a table with one line for each task row and for each limit."""
+        """Return the problem as a table with one line for each row of each J and one for each limit."""
         lines = [f"{'priority':<9} {'name':<20} row · v"]
         for place, level in enumerate(self.levels, start=1):
             lines += [
@@ -107,7 +107,10 @@ class PriorityProblem:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; an absent bound is null. The numbers survive a round trip exactly."""
+        """Return the problem as plain data for JSON; an absent bound is null.
+
+        `from_dict` restores the numbers exactly.
+        """
         return {
             "levels": [
                 {
@@ -133,7 +136,7 @@ class PriorityProblem:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> PriorityProblem:
-        """Build and check the problem from the data of `to_dict`. A missing key raises an InputError."""
+        """Return the checked problem from the data that `to_dict` returned. A missing key raises an InputError."""
         try:
             levels = [
                 Level(
@@ -165,12 +168,12 @@ class PriorityProblem:
 
 
 def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> PriorityProblem:
-    """Check and freeze a problem.
+    """Return a checked, read-only priority problem.
 
     Raises:
         InputError: no level, different numbers of columns, a value that is not a finite number, crossed bounds, an
-            unknown kind, or a name that is empty, has several lines or is used twice. The message names the task
-            (and its row) or the limit.
+            unknown kind, or a name that is empty, has several lines or is used twice. The message names the task (and
+            the row of J) or the limit.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""Independent implementations of the priority laws, without code of this package's solvers; for tests and studies."""
+"""Independent implementations of the priority laws for tests and studies; they share no code with the solvers here."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NO_BOUND = 1e30
 
 
 def printed_law(levels: Sequence[Level]) -> Array:
-    """The law (16) with numpy's own pseudo-inverse, nested outwards: v_1 + N_1 v_2 + N_1 N_2 v_3 + …"""
+    """Return v of the law (16) with the pseudo-inverse of numpy, expanded: v_1 + N_1 v_2 + N_1 N_2 v_3 + …"""
     n = levels[0].J.shape[1]
     v, chain = np.zeros(n), np.eye(n)
     for level in levels:
@@ -32,7 +32,10 @@ def printed_law(levels: Sequence[Level]) -> Array:
 
 
 def svd_cascade(levels: Sequence[Level]) -> Array:
-    """Strict priority without rows: v ← v + (J N)⁺(x − J v), N of all levels above, with cut-off 1e-10·‖J‖."""
+    """Return v of strict priority without limits: v ← v + (J N)⁺(x − J v), with cut-off 1e-10·‖J‖.
+
+    N is the null-space projector of all levels above.
+    """
     n = levels[0].J.shape[1]
     v, N = np.zeros(n), np.eye(n)
     for level in levels:
@@ -44,9 +47,10 @@ def svd_cascade(levels: Sequence[Level]) -> Array:
 
 
 def daqp_hierarchy(problem: PriorityProblem) -> Array:
-    """Solve with DAQP's own lexicographic solver (Arnström, Bemporad and Axehill 2022); the limits are its first level.
+    """Solve with the lexicographic solver of DAQP (Arnström, Bemporad and Axehill 2022); its first level is the limits.
 
-    DAQP scales rows to length 1, so its residuals are comparable only where all rows already have length 1.
+    DAQP scales all rows of J and all limits to length 1, so its residuals are comparable with those of this package
+    only if all rows already have length 1.
 
     Raises:
         SolverError: DAQP finds no solution.

@@ -1,4 +1,4 @@
-"""Relaxation of rows that contradict each other: the smallest opening that makes them consistent, with a point."""
+"""Relaxation of limits that contradict each other: the smallest opening that makes them consistent."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _OPEN = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
-    """Rows that were made consistent.
+    """Consistent constraint rows, the result of `least_violation`.
 
     Attributes:
-        rows: the rows with moved bounds.
-        inside: a point that satisfies them.
+        rows: the constraint rows with moved bounds.
+        inside: a point (n,) that satisfies `rows`.
         iterations: number of iterations of the solvers.
-        opened: whether any row had to open (a solver can report infeasibility by mistake).
-        conflict: names of the rows that contradict each other.
+        opened: whether any constraint row had to open; False if a solver reported infeasibility by mistake.
+        conflict: names of the limits that contradict each other.
         least: whether the searches for the smallest opening converged.
     """
 
@@ -46,9 +46,9 @@ class Relaxed:
 
 
 def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Relaxed | None:
-    """Relax barrier rows, then rows of set-based tasks, each kind by the smallest uniform amount [row of length 1].
+    """Relax barrier limits, then limits of set-based tasks, each kind by its smallest uniform amount [row of length 1].
 
-    Return None if the actuator rows contradict each other, or if no solver finds a solution. `start` is (n,).
+    Return None if the actuator limits contradict each other, or if no solver finds a solution. `start` is (n,).
     """
     firm = rows.only(rows.mask("actuator"))
     solution = Freedom.whole(start.size).nearest(start, firm, backend=backend)
@@ -72,9 +72,12 @@ def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Rela
 def _least_uniform(
     rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...], inside: Array
 ) -> tuple[Array, float, LevelSolution, tuple[str, ...]]:
-    """A point, the least t ≥ 0 by which rows of `kind` must open to admit it, the solver result, and the limiting rows.
+    """Find the least t ≥ 0 by which limits of `kind` must open.
 
-    This is a task over (v, t) with desired t = 0. `inside` satisfies the hard rows.
+    Return the point at which this t suffices, t, the solver result, and the constraint rows that limit t.
+
+    The search for t is a task in the variables (v, t) with desired value t = 0. `inside` satisfies the hard constraint
+    rows.
     """
     n = inside.size
     close = Level("opening", np.eye(1, n + 1, n), np.zeros(1))
@@ -86,7 +89,7 @@ def _least_uniform(
 
 
 def _opening(rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...]) -> Polyhedron:
-    """Rows over (v, t): hard rows are unchanged, rows of `kind` are widened by t at both bounds."""
+    """Return constraint rows over (v, t): hard rows are unchanged, both bounds of rows of `kind` are widened by t."""
     keep, soft = np.flatnonzero(rows.mask(*hard)), np.flatnonzero(rows.mask(kind))
     order = np.concatenate([keep, soft, soft])
     none = np.full(soft.size, np.inf)

@@ -18,7 +18,7 @@ ZERO_ROW = 1e-15
 
 @dataclass(frozen=True)
 class RowSpace:
-    """J = left · diag(s) · rows, without singular values below the cut-off.
+    """A singular value decomposition J = left · diag(s) · rows, without singular values below the cut-off.
 
     Attributes:
         left: (k, r), orthonormal columns.
@@ -52,7 +52,10 @@ def row_space(J: NDArray[np.float64], *, cutoff: float = CUTOFF, scale: float | 
 def project(
     w: NDArray[np.float64], J: NDArray[np.float64], *, x: NDArray[np.float64], cutoff: float = CUTOFF
 ) -> NDArray[np.float64]:
-    """The point of argmin ‖J z − x‖ nearest to w (n,): w + J⁺(x − J w). Exact also for rank-deficient J."""
+    """Return w + J⁺(x − J w): of all z that minimise ‖J z − x‖, the point nearest to w (n,).
+
+    The result is also exact for a rank-deficient J.
+    """
     if J.shape[0] == 1:
         row = J[0]
         square = row @ row

@@ -18,8 +18,8 @@ Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
 its last projection, that of the first task, restricted to the rows. lexicographic: strict priority inside the rows."""
 
 Fallback: TypeAlias = Literal["exact", "bounded"]
-"""What a compiled step does if task and rows are incompatible. exact: it computes the optimum, at any cost. bounded: it
-computes a solution of constant cost that violates the rows no more than the target in the box, or v = 0, does."""
+"""What a compiled step does if task and limits are incompatible. exact: compute the optimum at any cost. bounded:
+compute at constant cost a v that violates the limits no more than the target moved into the box, or v = 0, does."""
 
 _BOUNDED: tuple[Mode, ...] = ("filter", "projected")
 
@@ -28,15 +28,16 @@ _LEAST_DAMPING = 1e-6
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of `solve` other than the problem.
+    """Settings of the priority law that `solve` applies to a problem.
 
     Attributes:
         mode: see `Mode`.
-        sweeps: number of sweeps of projections, each started from the result of the one before. One sweep is (16);
-            more sweeps approach strict priority where the tasks are compatible. 1 for lexicographic.
-        damping: λ [unit of J], at least 1e-6, or 0 for none: every projection becomes min λ²‖z − w‖² + ‖J z − x‖²,
-            which is (16) with Jᵀ(JJᵀ + λ²I)⁻¹ in both v_i and N_i. 0 for lexicographic.
-        cutoff: singular values below cutoff·‖J_i‖ count as 0, also those of J_i N.
+        sweeps: number of sweeps; a sweep projects v on every level, from the lowest to the highest, and starts from the
+            result of the previous sweep. One sweep is the law (16); more sweeps approach strict priority where the
+            tasks are compatible. Must be 1 in mode lexicographic.
+        damping: λ [unit of J], at least 1e-6, or 0 for no damping. With damping, every projection becomes min λ²‖z −
+            w‖² + ‖J z − x‖², which is (16) with Jᵀ(JJᵀ + λ²I)⁻¹ in both v_i and N_i. Must be 0 in mode lexicographic.
+        cutoff: singular values of J_i and of J_i N below cutoff·‖J_i‖ count as 0.
 
     Raises:
         InputError: an unknown mode, or a number out of range.
@@ -48,7 +49,7 @@ class Settings:
     cutoff: float = CUTOFF
 
     def __post_init__(self) -> None:
-        """Check the range of each setting, and that the mode uses it."""
+        """Check the range of each setting, and whether the mode uses the setting."""
         modes = get_args(Mode)
         if self.mode not in modes:
             raise InputError(
@@ -75,7 +76,7 @@ class Settings:
 
 
 def check_fallback(fallback: str, *, mode: str, damping: float = 0.0) -> None:
-    """Raise an InputError if the fallback is unknown or the mode does not support it.
+    """Raise an InputError if the fallback is unknown or the mode does not support the fallback.
 
     Example:
         >>> from surctl.priority import check_fallback

@@ -26,24 +26,27 @@ _NOTICEABLE = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class PrioritySolution:
-    """A velocity that is always finite, and the reasons for it.
+    """A velocity, which is always finite, with the limits and tasks that determine this velocity.
 
     Attributes:
-        v: (n,); for this vehicle (u, v, w, r) in {B} [m/s, rad/s].
+        v: (n,), velocity; for this vehicle (u, v, w, r) in {B} [m/s, rad/s].
         settings: mode, sweeps, damping, cut-off.
-        target: (n,), the start of the last projection: w_2 for "projected", (16) for "filter", 0 for
-            "lexicographic".
-        residuals: ‖J_i v − x_i‖ of each level [unit of σ per second].
-        without_limits: the same for the law (16) without rows: what a level loses only to the levels above it.
-        binding: (row, multiplier) of the rows that limit v, for rows as passed in: positive at the upper bound,
-            negative at the lower. A set-based level that binds has its own name, with a dot and the row's index if it
-            has several rows. The multiplier is that of ½‖v − target‖²; for a row that limits a strict level (the first
-            of "projected", any of "lexicographic"), that of ½‖J v − x‖² of this level.
-        causes: the rows that limit a strict level, by level.
-        relaxed: violation of each violated row, in the unit of that row.
-        conflict: the rows that contradict each other, which is why some were relaxed.
-        fallback: 1 first task met, 2 met as well as the rows allow, 3 rows relaxed, v unconfirmed or clamped.
-        iterations: total of all solvers; 0 when no solver was needed.
+        target: (n,), the point from which the last projection starts: the result w_2 of the levels below the first for
+            "projected", the result of the law (16) for "filter", 0 for "lexicographic".
+        residuals: norm ‖J_i v − x_i‖ of each level, by name [unit of σ per second].
+        without_limits: ‖J_i v − x_i‖ of each level for v of the law (16) without limits; it shows what a level loses to
+            the levels above it alone.
+        binding: (name, Lagrange multiplier) of each limit that binds, for the unscaled constraint row; positive at the
+            upper bound, negative at the lower bound. A set-based level that binds appears under its own name, with a
+            dot and the index of the row of J if it has several rows. The multiplier belongs to min ½‖v − target‖²; if
+            the limit restricts a strict level (the first level in "projected", any level in "lexicographic"), it
+            belongs to min ½‖J v − x‖² of this level.
+        causes: for each strict level that limits restrict, the names of these limits.
+        relaxed: violation of each violated limit, in the unit of that limit.
+        conflict: names of the limits that contradict each other, so that some limits were relaxed.
+        fallback: 1: the first task is met; 2: the first task is met as well as the limits allow; 3: limits are relaxed,
+            or v is unconfirmed or clamped.
+        iterations: number of iterations of all solvers together; 0 if no solver was needed.
         status: see `Outcome`.
         units: unit of each level's residual.
     """
@@ -64,11 +67,11 @@ class PrioritySolution:
 
     @property
     def mode(self) -> str:
-        """The name of the mode."""
+        """Return the name of the priority mode."""
         return self.settings.mode
 
     def explain(self) -> str:
-        """Return one or two sentences: which task gave up how much, because of which row."""
+        """Return one or two sentences that state which task is not fully met, by how much, and due to which limit."""
         if self.status == "clamped":
             return "The actuator rows contradict each other, or all solvers failed: v is only moved into the box."
         text = self._losses()
@@ -83,13 +86,13 @@ class PrioritySolution:
         return f"{text} The limits contradict each other{who}, so the least violation was allowed: {missed}."
 
     def is_optimal(self, problem: PriorityProblem, tol: float = 1e-6) -> bool:
-        """Whether v is optimal for `mode` and `problem`, checked from v alone; see `optimality`."""
+        """Return whether v is optimal for `mode` and `problem`, checked from v alone; see `optimality`."""
         return self.status != "clamped" and is_optimal(
             self.v, problem, settings=self.settings, target=self.target, tol=tol
         )
 
     def _losses(self) -> str:
-        """The sentence on tasks: which task gave up how much, grouped by the rows that cause it."""
+        """Return a sentence on which tasks are not fully met and by how much, grouped by the limits that cause it."""
         bind = tuple(name for name, _ in self.binding)
         lost: dict[tuple[str, ...], list[str]] = {}
         for name, residual in self.residuals.items():
@@ -119,5 +122,5 @@ def _verb(names: Sequence[str]) -> str:
 
 
 def residuals_at(v: NDArray[np.float64], levels: tuple[Level, ...]) -> dict[str, float]:
-    """‖J_i v − x_i‖ of each level, by name; for a set-based task, the distance from its interval."""
+    """Return ‖J_i v − x_i‖ of each level by name; for a set-based task, the distance of J_i v from its interval."""
     return {level.name: level.residual(v) for level in levels}

@@ -1,4 +1,4 @@
-"""One function for the four priority modes."""
+"""The function `solve`, which solves a priority problem in one of the four priority modes."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def solve(
 ) -> PrioritySolution:
     """Solve the priority problem of one control period; v is finite for any problem.
 
-    (1) The first task is met inside the rows. (2) If no point does that, it is met as well as the rows allow. (3) If
-    the rows contradict each other, soft rows are first relaxed by the smallest uniform amount: rows of set-based tasks,
-    and barrier rows only if that is not enough. Actuator rows are never relaxed. If no row binds, the solution is that
-    of the same mode without rows.
+    (1) The solution meets the first task and satisfies all limits. (2) If no v does both, the first task is met as well
+    as the limits allow. (3) If the limits contradict each other, soft limits are first relaxed by the smallest uniform
+    amount: limits of set-based tasks, and barrier limits only if the former are not enough. Actuator limits are never
+    relaxed. If no limit binds, the solution equals the solution of the mode without limits.
 
     Args:
         problem: from `build_problem`.
-        mode: "projected": the law (16) with its last projection restricted to the rows. "filter": the point inside
-            the rows that is nearest to (16). "lexicographic": strict priority. "nsb": (16) without limits (violated
-            rows are listed in `relaxed`).
+        mode: "projected": the law (16) with its last projection restricted to the limits. "filter": the v that
+            satisfies the limits and is nearest to the result of (16). "lexicographic": strict priority. "nsb": the law
+            (16) without limits (`relaxed` then lists the violated limits).
         sweeps, damping, cutoff: see `Settings`.
-        backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; or a `Kernel`,
-            for example one that keeps its state between control periods. Not used in "nsb".
+        backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; or a `Kernel`, for
+            example `PersistentDaqp()`, which keeps its state between control periods. Mode "nsb" uses no backend.
 
     Raises:
         InputError: an unknown mode or backend, or a setting out of range.
@@ -130,7 +130,7 @@ _MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend],
 def _damped(
     level: Level, target: Array, rows: Polyhedron, *, damping: float, backend: Backend, inside: Array | None = None
 ) -> CascadeSolution | None:
-    """The damped projection as a cascade with no further level."""
+    """Return the result of the damped last projection as a `CascadeSolution`."""
     spent = 0
     if inside is None:
         start = Freedom.whole(target.size).nearest(target, rows, backend=backend)
@@ -144,7 +144,7 @@ def _damped(
 
 
 def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, solution: Solution) -> PrioritySolution:
-    """The solution as a `PrioritySolution` with names and residuals."""
+    """Return the solution as a `PrioritySolution` with names and residuals."""
     limited = solution.status == "optimal" and problem.levels[0].name in solution.causes
     status: Outcome = "limited" if limited else solution.status
     fallback: Literal[1, 2, 3] = 1 if status == "optimal" else 2 if status == "limited" else 3

@@ -1,4 +1,4 @@
-"""The law (16) as a sweep of Euclidean projections, extended to set-based tasks and damping."""
+"""The law (16) as a sequence of Euclidean projections, one per level, extended to set-based tasks and damping."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _NOTHING = 1e-15  # a damped problem has full rank, so no direction is cut off
 
 
 def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PLAIN) -> Array:
-    """Return the result of one sweep of projections from the lowest priority to the highest, from `start` (n,).
+    """Return the result of one sweep: project `start` (n,) on every level, from the lowest priority to the highest.
 
-    w_{k+1} = start; w_i = argmin ‖z − w_{i+1}‖ over argmin ‖J_i z − x_i‖; v = w_1. From 0 this is (16), because
-    J_i⁺x_i + N_i w is that projection. A set-based task that w satisfies leaves w unchanged. Only the damping and the
-    cut-off of `settings` are used here.
+    w_{k+1} = start; w_i = argmin ‖z − w_{i+1}‖ over argmin ‖J_i z − x_i‖; v = w_1. From start = 0 the result is the law
+    (16), because the projection of w on level i is J_i⁺x_i + N_i w. If w satisfies a set-based task, the projection on
+    this task leaves w unchanged. Of `settings`, the function uses only the damping and the cut-off.
 
     Example:
         >>> import numpy as np
@@ -47,10 +47,10 @@ def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PL
 
 
 def without_rows(levels: Sequence[Level], *, width: int, settings: Settings = _PLAIN) -> Array:
-    """Return the mode's solution (width,) without limit rows: the sweeps from 0, or strict priority.
+    """Return the solution (width,) of the mode without limits: sweeps of (16) from 0, or strict priority.
 
-    Strict priority is v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}) with N of all levels above (Siciliano and Slotine
-    1991), with a cut-off relative to ‖J_i‖.
+    Strict priority is v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}) with N the null-space projector of all levels above
+    (Siciliano and Slotine 1991), with a cut-off relative to ‖J_i‖.
     """
     v = np.zeros(width)
     if settings.mode == "lexicographic":
@@ -80,9 +80,9 @@ def _onto(level: Level, w: Array, settings: Settings) -> Array:
 
 
 def damped_point(level: Level, w: Array, rows: Polyhedron, *, damping: float, inside: Array) -> LevelSolution:
-    """Minimise λ²‖v − w‖² + ‖residual of the level‖² over the rows; λ = `damping` > 0, w (n,).
+    """Minimise λ²‖v − w‖² + ‖residual of the level‖² subject to the limits; λ = `damping` > 0, w (n,).
 
-    `inside` (n,) satisfies the rows. The multipliers are those of half the sum.
+    `inside` (n,) satisfies the constraint rows. The Lagrange multipliers are those of half this cost.
     """
     n, pull = w.size, damping * w
     both = Level(

@@ -11,7 +11,7 @@ from surctl.errors import InputError
 __all__ = ["nsb_symbolic", "projection"]
 
 _DEPENDENT = 1e-12
-"""A row is dependent if its squared distance from the rows above it is below this fraction of its square."""
+"""A row of J is dependent if its squared distance from the rows above is below this fraction of its squared length."""
 
 _ZERO_SQUARE = 1e-30
 """Squared length below which a row counts as zero and its task as inactive (`rowspace.ZERO_ROW` squared)."""
@@ -20,12 +20,13 @@ _ZERO_SQUARE = 1e-30
 def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0) -> ca.SX:
     """Return v (n, 1) of the nested law (16) for levels (J (k, n), x (k, 1)), highest priority first.
 
-    The sweep is w ← w + J_λ(x − J w) from the lowest level to the highest, with J_λ = Jᵀ(JJᵀ + λ²I)⁻¹ by an
-    explicit LDLᵀ factorisation: no pseudo-inverse, no loop, no branch. `damping` λ (unit of J) appears in both v_i and
-    N_i. Only this damped form is still a sweep (min λ²‖z − w‖² + ‖J z − x‖²).
+    The law is computed as w ← w + J_λ(x − J w) from the lowest level to the highest. J_λ = Jᵀ(JJᵀ + λ²I)⁻¹ comes from
+    an explicit LDLᵀ factorisation, without pseudo-inverse, loop or branch. `damping` λ (unit of J) appears in both v_i
+    and N_i. Only with λ in both is every step still a projection (min λ²‖z − w‖² + ‖J z − x‖²).
 
-    Without damping, a zero row (an inactive task) contributes nothing, and a row that depends on rows above it in its
-    own level is ignored. `nsb` differs only if the two rows contradict each other (it takes the mean).
+    Without damping, a zero row of J (an inactive task) contributes nothing, and a row of J that depends on earlier rows
+    of the same J is ignored. The result of `nsb` differs only if two such rows contradict each other: `nsb` then takes
+    the mean of their desired values.
 
     Raises:
         InputError: no level, inconsistent shapes, or negative damping.
@@ -47,12 +48,12 @@ def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0)
 
 
 def projection(w: ca.SX, J: ca.SX, x: ca.SX, *, damping: float = 0.0) -> ca.SX:
-    """One projection of the sweep, from w (n, 1): argmin λ²‖z − w‖² + ‖J z − x‖²; J (k, n), x (k, 1)."""
+    """Return the projection of w (n, 1) on a level J (k, n), x (k, 1): argmin λ²‖z − w‖² + ‖J z − x‖²."""
     return w + J.T @ _solve_gram(J, x - J @ w, damping)
 
 
 def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
-    """Solve (J Jᵀ + λ²I) y = rhs for y (k, 1) by LDLᵀ; dependent and zero rows get y = 0."""
+    """Solve (J Jᵀ + λ²I) y = rhs for y (k, 1) by LDLᵀ; y is 0 for dependent rows and zero rows of J."""
     G = ca.densify(J @ J.T + damping**2 * ca.SX.eye(J.shape[0]))
     L, inverse = _factorise(G, damping**2)
     k = G.shape[0]
@@ -68,9 +69,10 @@ def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
 
 
 def _factorise(G: ca.SX, least: float) -> tuple[list[list[ca.SX]], list[ca.SX]]:
-    """L (unit lower triangle, by rows) and the inverse pivots, 0 where the pivot vanishes.
+    """Return the rows of the unit lower triangular L, and the inverse pivots (0 where a pivot vanishes).
 
-    With damping no pivot vanishes, since all are at least λ² (`least`) up to rounding. The explicit bound helps proofs.
+    With damping no pivot vanishes, since every pivot is at least λ² (`least`) up to rounding. The code states this
+    bound explicitly, which helps proofs about the expression.
     """
     k = G.shape[0]
     L: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]

@@ -25,19 +25,19 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BackendReport:
-    """Errors of a backend relative to the known solutions: the worst of each family, divided by 1 + max |y|.
+    """Largest errors of a backend against the known solutions, for each family of problems, divided by 1 + max |y|.
 
     Attributes:
         name: name of the backend.
         problems: number of problems solved in each family.
         error: largest |y − y*|.
-        violation: largest violation of a row of length 1.
+        violation: largest violation of an inequality with a normal of length 1.
         gradient: largest |y + Gᵀ·multipliers|.
         unsolved: number of feasible problems whose status is not "optimal".
         undetected: number of infeasible problems whose status is "optimal".
         unnamed: number of infeasible problems whose status is "failed" instead of "infeasible".
         iterations: largest number of iterations for one problem.
-        findings: one line for each family that fails, about its first failed problem.
+        findings: for each family that fails, one line about the first failed problem.
     """
 
     name: str
@@ -52,7 +52,7 @@ class BackendReport:
     findings: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Return a table with one line for each family."""
+        """Return the results as a table with one line for each family of problems."""
         lines = [f"{self.name}: {self.problems} problems per family, at most {self.iterations} iterations"]
         lines += [f"{'family':<12} {'error':>9} {'violation':>9} {'gradient':>9} {'unsolved':>8}"]
         lines += [
@@ -72,7 +72,7 @@ def check_backend(
     tol: float = 1e-8,
     seed: int = 0,
 ) -> BackendReport:
-    """Run `measure_backend`, and raise CheckFailed with the first finding, if any.
+    """Run `measure_backend`, and raise CheckFailed with the first finding if there is a finding.
 
     Example:
         >>> from surctl.testing import check_backend
@@ -95,20 +95,21 @@ def measure_backend(
     tol: float = 1e-8,
     seed: int = 0,
 ) -> BackendReport:
-    """Measure a backend on problems constructed from their solutions, so that no other solver is needed as a reference.
+    """Measure the errors of a backend on problems with known solutions, so that no reference solver is needed.
 
     A feasible problem is constructed from its optimality conditions: random normals, multipliers ≥ 0 and active bounds;
     y* = −Gᵀ·multipliers; active bounds pass through y*, the other bounds leave a margin. An infeasible problem is
-    constructed from weights ≥ 0 for which the weighted sum of the rows is 0 and that of the bounds negative (Farkas).
+    constructed from weights ≥ 0 for which the weighted sum of the normals is 0 and the weighted sum of the bounds is
+    negative (Farkas).
 
     Args:
-        backend: a name in `BACKENDS`, called as the toolkit calls it (rows scaled, solution polished and checked);
-            or a kernel, (G (m, d), lower (m,), upper (m,)) → KernelSolution, called directly.
+        backend: a name in `BACKENDS`, called as the toolkit calls it (rows scaled, solution polished and checked); or a
+            solver function (G (m, d), lower (m,), upper (m,)) → KernelSolution, called directly.
         families: names in `BACKEND_FAMILIES`.
         problems: number of problems in each family.
         size: number of unknowns d.
         tol: largest accepted error, violation and gradient, relative to 1 + max |y*|; in the family "parallel" the
-            accepted error of y is tol divided by the angle between the rows.
+            accepted error of y is tol divided by the angle between the normals.
         seed: seed of numpy's PCG64 generator.
 
     Raises:
@@ -159,7 +160,7 @@ def measure_backend(
 
 @dataclass(frozen=True)
 class _Mark:
-    """Result for one problem; finding is "" when it passes."""
+    """Result for one problem; `finding` is "" if the backend passes."""
 
     status: str
     finding: str
@@ -170,7 +171,7 @@ class _Mark:
 
 
 def _named_kernel(backend: str | Kernel) -> tuple[str, Kernel]:
-    """The name of the backend for the report, and its kernel."""
+    """Return the name of the backend for the report, and its solver function."""
     if callable(backend):
         return getattr(backend, "__name__", type(backend).__name__), backend
     if not isinstance(backend, str) or backend not in BACKENDS:
@@ -185,7 +186,7 @@ def _named_kernel(backend: str | Kernel) -> tuple[str, Kernel]:
 
 
 def _judged(kernel: Kernel, problem: Known, tol: float) -> _Mark:
-    """Solve and check one problem; any exception from the kernel is a finding."""
+    """Solve and check one problem; any exception from the solver is a finding."""
     G, lower, upper = problem.G.copy(), problem.lower.copy(), problem.upper.copy()
     try:
         result: object = kernel(G, lower, upper)

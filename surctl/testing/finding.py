@@ -1,4 +1,4 @@
-"""The exception of a failed check, with a message of one line."""
+"""The exception that a failed check raises, with a message of one line."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class CheckFailed(SurctlError, AssertionError):
 
     Args:
         what: the object that was checked, for example "task depth" or "limit wall".
-        problem: how it fails, without a full stop.
-        at: the values at which it fails; "" if it always fails.
+        problem: how the object fails the check, without a full stop.
+        at: the values at which the object fails the check; "" if it fails at all values.
     """
 
     def __init__(self, what: str, problem: str, *, at: str = "") -> None:

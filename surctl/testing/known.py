@@ -17,12 +17,13 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """The problem min ½‖y‖² subject to lower ≤ G y ≤ upper, with its solution.
+    """A problem min ½‖y‖² subject to lower ≤ G y ≤ upper, together with its solution.
 
     Attributes:
         G: (m, d). lower, upper: (m,).
-        y: (d,), the only optimum; None when no y satisfies the rows.
-        angle: smallest angle between active rows [rad], at most 1; errors in the bounds are amplified by its inverse.
+        y: (d,), the only optimum; None if no y satisfies the inequalities.
+        angle: smallest angle between normals of active inequalities [rad], at most 1; errors in the bounds are
+            amplified by 1/angle.
     """
 
     G: Array
@@ -39,9 +40,11 @@ def _unit(rng: np.random.Generator, count: int, size: int) -> Array:
 
 
 def _with_active(normals: Array, rng: np.random.Generator, *, idle: int = 6, free: int = 0) -> Known:
-    """y* = −normalsᵀ·multipliers, with each normal at its upper bound; then random signs and idle rows.
+    """Return a problem with the optimum y* = −normalsᵀ·multipliers, each of `normals` at its upper bound.
 
-    The last `free` normals have multiplier 0: their rows pass through y* but do not affect it.
+    Random signs are applied, and inequalities that are not active are added.
+
+    The last `free` normals have multiplier 0: their inequalities hold with equality at y* but do not affect y*.
     """
     count, size = normals.shape
     multipliers = np.append(rng.uniform(0.1, 1.0, count - free), np.zeros(free))
@@ -60,7 +63,7 @@ def _with_active(normals: Array, rng: np.random.Generator, *, idle: int = 6, fre
 
 
 def _loose(size: int, rng: np.random.Generator) -> Known:
-    """No row binds: the solution is 0."""
+    """Return a problem in which no inequality binds, so that the solution is 0."""
     return _with_active(np.zeros((0, size)), rng, idle=8)
 
 
@@ -69,7 +72,7 @@ def _plain(size: int, rng: np.random.Generator) -> Known:
 
 
 def _equal(size: int, rng: np.random.Generator) -> Known:
-    """Some rows have equal bounds, that is, are equalities."""
+    """Return a problem in which some inequalities have equal bounds, that is, are equalities."""
     problem = _with_active(_unit(rng, int(rng.integers(1, size)), size), rng)
     if problem.y is None:
         return problem
@@ -79,12 +82,12 @@ def _equal(size: int, rng: np.random.Generator) -> Known:
 
 
 def _degenerate(size: int, rng: np.random.Generator) -> Known:
-    """More rows pass through the solution than there are unknowns, most with multiplier 0."""
+    """Return a problem with more inequalities at their bounds than unknowns, most with multiplier 0."""
     return _with_active(_unit(rng, 2 * size, size), rng, free=int(rng.integers(size, 2 * size)))
 
 
 def _doubled(size: int, rng: np.random.Generator) -> Known:
-    """Some rows occur twice."""
+    """Return a problem in which some inequalities occur twice."""
     problem = _plain(size, rng)
     twice = rng.integers(0, len(problem.G), 4)
     side = rng.choice([-1.0, 1.0], 4)
@@ -95,7 +98,7 @@ def _doubled(size: int, rng: np.random.Generator) -> Known:
 
 
 def _parallel(size: int, rng: np.random.Generator) -> Known:
-    """Two active rows have an angle of 1e-5 to 1e-2 rad."""
+    """Return a problem in which the normals of two active inequalities have an angle of 1e-5 to 1e-2 rad."""
     normals = _unit(rng, 2, size)
     angle = float(10.0 ** rng.uniform(-5, -2))
     across = normals[1] - (normals[0] @ normals[1]) * normals[0]
@@ -105,14 +108,14 @@ def _parallel(size: int, rng: np.random.Generator) -> Known:
 
 
 def _scaled(size: int, rng: np.random.Generator) -> Known:
-    """Rows have lengths from 1e-3 to 1e3."""
+    """Return a problem in which the normals have lengths from 1e-3 to 1e3."""
     problem = _plain(size, rng)
     length = 10.0 ** rng.uniform(-3, 3, len(problem.G))
     return Known(problem.G * length[:, None], problem.lower * length, problem.upper * length, problem.y)
 
 
 def _infeasible(size: int, rng: np.random.Generator) -> Known:
-    """Rows whose sum with positive weights is 0, while the weighted sum of their bounds is negative."""
+    """Return an infeasible problem: with positive weights, the normals sum to 0, the bounds to a negative number."""
     count = int(rng.integers(2, size + 2))
     weights = rng.uniform(0.2, 1.0, count)
     normals = _unit(rng, count, size)

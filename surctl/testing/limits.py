@@ -1,4 +1,4 @@
-"""Check whether a limit is valid: its rows are finite and named, and do not contradict themselves."""
+"""Check whether a limit is valid: its constraint rows are finite, named, and without crossing bounds."""
 
 from __future__ import annotations
 
@@ -36,10 +36,11 @@ class LimitReport:
     """Properties of a limit that passed the check.
 
     Attributes:
-        names: names of its rows.
-        samples: number of points at which the rows were evaluated, including corners of the ranges.
-        narrowest, narrowest_row: smallest upper − lower found, as a velocity, and its row; inf for no bounded row.
-        compared: number of velocities for which `holds` was called.
+        names: names of the constraint rows of the limit.
+        samples: number of points at which the constraint rows were evaluated, including corners of the ranges.
+        narrowest: smallest upper − lower found, as a velocity; inf if no constraint row has two bounds. narrowest_row:
+            the constraint row with this gap.
+        compared: number of velocities at which `holds` was compared with the constraint rows.
     """
 
     names: tuple[str, ...]
@@ -58,24 +59,25 @@ def check_limit(
     samples: int = 50,
     seed: int = 0,
 ) -> LimitReport:
-    """Check the rows of a limit over the ranges of its symbols.
+    """Check the constraint rows of a limit over the ranges of its symbols.
 
-    Names must be unique, consist of identifiers joined by dots, and be the same at every call; kinds must be known; a
-    must be (1, 4). At random points and at corners of the ranges, a must be finite, the bounds must not be NaN and must
-    satisfy lower ≤ upper, and a row of zeros must allow 0. The check then searches for crossing bounds, row by row, by
-    random steps from the narrowest points. The actuator rows together must allow a velocity (by linear programming).
+    The names of the constraint rows lower ≤ a·v ≤ upper must be unique, consist of identifiers joined by dots, and be
+    the same at every call. The kinds must be known, and the shape of a must be (1, 4). At random points and at corners
+    of the ranges, the normal a must be finite, the bounds must not be NaN, and lower ≤ upper must hold. If a = 0, the
+    bounds must include 0. For each constraint row, the check then searches for crossing bounds by random steps from the
+    points with the smallest upper − lower. Some velocity must satisfy all actuator rows (tested by linear programming).
 
     Args:
         limit: any object with a method `rows()`.
-        parameters: (symbol, lowest, highest) for every symbol in the rows.
-        holds: (v (4,), *values of the parameters) → whether v satisfies the limit as intended; compared with the
-            rows at random velocities and on both sides of every bound.
-        velocity: largest entry of those random velocities [m/s, rad/s].
+        parameters: (symbol, lowest, highest) for every symbol in the constraint rows.
+        holds: function (v (4,), *values of the parameters) → whether v satisfies the limit as intended. Its result is
+            compared with the constraint rows at random velocities and on both sides of every bound.
+        velocity: largest entry of the random velocities for `holds` [m/s, rad/s].
         samples: number of random points.
         seed: seed of numpy's PCG64 generator.
 
     Raises:
-        CheckFailed: the first finding; the message names the row.
+        CheckFailed: a check fails; the message states the first failure and names the constraint row.
         InputError: a symbol has no range or two ranges, there are no samples, or the velocity is not positive.
 
     Example:
@@ -116,7 +118,7 @@ def check_limit(
 
 
 def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
-    """The rows of the limit, after all checks that do not depend on values."""
+    """Return the constraint rows of the limit, after all checks that do not depend on values."""
     if not hasattr(limit, "rows"):
         raise CheckFailed("limit", f"is a {type(limit).__name__} without rows()")
     rows, again = tuple(limit.rows()), tuple(limit.rows())
@@ -158,12 +160,12 @@ class _Check:
     at: Sampled
 
     def values(self, point: Array) -> tuple[Array, Array, Array]:
-        """The values A (m, 4), lower (m,), upper (m,) at a point."""
+        """Return the values A (m, 4), lower (m,), upper (m,) of the constraint rows at a point."""
         A, lower, upper = self.at(point)
         return A, lower.reshape(-1), upper.reshape(-1)
 
     def gaps(self, points: Array) -> Array:
-        """upper − lower (N, m), as a velocity if the row has a length; CheckFailed if a row is invalid at a point."""
+        """Return the gaps upper − lower (N, m), divided by ‖a‖ if a is not 0; raise CheckFailed if a row is invalid."""
         A, lower, upper = self.at.many(points)
         lower, upper = lower[..., 0], upper[..., 0]
         length = np.linalg.norm(A, axis=2)
@@ -182,7 +184,7 @@ class _Check:
         return gaps
 
     def search(self, i: int, starts: Array, rng: np.random.Generator) -> Array:
-        """Smallest gaps found: the gap of row i is minimised from each start by random steps, halved if none helps."""
+        """Return the smallest gaps found by random steps from each start; the step length is halved if none helps."""
         best = np.full(len(self.rows), math.inf)
         span = self.ranges.high - self.ranges.low
         for start in starts if span.any() else starts[:0]:
@@ -200,7 +202,7 @@ class _Check:
         return best
 
     def together(self, point: Array) -> None:
-        """Check that actuator rows have a common velocity: the smallest t by which all must open is 0."""
+        """Check that some velocity satisfies all actuator limits: the smallest t by which all must open is 0."""
         A, lower, upper = self.values(point)
         hard = np.array([row.kind == "actuator" for row in self.rows]) & A.any(axis=1)
         if hard.sum() < 2:
@@ -244,7 +246,7 @@ class _Check:
         return compared
 
     def _trials(self, A: Array, lower: Array, upper: Array, rng: np.random.Generator, velocity: float) -> list[Array]:
-        """Random velocities, and velocities on both sides of every bound that satisfy the other rows."""
+        """Return random velocities, and velocities on both sides of every bound that satisfy all other rows."""
         trials = list(rng.uniform(-velocity, velocity, (5, 4)))
         for a, *bounds in zip(A, lower, upper, strict=True):
             for bound in bounds:
@@ -259,7 +261,7 @@ class _Check:
 
 
 def _toward(A: Array, lower: Array, upper: Array, v: Array) -> Array:
-    """v after some sweeps of projections on violated rows (Kaczmarz); in most cases inside all rows."""
+    """Return v after repeated projections on violated constraint rows (Kaczmarz); v then mostly satisfies all rows."""
     for _ in range(_SWEEPS):
         for a, low, high in zip(A, lower, upper, strict=True):
             if a.any():

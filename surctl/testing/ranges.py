@@ -25,18 +25,18 @@ _MOST_CORNERS = 10  # largest number of entries for which all corners of the box
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Symbols stored one after another, with the lowest and highest value of each entry; low, high: (total,)."""
+    """Symbols and their ranges. low, high: (total,), lowest and highest value of each entry of all symbols."""
 
     symbols: tuple[ca.SX, ...]
     low: Array
     high: Array
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """Draw (count, total) uniform random values."""
+        """Return (count, total) uniform random values within the ranges."""
         return rng.uniform(self.low, self.high, (count, self.low.size))
 
     def corners(self) -> Array:
-        """(corners, total): all corners of the box for few entries, otherwise only its lowest and highest corner."""
+        """Return corners (corners, total) of the box: all corners for few entries, else the lowest and the highest."""
         if self.low.size == 0:
             return np.zeros((1, 0))
         if self.low.size > _MOST_CORNERS:
@@ -49,7 +49,7 @@ class Ranges:
         return np.split(values, np.cumsum([s.numel() for s in self.symbols])[:-1]) if self.symbols else []
 
     def text(self, values: Array) -> str:
-        """The values as text, for example "eta = [...], echo = [...]"."""
+        """Return the values as text, for example "eta = [...], echo = [...]"."""
         names = [_name(symbol) for symbol in self.symbols]
         return ", ".join(
             f"{name} = {np.array2string(part, precision=5, separator=', ', max_line_width=10_000)}"
@@ -58,7 +58,7 @@ class Ranges:
 
 
 class Sampled:
-    """Expressions compiled to one numeric function of flat values.
+    """Expressions compiled to one numeric function of the values of all symbols, stored in one array.
 
     Raises:
         InputError: the expressions contain a symbol without a range; the message names the symbol.
@@ -76,11 +76,11 @@ class Sampled:
         self._function = ca.Function("sampled", [known], [ca.densify(e) for e in expressions])
 
     def __call__(self, values: Array) -> list[Array]:
-        """The value of each expression, in the shape of the expression."""
+        """Return the value of each expression, in the shape of the expression."""
         return [part[0] for part in self.many(values[None, :])]
 
     def many(self, points: Array) -> list[Array]:
-        """The values at the points (N, total), one array (N, rows, columns) for each expression."""
+        """Return the values at the points (N, total): one array (N, rows, columns) for each expression."""
         results = self._function.map(len(points)).call([ca.DM(np.ascontiguousarray(points.T))])
         return [
             np.array(part, dtype=float).reshape(part.shape[0], len(points), -1).transpose(1, 0, 2) for part in results
@@ -88,7 +88,7 @@ class Sampled:
 
 
 def ranges_of(parameters: Sequence[Parameter]) -> Ranges:
-    """The parameters as ranges; an InputError names a parameter that is not a symbol or has an empty range."""
+    """Return the parameters as `Ranges`; an InputError names a parameter that is not a symbol or has an empty range."""
     low: list[Array] = []
     high: list[Array] = []
     for parameter in parameters:
@@ -132,6 +132,6 @@ def _names(symbol: ca.SX) -> Iterator[str]:
 
 
 def _name(symbol: ca.SX) -> str:
-    """The name with which the symbol was created; CasADi numbers the entries of a vector, x_0, x_1, …"""
+    """Return the name with which the symbol was created; CasADi names the entries of a vector x_0, x_1, …"""
     first = next(_names(symbol))
     return str(first if symbol.numel() == 1 else first.rsplit("_", 1)[0])

@@ -1,4 +1,4 @@
-"""Check whether a task is consistent: its Jacobian, its reference, and its angle wrap."""
+"""Check whether the Jacobian, the reference and the angle wrap of a task are consistent with its σ."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ class TaskReport:
     """Properties of a task that passed the check.
 
     Attributes:
-        name, size: name and size of the task.
-        samples: number of poses at which it was differentiated.
-        derivative_error: largest difference between J and the differences of σ, relative to 1 + max |J|.
+        name: name of the task. size: number of entries of σ.
+        samples: number of poses at which σ was differentiated.
+        derivative_error: largest difference between J and the central differences of σ, relative to 1 + max |J|.
         rank: largest rank of J found.
-        least_rank, least_rank_at: smallest rank found, and the pose; smaller than `rank` at a singular pose.
+        least_rank: smallest rank of J found; smaller than `rank` at a singular pose. least_rank_at: the pose with this
+            rank.
     """
 
     name: str
@@ -60,13 +61,14 @@ def check_task(
 ) -> TaskReport:
     """Check a task, or the task that a builder returns for an eta symbol.
 
-    At random poses, J must equal central differences of σ along the motion of every velocity, with (1)–(2) implemented
-    independently. σ, J and reference must be finite (a set-based task may have no lower or no upper bound; its bounds
-    must not cross), and an angular error must lie in [−π, π]. A full turn of the vehicle must change neither J nor
-    the reference. At the poses in `near` and close to them all values must be finite.
+    At random poses, J must equal the central differences of σ along the motion due to each velocity. The check uses its
+    own implementation of the kinematics (1)–(2). σ, J and reference must be finite (a set-based task may have no lower
+    or no upper bound; its bounds must not cross), and an angular error must lie in [−π, π]. A full turn of the vehicle
+    must change neither J nor the reference. At the poses in `near`, and close to these poses, all values must be
+    finite.
 
     Args:
-        task: the task, or a builder: eta SX (4, 1) → task.
+        task: the task, or a function that returns the task for a symbol eta, SX (4, 1).
         parameters: (symbol, lowest, highest) for every symbol except eta.
         near: poses (4,) at or near singularities, for example a pose at a waypoint.
         samples: number of random poses.
@@ -76,8 +78,8 @@ def check_task(
         seed: seed of numpy's PCG64 generator.
 
     Raises:
-        CheckFailed: the first finding.
-        InputError: the object is not a task, or its class refuses it; a symbol has no range or two ranges; there
+        CheckFailed: a check fails; the message states the first failure.
+        InputError: the object is not a task, or its class raises an error; a symbol has no range or two ranges; there
             are no samples; a pose in `near` is not four numbers.
 
     Example:
@@ -129,7 +131,7 @@ def _pose(place: int, pose: Sequence[float]) -> Array:
 
 
 def _expressions(task: Task | SetTask) -> list[ca.SX]:
-    """The expressions σ, J, lower and upper bound of σ̇, and error, with their shapes checked."""
+    """Return the expressions σ, J, lower and upper bound of σ̇, and error, after a check of their shapes."""
     J = task.jacobian()
     if isinstance(task, SetTask):
         (lower, upper), error = task.slab(), ca.SX.zeros(task.size, 1)
@@ -153,7 +155,7 @@ class _Check:
     at: Sampled
 
     def finite(self, values: Array) -> list[Array]:
-        """The values of all expressions, after a check that they are finite where required."""
+        """Return the values of all expressions, after a check that these are finite where required."""
         results = self.at(values)
         for what, part in zip(("sigma", "J"), results, strict=False):
             if not np.isfinite(part).all():
@@ -171,7 +173,7 @@ class _Check:
         return results
 
     def derivative(self, values: Array, J: Array, tol: float) -> float:
-        """The largest error of J; raise CheckFailed if it exceeds tol."""
+        """Return the largest error of J; raise CheckFailed if this error exceeds tol."""
         measured = np.stack([self._differences(values, step) for step in _STEPS])
         error = np.abs(measured - J).min(axis=0) / (1.0 + np.abs(J).max())
         row, column = np.unravel_index(int(np.argmax(error)), error.shape)
@@ -195,7 +197,7 @@ class _Check:
                 self._fail(f"{what} changes when the vehicle makes a full turn{remedy}", values)
 
     def _differences(self, values: Array, step: float) -> Array:
-        """Central differences (k, 4) of σ along each velocity."""
+        """Return the central differences (k, 4) of σ along each velocity."""
         c, s = math.cos(values[3]), math.sin(values[3])
         motion = np.array([[c, s, 0, 0], [-s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=float)
         columns = []

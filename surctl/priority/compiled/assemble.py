@@ -29,14 +29,15 @@ _N = 4
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """A stack and its limits as one function of named inputs; build it with `assemble`.
+    """A stack of tasks and its limits as one function of named inputs; build this object with `assemble`.
 
     Attributes:
-        stack, limits: as passed to `assemble`; `limits` are the rows of all limits.
+        stack: the tasks, as passed to `assemble`. limits: the constraint rows of all limits.
         sizes: number of entries of each input, by name.
-        function: CasADi function of the inputs, in their order → J (K·4,) row by row, lower, upper (K,), rows
-            (m·7,), box (8,), in the form that `priority_step` takes (one idle row if there is no limit). The box comes
-            from the actuator rows that bound a single velocity for all inputs.
+        function: CasADi function of the inputs in the order of `sizes`. Its outputs are J (K·4,), the Jacobians row by
+            row; lower (K,) and upper (K,), the bounds of J v; rows (m·7,), the constraint rows; box (8,), the bounds of
+            v. `priority_step` takes them in this form; without limits, the function returns one idle constraint row.
+            The box contains the actuator limits that bound a single velocity for all values of the inputs.
     """
 
     stack: Stack
@@ -45,11 +46,11 @@ class Assembly:
     function: ca.Function
 
     def problem(self, values: Mapping[str, ArrayLike]) -> PriorityProblem:
-        """Return the priority problem at these values, one array for each input.
+        """Return the priority problem for these values of the inputs, one array for each input.
 
         Raises:
             InputError: an input is missing, unknown, or of the wrong size, or a level or a limit is not finite at these
-                values; the message names it and its row.
+                values; the message names the level and the row of J, or the limit.
         """
         arguments = self._checked(values)
         J, lower, upper, rows, _ = (np.array(part).reshape(-1) for part in self.function.call(arguments))
@@ -72,16 +73,16 @@ class Assembly:
     def step(
         self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
     ) -> AssembledStep:
-        """Compile a priority step with its own buffers that evaluates this assembly first.
+        """Compile a priority step, with its own buffers, that first evaluates the tasks and limits of this assembly.
 
         Raises:
-            InputError: a set-based task has more than one row; `priority_step` lists the other errors.
+            InputError: the J of a set-based task has more than one row; `priority_step` lists the other errors.
         """
         return AssembledStep(self, mode, sweeps=sweeps, damping=damping, fallback=fallback)
 
     @property
     def shapes(self) -> tuple[LevelShape, ...]:
-        """The shape of each level."""
+        """Return the shape of each level."""
         return tuple(LevelShape(task.size, isinstance(task, SetTask)) for task in self.stack.tasks)
 
     def _checked(self, values: Mapping[str, ArrayLike]) -> list[Array]:
@@ -103,13 +104,14 @@ class Assembly:
 
 
 class AssembledStep(PriorityStep):
-    """A `PriorityStep` and its `Assembly` in one compiled call: write `inputs`, call `solve`, read `v`.
+    """A `PriorityStep` together with its `Assembly` in one compiled call: write `inputs`, call `solve`, read `v`.
 
-    J, lower, upper, rows and box are outputs of this step, so there is nothing to load. If any number is not finite,
-    the status is CLAMPED and v is 0 moved into the box; `Assembly.problem` then names the task and row.
+    The step computes J, lower, upper, rows and box from `inputs`, so `load` is not available. If any number is not
+    finite, the status is CLAMPED, and v is 0 moved into the box; `Assembly.problem` then names the task and its row of
+    J.
 
     Attributes:
-        inputs: one array for each input of the assembly, by name. The mapping is read-only: write into its arrays.
+        inputs: one array for each input of the assembly, by name. The mapping is read-only; write into the arrays.
     """
 
     inputs: Mapping[str, Array]
@@ -117,7 +119,7 @@ class AssembledStep(PriorityStep):
     def __init__(
         self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
     ) -> None:
-        """See `Assembly.step` for the arguments."""
+        """`Assembly.step` explains the arguments."""
         for task in assembly.stack.tasks:
             if isinstance(task, SetTask) and task.size > 1:
                 raise InputError(
@@ -136,7 +138,7 @@ class AssembledStep(PriorityStep):
         self.inputs = MappingProxyType(dict(zip(assembly.sizes, inputs, strict=True)))
 
     def load(self, problem: PriorityProblem) -> None:
-        """Raise an InputError always: `solve` computes these arrays from the inputs and would overwrite the problem."""
+        """Always raise an InputError: `solve` computes the arrays from `inputs` and would overwrite the problem."""
         del problem
         raise InputError(
             "cannot load a problem", key="step", remedy="write into its inputs, or use PriorityStep.of(problem)"
@@ -144,7 +146,7 @@ class AssembledStep(PriorityStep):
 
 
 def _fused(stack: Program, step: Routine) -> Routine:
-    """The priority step applied to the outputs of the stack function; the results of both are outputs."""
+    """Return a routine that evaluates the stack function and then the priority step; it outputs the results of both."""
     inputs = tuple(name for name, _ in stack.inputs)
     between = tuple(name for name, _ in step.inputs)
     outputs = tuple(name for name, _ in step.outputs)
@@ -157,17 +159,17 @@ def _fused(stack: Program, step: Routine) -> Routine:
 
 
 def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str, ca.SX]) -> Assembly:
-    """Build one function for a stack and its limits.
+    """Build one function that evaluates a stack of tasks and its limits.
 
     Args:
         stack: tasks and set-based tasks.
-        limits: limits; each supplies one or more rows.
-        inputs: all symbols that tasks and limits contain, by the name under which values are passed later, for example
-            "eta"; SX columns of symbols.
+        limits: limits; each limit supplies one or more constraint rows.
+        inputs: all symbols that tasks and limits contain, as SX columns; the key is the name under which values are
+            passed later, for example "eta".
 
     Raises:
         InputError: an input is not a symbol or occurs twice; a task or limit contains a symbol that is not an input
-            (the message names it); a limit has the wrong width; two rows have the same name.
+            (the message names it); a limit has the wrong width; two constraint rows have the same name.
 
     Example:
         >>> import casadi as ca
@@ -213,7 +215,7 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
 
 
 def _known(inputs: Mapping[str, ca.SX]) -> set[int]:
-    """Hashes of all scalar symbols among the inputs."""
+    """Return the hashes of all scalar symbols among the inputs."""
     known: set[int] = set()
     for name, symbol in inputs.items():
         for scalar in ca.vertsplit(symbol):
@@ -248,7 +250,7 @@ def _table(rows: Sequence[LimitRow]) -> ca.SX:
 
 
 def _box(rows: Sequence[LimitRow]) -> ca.SX:
-    """Lower and upper bound of each velocity; if two rows contradict each other, both bounds are their midpoint."""
+    """Return the lower and upper bound of each velocity; if two limits conflict, both bounds are their midpoint."""
     low, high = [ca.SX(-ca.inf)] * _N, [ca.SX(ca.inf)] * _N
     for row in rows:
         entries = [j for j in range(_N) if not row.a[j].is_zero()]

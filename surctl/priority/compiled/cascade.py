@@ -1,14 +1,16 @@
-"""Mode `lexicographic`: strict priority inside the limit rows, one level after another in a bounded loop.
+"""Mode `lexicographic`: strict priority subject to the limits, one level after another in a bounded loop.
 
 The velocities that the higher levels leave free are v = base + N y. N is an orthogonal projector and base is orthogonal
-to its range, so the point that the kernel finds nearest to base is also the nearest to 0. Each level then is one of:
+to the range of N. So the feasible point nearest to base, which the least-distance solver finds, is also the feasible
+point nearest to 0. For each level, one of two cases applies:
 
-1. reachable: its value is fixed by elimination (base moves, N loses the level's directions). A set-based level becomes
-   a row instead;
-2. not reachable inside the rows: it is met as well as the rows allow (`limited_level`), and that value is fixed.
+1. reachable: the value of J v is fixed by elimination (base moves, N loses the directions of the level). A set-based
+   level instead becomes a constraint row;
+2. not reachable subject to the limits: the level is met as well as the limits allow (`limited_level`), and the
+   resulting J v is fixed.
 
-No value is ever fixed by a row with a tolerance, so consistent rows stay consistent. If the rows contradict each other
-from the start, the soft ones are opened first, as in `safe_step`.
+The value of a level is never fixed by a constraint row with a tolerance, so consistent constraint rows stay consistent.
+If the constraint rows contradict each other from the start, the soft rows are opened first, as in `safe_step`.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ _STATE = ("stop", "v", "base", "N", "rows", "held", "hold", "active", "multiplie
 
 
 class _Sizes:
-    """Sizes: n velocities, k rows of the largest level, m rows including one for each set-based level at the end."""
+    """Sizes: n velocities, k rows of the largest J, m constraint rows, of which the last are for set-based levels."""
 
     def __init__(self, shape: StackShape, rows: int) -> None:
         self.shape, self.n, self.k, self.limit_rows = shape, shape.n, shape.tallest, rows
@@ -44,11 +46,12 @@ class _Sizes:
 
     @property
     def state(self) -> tuple[tuple[str, int], ...]:
-        """Names and sizes of the state that each level passes to the next.
+        """Return names and sizes of the variables that each level passes to the next.
 
-        stop: 1 if nothing is left to do. v: satisfies the rows. base, N: the remaining freedom. rows: of length 1,
-        opened. held, hold: numbers and multipliers of rows that limit levels. active, multipliers: those of the last
-        projection. limited: whether level 1 was not reachable. count: iterations.
+        stop: 1 if nothing is left to do. v: velocity that satisfies the constraint rows. base, N: the remaining freedom
+        v = base + N y. rows: constraint rows of length 1 after opening. held, hold: numbers and multipliers of the
+        constraint rows that limit levels. active, multipliers: numbers and multipliers of the active constraint rows in
+        the last projection. limited: whether level 1 was not reachable. count: number of iterations.
         """
         n = self.n
         sizes = (1, n, n, n * n, self.m * self.row, n, n, n, n, 1, 1)
@@ -56,7 +59,7 @@ class _Sizes:
 
     @property
     def level(self) -> tuple[tuple[str, int], ...]:
-        """Padded inputs of one level; is_set, first: flags; slot: selects the place for a set-based row."""
+        """Padded inputs of one level. is_set, first: flags. slot: position of the row of a set-based level."""
         return (
             ("J_i", self.k * self.n),
             ("lower_i", self.k),
@@ -68,9 +71,9 @@ class _Sizes:
 
 
 def cascade(shape: StackShape, rows: int) -> Routine:
-    """(J, lower, upper, rows, box, sound) → v, active, multipliers, opening, status, count, target (0).
+    """Routine (J, lower, upper, rows, box, sound) → v, active, multipliers, opening, status, count, target (0).
 
-    With sound = 0 the cascade stops before the first level.
+    With sound = 0 (an input is not finite) the cascade stops before the first level.
     """
     sizes = _Sizes(shape, rows)
     n, start = shape.n, tuple(f"{name}_0" for name in _STATE)
@@ -95,7 +98,7 @@ def cascade(shape: StackShape, rows: int) -> Routine:
 
 
 def _arrange(sizes: _Sizes) -> Program:
-    """(J, lower, upper, rows) → levels padded to one size, flags, slots, zeros, rows with places for sets."""
+    """Instruction list (J, lower, upper, rows) → padded levels, flags, slots, zeros, rows with free slots."""
     shape, n, k = sizes.shape, sizes.n, sizes.k
     flat, levels = shape.symbols()
     rows = ca.SX.sym("rows", sizes.limit_rows * sizes.row)
@@ -122,7 +125,7 @@ def _arrange(sizes: _Sizes) -> Program:
 
 
 def _begin(sizes: _Sizes) -> Program:
-    """(v, active, multipliers, status, count, sound) → the initial state of the levels without its rows."""
+    """Instruction list (v, active, multipliers, status, count, sound) → initial state of the levels without `rows`."""
     n = sizes.n
     v, active, multipliers = (ca.SX.sym(name, n) for name in ("v", "active", "multipliers"))
     status, count, sound = (ca.SX.sym(name) for name in ("status", "count", "sound"))
@@ -135,7 +138,7 @@ def _begin(sizes: _Sizes) -> Program:
 
 
 def _level(sizes: _Sizes) -> Routine:
-    """One level: test whether it is reachable; if not, meet it as well as the rows allow."""
+    """Routine for one level: test whether the level is reachable; if not, meet it as well as the limits allow."""
     n, k, m = sizes.n, sizes.k, sizes.m
     space = Space(n, n)
     level = tuple(pair for pair in sizes.level if pair[1])
@@ -178,10 +181,11 @@ def _zero() -> Program:
 
 
 def _free(sizes: _Sizes) -> Program:
-    """(v, base, N, J, lower, upper, is_set) → the freedom that the level leaves, and the inputs of `limited_level`.
+    """Instruction list: (v, base, N, J, lower, upper, is_set) → remaining freedom and inputs of `limited_level`.
 
-    The outputs are: base (n + 1) and N if the level is reached; N without the level's directions; its directions Q, its
-    task T Q and the matrix Pᵀ·scale inside N (see `decomposition`); the desired value; 1/scale²; its row if set-based.
+    The outputs are: base (n + 1) and N for the case that the level is reached; N without the directions of the level;
+    the directions Q, the task T Q and the matrix Pᵀ·scale of the level inside N (see `decomposition`); the desired
+    value of J v; 1/scale²; the constraint row of a set-based level.
     """
     n, k = sizes.n, sizes.k
     v, base, N, J = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("N", n * n), ca.SX.sym("J", k * n)
@@ -214,7 +218,7 @@ def _free(sizes: _Sizes) -> Program:
 
 
 def _added(sizes: _Sizes) -> Program:
-    """(rows, row[, slot]) → the rows, with this row written to its slot."""
+    """Instruction list (rows, row[, slot]) → the constraint rows, with `row` written to its slot."""
     rows, row = ca.SX.sym("rows", sizes.m * sizes.row), ca.SX.sym("row", sizes.row)
     slot = ca.SX.sym("slot", sizes.sets)
     first = sizes.limit_rows * sizes.row
@@ -225,9 +229,9 @@ def _added(sizes: _Sizes) -> Program:
 
 
 def _tried(sizes: _Sizes) -> Program:
-    """(result of the kernel, freedom in which it was found, state, first) → the state for `limited_level`, limited.
+    """Instruction list (solver result, freedom searched, state, first) → reached, state for `limited_level`, limited.
 
-    The first output is 1 if the level was reached; `limited_level` is then skipped.
+    The output `reached` is 1 if the level was reached; `limited_level` is then skipped.
     """
     n = sizes.n
     point, numbers, u = ca.SX.sym("point", n + 1), ca.SX.sym("numbers", n), ca.SX.sym("u", n)
@@ -253,7 +257,7 @@ def _tried(sizes: _Sizes) -> Program:
 
 
 def _end(sizes: _Sizes) -> Program:
-    """(v, limited, status of the rows alone) → v, status, and the target of the last projection, which is 0."""
+    """Instruction list (v, limited, status of the limits alone) → v, status, target of the last projection (0)."""
     v, limited, status = ca.SX.sym("v", sizes.n), ca.SX.sym("limited"), ca.SX.sym("status")
     outcome = ca.if_else(limited, ca.fmax(status, LIMITED), status)
     return lower(ca.Function("end_levels", [v, limited, status], [v, outcome, ca.SX.zeros(sizes.n)]))

@@ -1,4 +1,4 @@
-"""Row space of a symbolic Jacobian: exact for dependent and contradicting rows, without forming J Jᵀ."""
+"""Row space of a symbolic Jacobian: exact for dependent or contradicting rows of J, without J Jᵀ."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ class Decomposition(NamedTuple):
     """Complete orthogonal decomposition scale·J N = P T Q (Golub and Van Loan 2013, 5.4.7) with a projector N.
 
     Attributes:
-        Q: k columns (n, 1), orthonormal basis of the rows of J N; zero where a row depends on the rows above it.
-        P: k columns (k, 1), orthonormal; zero where the column of Q is zero.
-        T: k lists of k entries: upper triangle, with zero rows and columns where Q is zero.
-        inverse: k reciprocals of the diagonal of T; 0 where the diagonal is 0.
-        scale: 1/‖J‖, where ‖J‖ is the length of the longest row; 0 for a J that is switched off.
+        Q: k columns (n, 1), orthonormal basis of the row space of J N; a column is zero if its row depends on the rows
+            above.
+        P: k columns (k, 1), orthonormal; column i is zero if column i of Q is zero.
+        T: k lists of k entries: upper triangular matrix; row and column i are zero if column i of Q is zero.
+        inverse: reciprocals of the k diagonal entries of T; 0 for a diagonal entry of 0.
+        scale: 1/‖J‖, where ‖J‖ is the length of the longest row of J; 0 for a zero J (inactive task).
     """
 
     Q: list[ca.SX]
@@ -30,11 +31,11 @@ class Decomposition(NamedTuple):
 
     @property
     def rank(self) -> ca.SX:
-        """Number of independent rows."""
+        """Return the number of independent rows of J N."""
         return sum((inverse > 0 for inverse in self.inverse), ca.SX(0))
 
     def turned(self, x: ca.SX) -> ca.SX:
-        """Pᵀ·scale·x (k, 1): ‖scale·(J N y − x)‖² = ‖T Q y − Pᵀ·scale·x‖² + a constant that does not depend on y."""
+        """Return Pᵀ·scale·x (k, 1): ‖scale·(J N y − x)‖² = ‖T Q y − Pᵀ·scale·x‖² + a constant independent of y."""
         rest, entries = x * self.scale, []
         for p in self.P:
             entries.append(ca.dot(p, rest))
@@ -42,7 +43,7 @@ class Decomposition(NamedTuple):
         return ca.vertcat(*entries)
 
     def coordinates(self, x: ca.SX) -> ca.SX:
-        """Coordinates c (k, 1): Qᵀc is the shortest y in the range of N that minimises ‖J N y − x‖."""
+        """Return coordinates c (k, 1): Qᵀc is the shortest y in the range of N that minimises ‖J N y − x‖."""
         c = ca.vertsplit(self.turned(x))
         for j in reversed(range(len(c))):
             for i in range(j + 1, len(c)):
@@ -62,8 +63,9 @@ class Decomposition(NamedTuple):
 def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
     """Decompose J (k, n) inside the range of the orthogonal projector N (n, n); N = None means the whole space.
 
-    A row counts as dependent when N and the rows above it leave less than `CUTOFF`·‖J‖ of it. The cut-off is relative
-    to J and not to J N: if N leaves nothing free, J N is only rounding noise.
+    A row of J counts as dependent if its part inside N and orthogonal to the rows above it is shorter than
+    `CUTOFF`·‖J‖. The cut-off is relative to ‖J‖ and not to ‖J N‖, because J N is only rounding noise if N leaves no
+    free direction.
     """
     k = J.shape[0]
     longest = ca.SX(0)
@@ -82,7 +84,10 @@ def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
 
 
 def _direction(row: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
-    """Part of the row orthogonal to earlier directions, normalised, or zero; two passes suffice (Parlett 1998, 6.9)."""
+    """Return the unit vector along the part of a row of J orthogonal to earlier directions; 0 if this part is 0.
+
+    Two orthogonalisation passes suffice (Parlett 1998, 6.9).
+    """
     q = _outside(row, Q, N)
     length = ca.sqrt(ca.sumsqr(q))
     alive = length > CUTOFF
@@ -103,7 +108,7 @@ def _outside(vector: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
 
 
 def _orthonormal_columns(left: list[list[ca.SX]]) -> tuple[list[ca.SX], list[list[ca.SX]], list[ca.SX]]:
-    """P, T and 1/diag T of a k × k matrix, by modified Gram–Schmidt, each column twice."""
+    """Return P, T and 1/diag T of a k × k matrix, by modified Gram–Schmidt, with two passes for each column."""
     k = len(left)
     P: list[ca.SX] = []
     T: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]

@@ -1,11 +1,12 @@
-"""The last projection of mode `projected`, that of level 1, restricted to the limit rows.
+"""The last projection of mode `projected`: the projection on level 1, restricted to the limits.
 
-A level with one desired value is the task of `safe_step`. A set-based level (lower ≤ J v ≤ upper) takes two such steps:
-first the nearest point without a task, then, if this point violates the bounds, the nearer bound as the task. If rows
-and bounds have a common point, the result is the projection on both (a point outside a convex set is nearest to its
-boundary). Otherwise the level misses its bounds by as little as the rows allow; the level never opens a soft row.
-With damping the residual of the task gets its own variables s, with J v − λs = x: the nearest point in (v, s)
-minimises ‖v − w‖² + ‖J v − x‖²/λ² over the rows.
+If level 1 has one desired value, level 1 is the task of `safe_step`. A set-based level 1 (lower ≤ J v ≤ upper) takes
+two calls of `safe_step`. The first finds the nearest point without a task. If this point violates the bounds, the
+second takes the nearer bound as the desired value. If some v satisfies limits and bounds, the result is the projection
+on the set of all such v (a point outside a convex set is nearest to its boundary). Otherwise the level misses its
+bounds by as little as the limits allow; the level never opens a soft limit. With damping λ, the residual of the task
+gets its own variables s, with J v − λs = x. The nearest point in (v, s) then minimises ‖v − w‖² + ‖J v − x‖²/λ² subject
+to the limits.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def last_projection(
     named: bool = True,
     fallback: Fallback = "exact",
 ) -> Routine:
-    """(w (n,), count (1,), J, lower, upper, rows, box) → v, active, multipliers, opening, status, count."""
+    """Routine (w (n,), count (1,), J, lower, upper, rows, box) → v, active, multipliers, opening, status, count."""
     n, named = shape.n, named and fallback == "exact"  # the bounded fallback does not report which rows limit a task
     inputs = (("w", n), ("before", 1), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     steps: tuple[Step, ...]
@@ -64,10 +65,10 @@ def _sum() -> Program:
 
 
 def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
-    """J, lower, upper → J_1 and the part of x_1 that it can attain; two clearly independent rows attain any x_1.
+    """Steps J, lower, upper → J_1, attainable part of x_1; two clearly independent rows of J_1 attain any x_1.
 
-    The bounded fallback ignores a pair of rows that is not clearly independent, since its attainable part is costly to
-    compute.
+    The bounded fallback ignores two rows of J_1 that are not clearly independent, since the attainable part of x_1 is
+    then costly to compute.
     """
     k, stack = shape.levels[0].rows, ("J", "lower", "upper")
     if k != 2:
@@ -89,7 +90,7 @@ def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
 
 
 def _plain(shape: StackShape) -> Program:
-    """(J, lower, upper) → J_1, x_1 of two rows, and whether these have similar lengths and are not nearly parallel."""
+    """Instruction list (J, lower, upper) → two-row J_1, x_1, whether the rows are similar in length, not parallel."""
     flat, levels = shape.symbols()
     J = levels[0].J
     a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
@@ -99,7 +100,7 @@ def _plain(shape: StackShape) -> Program:
 
 
 def _independent(shape: StackShape) -> Program:
-    """(J, lower, upper) → J_1, x_1 of two rows, or zeros where they are nearly parallel or of very different length."""
+    """Instruction list (J, lower, upper) → two-row J_1 and x_1; zeros for nearly parallel or very unequal rows."""
     flat, levels = shape.symbols()
     J, x = levels[0].J, levels[0].lower
     a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
@@ -110,7 +111,7 @@ def _independent(shape: StackShape) -> Program:
 
 
 def _first(shape: StackShape) -> Program:
-    """(J, lower, upper) → J_1 and the x_1 that it can attain: the part of the residual that no v changes is removed."""
+    """Instruction list (J, lower, upper) → J_1, attainable x_1 (without the part of the residual that no v changes)."""
     flat, levels = shape.symbols()
     J, x = levels[0].J, levels[0].lower
     k = J.shape[0]
@@ -134,7 +135,7 @@ def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, f
 
 
 def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
-    """(J_1, x_1, rows, solution) → the solution, with the rows that limit task 1 first in its list of active rows."""
+    """Routine (J_1, x_1, rows, solution) → the solution, its list of active rows headed by those that limit task 1."""
     solution = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     fixed = (("rows", rows * (n + 3)), ("v", n), ("opening", 1), ("pull", n), ("Z", n * n))
     add = Routine(
@@ -161,7 +162,7 @@ def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
 
 
 def _pull(n: int, k: int) -> Program:
-    """(J_1, x_1, v, status) → whether no row limits the task, the gradient Jᵀ(x − J v), and the identity."""
+    """Instruction list (J_1, x_1, v, status) → whether no limit binds the task, Jᵀ(x − J v), identity matrix."""
     J, x, v, status = ca.SX.sym("J", k * n), ca.SX.sym("x", k), ca.SX.sym("v", n), ca.SX.sym("status")
     matrix = as_matrix(J, n)
     met = ca.logic_not(ca.logic_or(ca.eq(status, LIMITED), ca.eq(status, RELAXED)))
@@ -201,7 +202,7 @@ def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool, fa
 
 
 def _side(shape: StackShape, precision: Precision) -> Program:
-    """(J, lower, upper, previous solution, new solution) → the task for the next step, the better solution, done."""
+    """Instruction list (J, lower, upper, old solution, new solution) → next task, better solution, whether finished."""
     n, (flat, levels) = shape.n, shape.symbols()
     sizes = (n, n, n, 1, 1, 1)
     old = [ca.SX.sym(f"{name}_old", size) for name, size in zip(_SOLUTION, sizes, strict=True)]
@@ -222,7 +223,7 @@ def _side(shape: StackShape, precision: Precision) -> Program:
 
 
 def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) -> tuple[Step, ...]:
-    """First `safe_step` without a task, which opens rows if it must, then `safe_step` over (v, s) inside these rows."""
+    """Steps: `safe_step` without a task, which opens soft limits if necessary, then `safe_step` over (v, s)."""
     n, level = shape.n, shape.levels[0]
     q, wide = level.rows, shape.n + level.rows
     p, m = (1, rows + 1) if level.is_set else (q, rows)
@@ -245,7 +246,10 @@ def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) 
 
 
 def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
-    """(w, J, lower, upper, rows, box) → the same over (v, s); a set-based level becomes a row and not a task."""
+    """Instruction list (w, J, lower, upper, rows, box) → inputs of `safe_step` over (v, s).
+
+    A set-based level becomes a constraint row and not a task.
+    """
     n, (flat, levels) = shape.n, shape.symbols()
     level = levels[0]
     q = level.J.shape[0]
@@ -266,9 +270,10 @@ def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
 
 
 def _narrow(n: int, wide: int, rows: int, damping: float) -> Program:
-    """(solution without a task, solution over (v, s)) → v of the latter, or of the former if the latter has none.
+    """Instruction list (solution without task, solution over (v, s)) → v of the second, or of the first if that failed.
 
-    At most n active rows are independent, so n places are enough. The multipliers are those of the damped problem.
+    At most n active constraint rows are independent, so n slots are enough. The multipliers belong to the damped
+    problem.
     """
     plain = [ca.SX.sym(f"{name}_plain", size) for name, size in zip(_SOLUTION, (n, n, n, 1, 1, 1), strict=True)]
     full = [ca.SX.sym(f"{name}_wide", size) for name, size in zip(_SOLUTION, (wide,) * 3 + (1, 1, 1), strict=True)]

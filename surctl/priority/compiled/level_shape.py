@@ -1,4 +1,4 @@
-"""The sizes of a stack of tasks, for which a priority step is compiled."""
+"""The shape of a stack of tasks: the sizes for which a priority step is compiled."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class LevelShape:
     """The size and kind of one level of a compiled priority step.
 
     Attributes:
-        rows: number of rows k, at least 1.
-        is_set: True for a level lower ≤ J v ≤ upper, which has 1 row; False for a level J v = lower.
+        rows: number of rows k of J, at least 1.
+        is_set: True for a level lower ≤ J v ≤ upper, whose J has 1 row; False for a level J v = lower.
     """
 
     rows: int
@@ -29,7 +29,7 @@ class LevelShape:
 
 @dataclass(frozen=True)
 class SymbolicLevel:
-    """A level as symbolic expressions: J (k, n), lower, upper (k, 1)."""
+    """A level as symbolic expressions: J (k, n), Jacobian; lower, upper (k, 1), bounds of J v."""
 
     J: ca.SX
     lower: ca.SX
@@ -37,17 +37,17 @@ class SymbolicLevel:
     is_set: bool
 
     def desired(self, w: ca.SX) -> ca.SX:
-        """The desired value of J z for z near w: the level's own value, or J w moved between the bounds."""
+        """Return the desired value of J z for z near w: lower if not set-based, else J w moved into the bounds."""
         return ca.fmin(ca.fmax(self.J @ w, self.lower), self.upper) if self.is_set else self.lower
 
 
 @dataclass(frozen=True)
 class StackShape:
-    """The shape of a stack: n velocities and the levels over them, highest priority first.
+    """The shape of a stack: n velocities and the levels of tasks for these velocities, highest priority first.
 
     Raises:
-        InputError: n or the number of rows of a level is not a whole number of at least 1, the stack has no level,
-            or a set-based level has more than one row.
+        InputError: n or the number of rows of a J is not a whole number of at least 1, the stack has no level, or the J
+            of a set-based level has more than one row.
     """
 
     n: int
@@ -73,26 +73,26 @@ class StackShape:
 
     @property
     def rows(self) -> int:
-        """Number of rows of all levels together."""
+        """Return the number of rows of the J of all levels together."""
         return sum(level.rows for level in self.levels)
 
     @property
     def tallest(self) -> int:
-        """Number of rows of the largest level."""
+        """Return the number of rows of the largest J."""
         return max(level.rows for level in self.levels)
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Index of the first row of each level in the stack."""
+        """Return the index of the first row of each level in the stacked J."""
         return tuple(sum(level.rows for level in self.levels[:i]) for i in range(len(self.levels)))
 
     @property
     def inputs(self) -> tuple[tuple[str, int], ...]:
-        """(name, number of entries) of the arrays that hold the stack: J row by row, lower, upper."""
+        """Return (name, number of entries) of the arrays that hold the stack: J (row by row), lower, upper."""
         return (("J", self.rows * self.n), ("lower", self.rows), ("upper", self.rows))
 
     def symbols(self) -> tuple[list[ca.SX], list[SymbolicLevel]]:
-        """Symbols for the arrays in `inputs`, and the levels as expressions of these symbols."""
+        """Return symbols for the arrays in `inputs`, and the levels as expressions of these symbols."""
         flat = [ca.SX.sym(name, size) for name, size in self.inputs]
         return flat, list(self._levels(flat))
 

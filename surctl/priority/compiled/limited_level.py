@@ -1,8 +1,9 @@
-"""A level of the cascade that the limit rows keep from its value: it is met as well as they allow and fixed there.
+"""A level of the cascade that limits keep from its desired value: met as well as the limits allow, then fixed.
 
-`safe_step` minimises ‖J v − x‖ over the variables y of v + N y, from a v that satisfies the rows, so y = 0 is always
-feasible. Nearly dependent rows can cost digits, so the step is repeated from its own solution until the optimality
-conditions hold: the rows leave nothing of the gradient (`tangent`). The value is then fixed by elimination.
+`safe_step` minimises ‖J v − x‖ over the variables y of v + N y, from a v that satisfies the limits, so y = 0 is always
+feasible. Nearly dependent constraint rows can reduce the accuracy, so `safe_step` is repeated from its own solution
+until the optimality conditions hold, that is, until the active constraints balance the gradient (`tangent`). The value
+of J v is then fixed by elimination.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ _STILL = 1e-13  # a step of at most this length, relative to 1 + max |v|, counts
 
 
 def limited_level(n: int, k: int, m: int) -> Routine:
-    """State skip, v, base, N, rows, held, hold, active, multipliers, count → the same after the level is met and fixed.
+    """Routine (skip, v, base, N, rows, held, hold, active, multipliers, count) → new values after the level is fixed.
 
-    Before and after, v satisfies the rows (m·(n + 3), of length 1). The new state has the level's value fixed: base, N
-    (without its directions), the remaining point v nearest to 0, its active rows, and held with the rows that limit the
-    level. Fixed inputs: N before and without the level's directions; Q, T Q and Pᵀ·scale of the level inside N, see
-    `decomposition`; J, x; square = 1/scale², which scales the multipliers.
+    Before and after the routine, v satisfies the constraint rows (m·(n + 3), of length 1). In the new values, the J v
+    of the level is fixed. base and N exclude the directions of the level; v is the remaining point nearest to 0; active
+    lists the constraint rows active at v; held also lists the rows that limit the level. Further inputs, which stay
+    unchanged: N with and N without the directions of the level; Q, T Q and Pᵀ·scale of the level inside N (see
+    `decomposition`); J and x; square = 1/scale², which scales the multipliers.
     """
     row, space = n + 3, Space(n, n)
     state = (
@@ -88,7 +90,7 @@ def _nothing(n: int) -> Program:
 
 
 def _again(n: int, k: int, m: int) -> Routine:
-    """One pass: from v to the point that `safe_step` finds, the rows that limit it there, and whether it is optimal."""
+    """Routine for one pass: call `safe_step` from v, find the constraint rows that limit the level, test optimality."""
     state = (("v", n), ("numbers", n), ("u", n), ("count", 1), ("converged", 1))
     fixed = (
         ("rows", m * (n + 3)), ("N", n * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k), ("square", 1),
@@ -117,7 +119,7 @@ def _again(n: int, k: int, m: int) -> Routine:
 
 
 def _lack(n: int, k: int) -> Program:
-    """(v, turn, J, x) → the desired value of T Q y, a zero vector, infinite box bounds, and 0."""
+    """Instruction list (v, turn, J, x) → desired value of T Q y, zero vector, infinite box bounds, 0."""
     v, turn, J, x = ca.SX.sym("v", n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
     lack = as_matrix(turn, k) @ (x - as_matrix(J, n) @ v)
     anywhere = ca.vertcat(-HUGE * ca.SX.ones(n), HUGE * ca.SX.ones(n))
@@ -125,14 +127,14 @@ def _lack(n: int, k: int) -> Program:
 
 
 def _moved(n: int) -> Program:
-    """(v, N, y, status) → v + N y with opening 0, or v if `safe_step` found no point."""
+    """Instruction list (v, N, y, status) → v + N y with opening 0, or v if `safe_step` found no point."""
     v, N, y, status = ca.SX.sym("v", n), ca.SX.sym("N", n * n), ca.SX.sym("y", n), ca.SX.sym("status")
     step = ca.if_else(status <= LIMITED, as_matrix(N, n) @ y, 0)
     return lower(ca.Function("moved", [v, N, y, status], [ca.vertcat(v + step, 0)]))
 
 
 def _pulled(n: int, k: int) -> Program:
-    """(v, point, feasible, task, turn, J, x) → the point if feasible, else v; the gradient there; whether it moved."""
+    """Instruction list (v, point, feasible, task, turn, J, x) → new v (point if feasible), gradient, moved."""
     v, point, feasible = ca.SX.sym("v", n), ca.SX.sym("point", n + 1), ca.SX.sym("feasible")
     task, turn, J, x = ca.SX.sym("task", k * n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
     chosen = ca.if_else(feasible, point[:n], v)
@@ -143,7 +145,7 @@ def _pulled(n: int, k: int) -> Program:
 
 
 def _converged(n: int) -> Program:
-    """(rest, pull, multipliers, square, moved, counts) → multipliers in the units of the level, count, converged."""
+    """Instruction list (rest, pull, multipliers, square, moved, counts) → scaled multipliers, count, converged."""
     rest, pull, part = (ca.SX.sym(name, n) for name in ("rest", "pull", "part"))
     square, moved = ca.SX.sym("square"), ca.SX.sym("moved")
     counts = [ca.SX.sym(name) for name in ("count", "spent", "more")]
@@ -153,14 +155,14 @@ def _converged(n: int) -> Program:
 
 
 def _frozen(n: int, k: int) -> Program:
-    """(v, base, Q) → the base of the remaining freedom when the level keeps its value at v."""
+    """Instruction list (v, base, Q) → the base of the remaining freedom if the level keeps the value of J v."""
     v, base, Q = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("Q", k * n)
     directions = as_matrix(Q, n)
     return lower(ca.Function("frozen", [v, base, Q], [ca.vertcat(base + directions.T @ (directions @ (v - base)), 0)]))
 
 
 def _chosen(n: int) -> Program:
-    """The nearest point to 0 with the level's value; if rounding leaves no such point, v itself."""
+    """Instruction list → the point nearest to 0 with the value of the level; if rounding leaves no such point, v."""
     v, base, N = ca.SX.sym("v", n), ca.SX.sym("base", n + 1), ca.SX.sym("N", n * n)
     point, act, press = ca.SX.sym("point", n + 1), ca.SX.sym("act", n), ca.SX.sym("press", n)
     end, feasible, count, spent = (ca.SX.sym(name) for name in ("end", "feasible", "count", "spent"))

@@ -1,4 +1,4 @@
-"""Operations on one limit row a (n,), lower, upper, soft, as the compiled modes need them."""
+"""Operations of the compiled modes on one constraint row lower ≤ a·v ≤ upper: normal a (n,), lower, upper, soft."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _FLAT = 1e-12  # if N leaves less than this of a row of length 1, the row does n
 
 
 def opened_row(n: int) -> Program:
-    """(row, opening, v) → the row scaled to length 1, opened if soft, and widened so that v satisfies it exactly.
+    """Instruction list (row, opening, v) → row of length 1, opened if soft, widened so that v satisfies it exactly.
 
-    The resulting row is hard.
+    The resulting constraint row is hard.
     """
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
@@ -29,7 +29,7 @@ def opened_row(n: int) -> Program:
 
 
 def holding_row(n: int) -> Program:
-    """(row, v) → the row, widened so that v satisfies it exactly."""
+    """Instruction list (row, v) → the constraint row, widened so that v satisfies it exactly."""
     row, v = ca.SX.sym("row", n + 3), ca.SX.sym("v", n)
     value = ca.dot(row[:n], v)
     bounds = [ca.fmin(row[n], value), ca.fmax(row[n + 1], value)]
@@ -37,7 +37,7 @@ def holding_row(n: int) -> Program:
 
 
 def reduced_row(n: int) -> Program:
-    """(row of length 1, v, N) → the row as a bound on y in v + N y, widened so that y = 0 satisfies it exactly."""
+    """Instruction list (row of length 1, v, N) → constraint row on y in v + N y, widened so that y = 0 satisfies it."""
     row, v, N = ca.SX.sym("row", n + 3), ca.SX.sym("v", n), ca.SX.sym("N", n * n)
     a, value = as_matrix(N, n) @ row[:n], ca.dot(row[:n], v)
     flat = ca.sqrt(ca.sumsqr(a)) <= _FLAT
@@ -47,6 +47,6 @@ def reduced_row(n: int) -> Program:
 
 
 def longer_row(n: int, more: int) -> Program:
-    """row → the same row over `more` additional variables, which it does not bound."""
+    """Instruction list: row → the constraint row over `more` additional variables, which the row does not bound."""
     row = ca.SX.sym("row", n + 3)
     return lower(ca.Function("longer_row", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(more), row[n:]))]))

@@ -1,4 +1,4 @@
-"""Fast priority steps from Python: compiled once, with the arrays as named views; each step is a single call."""
+"""Fast priority steps in Python: compiled once, with named arrays for inputs and outputs; each step is one call."""
 
 from __future__ import annotations
 
@@ -26,25 +26,27 @@ _VIEWS = frozenset(("J", "lower", "upper", "rows", "box", *OUTPUTS))
 
 
 class PriorityStep:
-    """`priority_step` compiled for one caller: write the inputs, call `solve`, read the outputs.
+    """A compiled `priority_step` with its own arrays: write the inputs, call `solve`, read the outputs.
 
         step = PriorityStep.of(problem, mode="projected")
         step.J[...], step.lower[...], step.upper[...] = J, x, x
         step.solve()
         step.v, step.stage, step.binding()
 
-    Every array is a view of one buffer that each `solve` reads or overwrites: copy results that must last, and assign
-    to the elements. Replacing an array raises an InputError, because `solve` would never read the new array. Do not
-    share a step between threads. Without a C compiler, `replay` computes the same numbers slowly.
+    Every array is a view of one buffer that each `solve` reads or overwrites. Copy results that must last, and assign
+    to the elements of an input array, not to its name. Replacing an array raises an InputError, because `solve` would
+    never read the new array. Do not share a step between threads. Without a C compiler, `replay` interprets the step
+    slowly, with equal results.
 
     Attributes:
-        J (K, n), lower, upper (K,): the levels one below the other, highest priority first; upper = lower for a level
-            with one desired value.
-        rows (m, n + 3): normal, lower, upper, 1 if the row may open; they include the rows of the box.
+        J (K, n), lower (K,), upper (K,): the Jacobians and the bounds of J v, stacked, highest priority first; upper =
+            lower for a level with one desired value.
+        rows (m, n + 3): constraint rows, the bounds of the box included; each is normal, lower, upper, soft (1 if the
+            row may open).
         box (2, n): lower and upper bounds into which v is moved at the end.
         v (n,), active, multipliers (n,), opening, status, count (1,), target (n,): see `priority_step`.
         solve: computes one step; no arguments, returns None.
-        level_names, row_names: set by `load`; otherwise "level 1", … and "row 0", ….
+        level_names, row_names: set by `load`; otherwise "level 1", … and "row 0", … for the constraint rows.
         levels: the shape of each level.
         compiled: whether the step runs as compiled C code.
     """
@@ -74,7 +76,10 @@ class PriorityStep:
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> None:
-        """Take the arguments and raise the errors of `priority_step`. All rows start idle and the box unbounded."""
+        """Compile a step; arguments and errors are those of `priority_step`.
+
+        Initially all constraint rows are idle and the box is unbounded.
+        """
         shapes = tuple(levels)
         routine = priority_step(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping, fallback=fallback)
         inputs, outputs, self.solve, self.compiled = bound(routine)
@@ -83,7 +88,7 @@ class PriorityStep:
         self.box[:] = [[-np.inf], [np.inf]]
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Refuse to replace a view by another array; `step.J += 1` is allowed, since it assigns the same array."""
+        """Refuse to replace a view by another array; `step.J += 1` is allowed: it assigns the array to itself."""
         if name in _VIEWS and name in self.__dict__ and value is not self.__dict__[name]:
             raise InputError("is a view of the step's buffer", key=name, remedy=f"write into it: step.{name}[...] = …")
         super().__setattr__(name, value)
@@ -109,7 +114,10 @@ class PriorityStep:
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> PriorityStep:
-        """A step for problems with the shape of this one, loaded with it; rows = None: as many as the problem has."""
+        """Return a step for problems of the shape of `problem`, loaded with `problem`.
+
+        rows: number of constraint rows; None takes the number of limits of the problem.
+        """
         places = max(1, len(problem.rows)) if rows is None else rows
         step = PriorityStep(
             mode,
@@ -124,12 +132,13 @@ class PriorityStep:
         return step
 
     def load(self, problem: PriorityProblem) -> None:
-        """Write a checked problem: levels, rows with their names, and the box from its actuator rows.
+        """Write a checked problem into the arrays: levels, limits with their names, and the box from actuator limits.
 
-        Rows of kind "barrier" and "set" may open; unlike in `solve`, both kinds open together.
+        Limits of kind "barrier" and "set" may open; unlike in `solve`, both kinds open together.
 
         Raises:
-            InputError: a level has another shape (the message names it), or the step has too few row places.
+            InputError: a level has another shape (the message names the level), or the problem has more limits than the
+                step has constraint rows.
         """
         self._check(problem)
         self.J[:] = np.vstack([level.J for level in problem.levels])
@@ -145,17 +154,18 @@ class PriorityStep:
 
     @property
     def stage(self) -> Stage:
-        """The fallback stage that gave the last solution; an InputError before the first `solve`."""
+        """Return the fallback stage that gave the last solution; raise an InputError before the first `solve`."""
         if self.status[0] == 0.0:
             raise InputError("has no solution yet", key="step", remedy="call solve() first")
         stages: tuple[Stage, ...] = get_args(Stage)
         return stages[int(self.status[0]) - 1]
 
     def binding(self) -> tuple[tuple[str, float], ...]:
-        """(name, multiplier) of the rows that determine v, for rows as passed in: positive at an upper bound.
+        """Return (name, multiplier) of the limits that determine v, for unscaled rows; positive at an upper bound.
 
-        Rows that limit a task come first (multipliers of ½‖J v − x‖²), then those of ½‖v − target‖². A set-based level
-        that binds appears under its own name.
+        Limits that restrict a task come first, with multipliers of min ½‖J v − x‖²; then follow the limits that bind in
+        the last projection, with multipliers of min ½‖v − target‖². A set-based level that binds appears under its own
+        name.
         """
         pairs = []
         for number, multiplier in zip(self.active, self.multipliers, strict=True):
@@ -167,7 +177,7 @@ class PriorityStep:
         return tuple(pairs)
 
     def _row(self, place: int) -> tuple[str, Array]:
-        """Name and normal of an active row; the numbers after the last row refer to set-based levels."""
+        """Return name and normal of an active constraint row; numbers above m refer to set-based levels."""
         if place < len(self.rows):
             name = self.row_names[place] if place < len(self.row_names) else f"row {place}"
             return name, self.rows[place, :-3]
@@ -195,12 +205,12 @@ class PriorityStep:
 
 
 def level_shapes(problem: PriorityProblem) -> tuple[LevelShape, ...]:
-    """The shape of each level; a level with different lower and upper bounds is set-based."""
+    """Return the shape of each level; a level with different lower and upper bounds is set-based."""
     return tuple(LevelShape(level.lower.size, not level.is_goal) for level in problem.levels)
 
 
 def bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None], bool]:
-    """Input arrays, output arrays, a function that computes the outputs, and whether that function is compiled."""
+    """Return input arrays, output arrays, a function that computes the outputs, and whether it is compiled."""
     try:
         workspace = compile_block(routine).workspace()
     except ToolMissing:

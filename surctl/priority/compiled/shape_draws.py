@@ -1,4 +1,4 @@
-"""Random priority problems of one shape, for tests of a compiled step."""
+"""Random priority problems of a given shape, for tests of a compiled step."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _N = 4
 def draw_of_shape(
     rng: np.random.Generator, shapes: tuple[LevelShape, ...], *, limits: bool = True, conditioned: bool = False
 ) -> PriorityProblem:
-    """Random levels of these shapes over 4 velocities, with the actuator and barrier rows of `draw_problem`.
+    """Return random levels of these shapes for 4 velocities, with the actuator and barrier limits of `draw_problem`.
 
-    Some levels are rank-deficient, repeat a row, are switched off, or contradict the level above in the same row; limit
-    rows often contradict each other. There are at most 22 rows.
+    Some levels are rank-deficient, repeat a row of J, have J = 0, or contradict a row of the level above. Limits often
+    contradict each other. There are at most 22 limits.
 
     Args:
-        limits: whether the problem has limit rows.
-        conditioned: if true, singular values lie between 0.3 and 3 and no level is rank-deficient.
+        limits: whether the problem has limits.
+        conditioned: if true, the singular values of each J lie between 0.3 and 3 and no level is rank-deficient.
     """
     levels: list[Level] = []
     while len(levels) < len(shapes):

@@ -1,9 +1,9 @@
-"""One compiled step for each priority mode: from a stack, rows and a box it computes a velocity that is always finite.
+"""One compiled step for each priority mode: (tasks, limits, box) → a velocity that is always finite.
 
-nsb          the sweep of projections (16), without limit rows.
-filter       the point inside the rows that is nearest to the result of nsb.
-projected    the sweep down to level 2, then the last projection, that of level 1, inside the rows (`last_projection`).
-lexicographic strict priority inside the rows (`cascade`).
+nsb: the law (16) as projections from the lowest level to level 1, without limits.
+filter: the point that satisfies the limits and is nearest to the result of nsb.
+projected: the projections up to level 2, then the projection on level 1 subject to the limits (`last_projection`).
+lexicographic: strict priority subject to the limits (`cascade`).
 """
 
 from __future__ import annotations
@@ -48,39 +48,42 @@ def priority_step(
     named: bool = True,
     fallback: Fallback = "exact",
 ) -> Routine:
-    """(J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → the outputs of one step; K rows in all levels.
+    """Routine (J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → outputs of one control step.
 
-    J is stored row by row, highest priority first; lower = upper for a level with one desired value. Each row is
-    a (n,), lower, upper, soft (1: may open when rows contradict each other), of any length; the rows of the box are
-    included; a row of zeros with infinite bounds is idle. box: lower (n,), upper (n,); v is moved into it at the end.
+    J: Jacobians of all levels, K rows together, stored row by row, highest priority first. lower, upper: bounds of J v;
+    lower = upper for a level with one desired value. rows: m constraint rows of any length, the bounds of the box
+    included; each is a (n,), lower, upper, soft (1: may open if rows contradict each other); a row of zeros with
+    infinite bounds is idle. box: lower (n,), upper (n,); v is moved into the box at the end.
 
-    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 empty), first the
-    rows that limit a task; multipliers (n,) of ½‖J v − x‖² for these and of ½‖v − target‖² for the others, for rows of
-    length 1; opening (1,) of the soft rows; status (1,): MET (level 1 is met as well as its Jacobian allows), LIMITED
-    (as well as the rows allow), RELAXED (soft rows opened), CLAMPED (only moved into the box), or BOUNDED (with the
-    bounded fallback, in place of LIMITED and RELAXED; without active rows); count (1,), iterations; target (n,), the
-    point from which the last projection started.
+    Outputs: v (n,): velocity; active (n,): signed numbers of the active constraint rows, from 1 (+ at the upper bound,
+    − at the lower, 0 empty slot), the rows that limit a task first; multipliers (n,): Lagrange multipliers of the
+    active rows, for rows of length 1, in min ½‖J v − x‖² if the row limits a task, otherwise in min ½‖v − target‖²;
+    opening (1,): opening of the soft rows; status (1,): MET (level 1 is met as well as its Jacobian allows), LIMITED
+    (level 1 is met as well as the constraint rows allow), RELAXED (soft rows are opened), CLAMPED (v is only moved into
+    the box), or BOUNDED (result of the bounded fallback in place of LIMITED and RELAXED; without active rows); count
+    (1,): number of iterations; target (n,): the point from which the last projection started.
 
-    A set-based level leaves w unchanged inside its bounds and moves it to the nearest bound otherwise, so v does not
-    jump. In mode lexicographic the row numbers m + 1, m + 2, … denote set-based levels that bind, in level order. In
-    mode nsb the status is MET whenever (16) is finite, v ignores rows and box, and target is v. With damping λ every
-    projection minimises λ²‖z − w‖² + ‖J z − x‖², in mode projected also the last one (inside the rows). This is exact
-    while ‖J‖ of the first level is below 5e4·λ; for a larger ‖J‖, rounding loses the terms with λ. The status is
-    CLAMPED, with v = 0 moved into the box, if J, lower or upper contains a NaN or a number above 1e300 (J: above
-    1e140), or if lower ≠ upper for a level with one value; in the modes with rows also if a row is longer than 1e150.
+    The projection on a set-based level leaves a point w unchanged inside the bounds and otherwise moves w to the
+    nearest bound, so v does not jump. In mode lexicographic the numbers m + 1, m + 2, … denote set-based levels that
+    bind, in level order. In mode nsb the status is MET whenever (16) is finite, v ignores limits and box, and target is
+    v. With damping λ every projection minimises λ²‖z − w‖² + ‖J z − x‖², in mode projected also the last projection
+    (subject to the limits). The result is exact while ‖J‖ of the first level is below 5e4·λ; for a larger ‖J‖, rounding
+    loses the terms with λ. The status is CLAMPED, with v = 0 moved into the box, if J, lower or upper contains a NaN or
+    a number above 1e300 (J: above 1e140), or if lower ≠ upper for a level with one desired value; in all modes but nsb
+    also if a constraint row is longer than 1e150.
 
     Args:
         mode: the priority law.
         n: number of velocities.
         levels: shapes of the levels.
-        rows: number of rows m, at least 1.
-        sweeps: number of sweeps, each started from the result of the one before; 1 in mode lexicographic.
+        rows: number of constraint rows m, at least 1.
+        sweeps: number of sweeps of (16), each started from the result of the previous sweep; 1 in mode lexicographic.
         damping: λ [unit of J]; 0 in mode lexicographic.
         precision: tolerances of the least-distance problems in modes filter and projected, for the number type with
-            which the routine runs; the other modes use those of double.
-        named: False in mode projected leaves the rows that limit task 1 out of `active`, which saves time.
-        fallback: "exact", or "bounded" for modes filter and projected without damping: a solution of constant cost
-            if rows and task 1 are incompatible or take more than 4 iterations, see `solver.bounded`.
+            which the routine runs; the other modes use the tolerances of double.
+        named: False leaves the constraint rows that limit task 1 out of `active` in mode projected, which saves time.
+        fallback: "exact", or "bounded" for modes filter and projected without damping: "bounded" computes a solution at
+            constant cost if limits and task 1 are incompatible or take more than 4 iterations, see `solver.bounded`.
 
     Raises:
         InputError: the mode is unknown, or a size or number is out of range; the message names the level.
@@ -124,7 +127,7 @@ class _Settings(Settings):
     fallback: Fallback = "exact"
 
     def __post_init__(self) -> None:
-        """Check also that the mode has this fallback."""
+        """Check the settings, and that the mode has this fallback."""
         super().__post_init__()
         check_fallback(self.fallback, mode=self.mode, damping=self.damping)
 
@@ -144,7 +147,7 @@ def _filter(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ..
 
 
 def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
-    """Steps of mode projected: each sweep goes from the last v up to level 2, then makes the last projection."""
+    """Steps of mode projected: each sweep projects v on the levels from the lowest to level 2, then on level 1."""
     n, damping, fixed = shape.n, settings.damping, (*_STACK, "rows", "box")
     carried = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)
@@ -181,14 +184,14 @@ def _with_target(n: int) -> Program:
 
 
 def _unlimited(n: int) -> Program:
-    """v → the outputs of a step without limit rows."""
+    """Instruction list: v → the outputs of a step without limits."""
     v = ca.SX.sym("v", n)
     empty, none = ca.SX.zeros(n), ca.SX.zeros(1)
     return lower(ca.Function("unlimited", [v], [v, empty, empty, none, ca.SX(MET), none, v]))
 
 
 def _finish(n: int, *, boxed: bool) -> Program:
-    """(outputs, sound, box) → finite outputs; v is 0 moved into the box if the stack or the sweep is not finite."""
+    """Instruction list (outputs, sound, box) → finite outputs; without a finite v, v is 0 moved into the box."""
     flat = [ca.SX.sym(name, size) for name, size in zip(OUTPUTS, (n, n, n, 1, 1, 1, n), strict=True)]
     v, active, multipliers, opening, status, count, target = flat
     sound, box = ca.SX.sym("sound"), ca.SX.sym("box", 2 * n)

@@ -1,4 +1,4 @@
-"""The sweep of projections as instruction lists, and a check that all inputs of a step are finite."""
+"""The law (16) as a sequence of projections, in instruction lists, and a check that all inputs of a step are finite."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ HUGE = 1e300
 
 
 def project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
-    """The point nearest to w (n, 1) among those that meet the level best; if w meets the bounds, that is w itself.
+    """Return the point nearest to w (n, 1) among the points that meet the level best; w itself if it meets the bounds.
 
-    With damping the formula is that of `symbolic.projection`. Without damping, several rows are decomposed, so that
-    dependent and contradicting rows are met in the least-squares sense, as with the pseudo-inverse.
+    With damping the formula is that of `symbolic.projection`. Without damping, a J with several rows is decomposed, so
+    that dependent and contradicting rows are met in the least-squares sense, as with the pseudo-inverse.
     """
     if level.J.shape[0] == 1 or damping > 0.0:
         return projection(w, level.J, level.desired(w), damping=damping)
@@ -30,7 +30,7 @@ def project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
 
 
 def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
-    """(w (n,), J, lower, upper) → w after one sweep from the lowest level up to number `highest` (0 is the first)."""
+    """Instruction list (w (n,), J, lower, upper) → w after projections on the lowest level up to index `highest`."""
     flat, levels = shape.symbols()
     start = ca.SX.sym("w", shape.n)
     w = start
@@ -40,7 +40,7 @@ def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
 
 
 def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
-    """Steps that compute `swept` from `zero`, J, lower, upper, with the set number of sweeps one after another."""
+    """Steps that compute `swept` from `zero`, J, lower and upper by the given number of sweeps."""
     one, fixed = sweep(shape, damping=settings.damping), ("J", "lower", "upper")
     if settings.sweeps == 1:
         return (Call(one, ("zero", *fixed), ("swept",)),)
@@ -48,10 +48,10 @@ def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
 
 
 def gate(shape: StackShape) -> Program:
-    """(J, lower, upper) → sound (1,), zero (n,), none (1,).
+    """Instruction list (J, lower, upper) → sound (1,), zero (n,), none (1,).
 
-    sound: 1 if all numbers are finite, lower = upper for levels with one value, and lower ≤ upper for the others. The
-    test states what must hold, because every comparison with a NaN is false.
+    sound: 1 if all numbers are finite, lower = upper for levels with one desired value, and lower ≤ upper for set-based
+    levels. The test is written as the condition that must hold, because every comparison with a NaN is false.
     """
     flat, levels = shape.symbols()
     sound = ca.SX(1)
@@ -67,7 +67,7 @@ def gate(shape: StackShape) -> Program:
 
 
 def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    """The value moved between the bounds, entry by entry; 0 where the result would not be finite."""
+    """Return the value with each entry moved between its bounds; 0 where the result would not be finite."""
     moved = []
     for i in range(value.numel()):
         above = ca.if_else(value[i] >= low[i], value[i], low[i])

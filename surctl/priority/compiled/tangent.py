@@ -1,8 +1,9 @@
-"""The rows that limit a task: the multipliers of its least-squares problem, computed from the solution.
+"""The constraint rows that limit a task, and their multipliers in its least-squares problem, from the solution.
 
-At the minimiser v of ½‖J v − x‖² over the rows, the negative gradient Jᵀ(x − J v), here called the pull, is a
-combination of the normals of the rows that v touches. Its projection on the cone of feasible directions is then 0, and
-the multipliers of that projection are those of the problem. The remaining pull measures how far v is from optimal.
+At the minimiser v of ½‖J v − x‖² subject to the constraint rows, the negative gradient Jᵀ(x − J v), here called the
+pull, is a combination of the normals of the active constraint rows. The projection of the pull on the cone of feasible
+directions is then 0, and the multipliers of this projection are the multipliers of the least-squares problem. A nonzero
+projection measures how far v is from optimal.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ __all__ = ["holding", "largest", "merged"]
 
 
 def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
-    """(rows (m·(n + 3),), opening (1,), v (n,), pull (n,), Z (n·n,)) → numbers, multipliers, rest, count.
+    """Routine (rows (m·(n + 3),), opening (1,), v (n,), pull (n,), Z (n·n,)) → numbers, multipliers, rest, count.
 
-    numbers (n,): signed row numbers, from 1, of the rows that balance the pull (+ at the upper bound), 0 if empty;
-    multipliers (n,) for rows of length 1; rest (n,): the part of the pull in the range of the projector Z that the rows
-    do not balance; count (1,) of iterations. The bounds of soft rows are first moved outwards by `opening`.
+    numbers (n,): signed numbers, from 1, of the constraint rows that balance the pull (+ at the upper bound), 0 if
+    empty; multipliers (n,) for rows of length 1; rest (n,): the part of the pull in the range of the projector Z that
+    the constraint rows do not balance; count (1,): number of iterations. The bounds of soft constraint rows are first
+    moved outwards by `opening`.
     """
     space = Space(n, n, precision=precision)
     steps = (
@@ -46,7 +48,7 @@ def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
 
 
 def largest(vector: ca.SX) -> ca.SX:
-    """Largest absolute entry of the vector."""
+    """Return the largest absolute entry of the vector."""
     size = ca.SX(0)
     for i in range(vector.numel()):
         size = ca.fmax(size, ca.fabs(vector[i]))
@@ -54,7 +56,7 @@ def largest(vector: ca.SX) -> ca.SX:
 
 
 def _unit_pull(n: int, precision: Precision) -> Program:
-    """The pull scaled to largest entry 1 with opening 0, its size, and whether it is zero (nothing to compute)."""
+    """Instruction list: pull → (pull scaled to largest entry 1, opening 0), largest entry, whether the pull is zero."""
     pull = ca.SX.sym("pull", n)
     size = largest(pull)
     none = ca.logic_not(size > precision.priced)
@@ -63,7 +65,7 @@ def _unit_pull(n: int, precision: Precision) -> Program:
 
 
 def _touching(n: int, precision: Precision) -> Program:
-    """A row as a bound on directions: 0 on the side of a bound that v touches, infinite on the other side."""
+    """Instruction list: constraint row → bounds on directions: 0 at a bound that v touches, otherwise infinite."""
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
     inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
@@ -74,7 +76,7 @@ def _touching(n: int, precision: Precision) -> Program:
 
 
 def _scaled(n: int) -> Program:
-    """Multipliers and rest in the units of the pull; if the kernel found no solution, the rest is the whole pull."""
+    """Instruction list: multipliers and rest in units of the pull; if the solver failed, the rest is the whole pull."""
     point, active, weights = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("weights", n)
     end, size, pull = ca.SX.sym("end"), ca.SX.sym("size"), ca.SX.sym("pull", n)
     good = ca.eq(end, OPTIMAL)
@@ -89,9 +91,10 @@ def _scaled(n: int) -> Program:
 
 
 def merged(n: int) -> Program:
-    """(numbers, multipliers, more numbers, more multipliers), (n,) each → the first list extended by the second.
+    """Instruction list (numbers, multipliers, further numbers, further multipliers), (n,) each → both lists joined.
 
-    A row that the first list already contains is not added again; a row for which no slot is free is dropped.
+    A constraint row that the first list already contains is not added again; a row for which no slot is free is
+    dropped.
     """
     numbers, multipliers = ca.SX.sym("numbers", n), ca.SX.sym("multipliers", n)
     more, further = ca.SX.sym("more", n), ca.SX.sym("further", n)

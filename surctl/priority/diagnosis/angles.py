@@ -1,4 +1,4 @@
-"""Angles between row spaces, and distances to rank loss of a task or of its remaining freedom, for many samples."""
+"""Angles between the row spaces of tasks, and measures of how close a task is to a rank loss, for many samples."""
 
 from __future__ import annotations
 
@@ -25,10 +25,13 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def outside_sines(task: Directions, P: Array) -> Array:
-    """Sines (N, n), largest first, of the principal angles between a task's rows and range(P); 0 beyond its rank.
+    """Return the sines (N, n), largest first, of the principal angles between a task's row space and range(P).
 
-    They are the singular values of V(I − P), where V is an orthonormal basis of the rows. Unlike those of J(I − P) they
-    do not depend on the lengths of the rows of J, so a task with short rows does not look dependent.
+    Entries beyond the rank of the task are 0.
+
+    The sines are the singular values of V(I − P), where V is an orthonormal basis of the row space. Unlike the singular
+    values of J(I − P), the sines do not depend on the lengths of the rows of J, so a task with short rows does not look
+    dependent.
     """
     s = np.linalg.svd(task.rows @ (np.eye(P.shape[-1]) - P), compute_uv=False)
     sines: Array = np.minimum(np.asarray(s, dtype=float), 1.0)
@@ -36,9 +39,10 @@ def outside_sines(task: Directions, P: Array) -> Array:
 
 
 def pair_angles(first: Directions, second: Directions) -> tuple[Array, Array]:
-    """Sine and cosine (N,) of the smallest principal angle between two row spaces (Björck and Golub 1973).
+    """Return sine and cosine (N,) of the smallest principal angle between two row spaces (Björck and Golub 1973).
 
-    Sine and cosine are both computed, so the angle is accurate near 0° and near 90°. NaN where a row space is empty.
+    Sine and cosine are both computed, so the angle is accurate near 0° and near 90°. The result is NaN where a row
+    space is empty.
     """
     P, rank = first.projector, second.rank
     least = np.take_along_axis(outside_sines(second, P), np.maximum(rank - 1, 0)[..., None], axis=-1)[..., 0]
@@ -48,12 +52,12 @@ def pair_angles(first: Directions, second: Directions) -> tuple[Array, Array]:
 
 
 def smallest_angle(i: int, j: int) -> Measure:
-    """Measure: the sine (N,) of the smallest angle between tasks i and j."""
+    """Return a measure: the sine (N,) of the smallest angle between the row spaces of tasks i and j."""
     return lambda values: pair_angles(directions(values.jacobians[i]), directions(values.jacobians[j]))[0]
 
 
 def projector_above(values: Values, i: int) -> Array:
-    """Projector (N, n, n) on the row space of the tasks above level i (counted from 0)."""
+    """Return the projector (N, n, n) on the row space of the tasks above level i (counted from 0)."""
     n = values.jacobians[i].shape[-1]
     P = np.zeros((len(values.jacobians[i]), n, n))
     for J in values.jacobians[:i]:
@@ -62,14 +66,15 @@ def projector_above(values: Values, i: int) -> Array:
 
 
 def freedom(values: Values, i: int) -> Array:
-    """`outside_sines` (N, n) of level i relative to all levels above it."""
+    """Return `outside_sines` (N, n) of level i relative to all levels above level i."""
     return outside_sines(directions(values.jacobians[i]), projector_above(values, i))
 
 
 def remaining_sine(i: int, *, gained: int, rank: int) -> Measure:
-    """Measure: a sine (N,) that vanishes where level i loses one of the `gained` directions that it usually adds.
+    """Return a measure: a sine (N,) that is 0 where level i loses one of the `gained` directions that it usually adds.
 
-    The value is inf where the level's own Jacobian has less than its usual `rank`: the levels above do not cause that.
+    The value is inf where the level's own Jacobian has less than its usual `rank`, because the levels above do not
+    cause this rank loss.
     """
 
     def measure(values: Values) -> Array:
@@ -80,7 +85,7 @@ def remaining_sine(i: int, *, gained: int, rank: int) -> Measure:
 
 
 def task_strength(i: int, *, rank: int, size: float) -> Measure:
-    """Measure: the rank-th singular value (N,) of J_i, divided by `size`; inf where the task is inactive."""
+    """Return a measure: singular value number `rank` (N,) of J_i, divided by `size`; inf where the task is inactive."""
 
     def measure(values: Values) -> Array:
         s = np.linalg.svd(values.jacobians[i], compute_uv=False)

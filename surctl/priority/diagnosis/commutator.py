@@ -1,16 +1,17 @@
-"""The commutator condition, evaluated for numeric Jacobians: when the law (16) equals strict priority.
+"""The commutator condition for numeric Jacobians, which decides whether the law (16) equals strict priority.
 
 For all references x, NSB equals strict (lexicographic) priority
 
     v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}),   N = I − P,   P the projector on the row space of all tasks above i
 
-if and only if J_iᵀJ_i commutes with P at every level i ≥ 2. Ranks do not matter: a task may be rank-deficient, depend
-on the tasks above it, or have no freedom left. Sketch of the proof: With x_i = 0, both laws for the first i levels must
-agree with those for the first i − 1 inside range(P), which strict priority fills. So the correction vanishes there:
-(J_i N)⁺J_i P = 0, which means N J_iᵀJ_i P = 0. Conversely, N then commutes with J_iᵀJ_i, hence with J_i⁺J_i, so that
-(J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i is the projector on the intersection of the null spaces.
+if and only if J_iᵀJ_i commutes with P at every level i ≥ 2. The condition holds for any ranks: a task may be
+rank-deficient, depend on the tasks above it, or have no freedom left. Sketch of the proof: With x_i = 0, both laws for
+the first i levels must equal the laws for the first i − 1 levels inside range(P), because strict priority uses all of
+range(P) for the levels above i. So the correction by level i vanishes in range(P): (J_i N)⁺J_i P = 0, which means N
+J_iᵀJ_i P = 0. Conversely, N then commutes with J_iᵀJ_i, hence with J_i⁺J_i, so that (J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i is
+the projector on the intersection of the null spaces.
 
-All functions here accept arrays with leading axes for samples: J (..., k, n).
+All functions of this module accept arrays with leading axes for samples: J (..., k, n).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Right singular vectors and singular values of J (..., k, n); values below the cut-off are set to 0.
+    """Right singular vectors and singular values of J (..., k, n); singular values below the cut-off are set to 0.
 
     Attributes:
         vectors: (..., n, n), unit vectors as rows, largest singular value first.
@@ -47,19 +48,19 @@ class Directions:
 
     @property
     def rank(self) -> NDArray[np.intp]:
-        """The number (...,) of nonzero singular values."""
+        """Return the number (...,) of nonzero singular values."""
         count: NDArray[np.intp] = np.asarray(np.count_nonzero(self.s, axis=-1), dtype=np.intp)
         return count
 
     @property
     def rows(self) -> Array:
-        """An orthonormal basis of the row space (..., n, n), one vector for each row, followed by zero rows."""
+        """Return an orthonormal basis (..., n, n) of the row space, one vector in each row, followed by zero rows."""
         basis: Array = self.vectors * (self.s > 0.0)[..., None]
         return basis
 
     @property
     def projector(self) -> Array:
-        """The orthogonal projector (..., n, n) on the row space."""
+        """Return the orthogonal projector (..., n, n) on the row space."""
         product: Array = np.swapaxes(self.rows, -1, -2) @ self.rows
         return product
 
@@ -73,7 +74,7 @@ def directions(J: Array, *, cutoff: float = CUTOFF) -> Directions:
 
 
 def absorb(P: Array, task: Directions) -> Array:
-    """The projector P (..., n, n) extended by the row space of a task."""
+    """Return the projector P (..., n, n) extended by the row space of a task."""
     N = np.eye(P.shape[-1]) - P
     _, s, vectors = np.linalg.svd(task.rows @ N)
     new = vectors @ N * (s > CUTOFF)[..., None]  # N again, because a short remainder has lost digits
@@ -82,12 +83,13 @@ def absorb(P: Array, task: Directions) -> Array:
 
 
 def commutator_norms(jacobians: Sequence[Array]) -> Array:
-    """Commutator norm of J_iᵀJ_i and P at each level, (..., levels); 0 for the first level.
+    """Return the commutator norm of J_iᵀJ_i and P for each level i, (..., levels); 0 for the first level.
 
-    This is the spectral norm of the commutator, written in the singular vectors of J_i, with each entry (a, b) divided
-    by s_a² + s_b². It has no unit, is at most 1/2 for a task of one row and √(n/8) for any task, and is zero exactly
-    where the commutator is zero. If all rows have equal length it is ‖[J_iᵀJ_i, P]‖/‖J_i‖². That ratio alone would
-    ignore the short rows of a task that also has long rows, although they matter as much in both laws.
+    It is the spectral norm of the commutator, written in the basis of the singular vectors of J_i, with each entry (a,
+    b) divided by s_a² + s_b². The norm has no unit, is at most 1/2 for a task of one row and √(n/8) for any task, and
+    is zero if and only if the commutator is zero. If all rows of J_i have equal length, the norm is ‖[J_iᵀJ_i,
+    P]‖/‖J_i‖². This simpler ratio would neglect the short rows of a task that also has long rows, although short rows
+    have the same effect in both laws.
 
     Args:
         jacobians: J (..., k, n) of each level, highest priority first.
@@ -107,14 +109,15 @@ def commutator_norms(jacobians: Sequence[Array]) -> Array:
 
 
 def equals_strict_priority(jacobians: Sequence[Array], *, tol: float = TOLERANCE) -> bool:
-    """Whether NSB equals strict priority for all references: no commutator norm is above `tol`.
+    """Return whether NSB equals strict priority for all references, that is, no commutator norm is above `tol`.
 
     Args:
-        jacobians: J (k, n) of each level, highest priority first; with leading axes, all samples must commute.
+        jacobians: J (k, n) of each level, highest priority first; with leading axes, the condition must hold at all
+            samples.
         tol: largest value of `commutator_norms` that counts as zero.
 
     Raises:
-        InputError: in the same cases as `commutator_norms`.
+        InputError: `commutator_norms` raises an InputError for these Jacobians.
     """
     return bool((commutator_norms(jacobians) <= tol).all())
 

@@ -1,7 +1,7 @@
 """Diagnosis of a stack over a region: equality of NSB and strict priority, conflicts, rank losses, unmet tasks.
 
-The diagnosis uses the symbolic Jacobians once, before a run. Identities of expressions hold for all poses; results from
-samples and local searches are labelled as such.
+The diagnosis uses the symbolic Jacobians once, before a run. Results from identities of the expressions hold for all
+poses; results from samples and local searches are labelled as such.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def diagnose(
 ) -> Diagnosis:
     """Analyse how the priority law handles this stack over a region of poses.
 
-    The function evaluates scrambled Sobol samples (rounded up to a power of two), then searches locally from the worst.
+    The function evaluates scrambled Sobol samples (rounded up to a power of two), then starts local searches from the
+    worst samples.
 
     Args:
         stack: the tasks, each with one desired value (replace a set-based task by the task at its bound).
@@ -54,7 +55,7 @@ def diagnose(
         samples: number of samples, at least 1.
         seed: seed of the samples; the same seed gives the same diagnosis.
         threshold: sine of an angle, relative strength, or step [m or rad] below which a pose counts as singular.
-        starts: largest number of local searches for one quantity, at least 1.
+        starts: largest number of local searches for each quantity, at least 1.
 
     Raises:
         InputError: `build_region` refuses the region or a parameter, a symbol has no range, a number is out of
@@ -90,7 +91,7 @@ def _check_numbers(samples: int, threshold: float, starts: int, seed: int) -> No
 
 
 def _equality(stack: Stack, survey: Survey) -> Equality:
-    """The commutator condition: first on the expressions, then on samples, then by local searches where it fails."""
+    """Test the commutator condition: first on the expressions, then on samples, then by local searches if it fails."""
     structural = commuting_levels(stack)
     norms = commutator_norms(survey.values.jacobians)
     largest: dict[str, float] = {}
@@ -117,7 +118,7 @@ def _equality(stack: Stack, survey: Survey) -> Equality:
 
 
 def _commuting(i: int, values: Values) -> Array:
-    """Measure: 1 − commutator norm (N,) of level i; never negative for 4 velocities."""
+    """Return a measure: 1 − commutator norm (N,) of level i; never negative for 4 velocities."""
     closeness: Array = 1.0 - commutator_norms(values.jacobians)[:, i]
     return closeness
 
@@ -189,7 +190,7 @@ def _levels(survey: Survey) -> tuple[LevelReport, ...]:
 
 
 def _tolerance(J: Array, x: Array, v: Array) -> Array:
-    """Largest residuals (N,) that count as zero."""
+    """Return the largest residuals (N,) that count as zero."""
     size = np.linalg.norm(J, 2, axis=(1, 2)) * np.linalg.norm(v, axis=1)
     tolerance: Array = _MET * (1.0 + np.linalg.norm(x, axis=1) + size)
     return tolerance

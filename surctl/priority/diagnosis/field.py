@@ -1,4 +1,4 @@
-"""The tasks of a stack as functions on a region: Jacobians, references, and how fast rows change direction."""
+"""The tasks of a stack as functions on a region: Jacobians, references, and how fast the rows of J change direction."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ _APART = 0.1  # least distance between two starts, in unit boxes, times the root
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of all tasks at N points.
+    """Values of all tasks of a stack at N points.
 
     Attributes:
-        jacobians: (N, k, 4) of each task.
-        references: (N, k) of each task [unit of σ per second].
-        turning: (N,) of each task: the smallest ‖a‖/‖∂a/∂η‖ of its rows a of ∂σ/∂η, inf where no row changes.
-            A step of this length [m or rad] may reverse the row. It goes to 0 at a singular point of the task, such
-            as the point from which a distance is measured, although the gradient has length 1 around that point.
+        jacobians: Jacobians (N, k, 4) of each task.
+        references: desired values (N, k) of σ̇ of each task [unit of σ per second].
+        turning: length scale (N,) [m or rad] of each task: the smallest ‖a‖/‖∂a/∂η‖ of the rows a of ∂σ/∂η, inf where
+            no row changes. A step of this length may reverse the row a. The length goes to 0 at a singular point of the
+            task, such as the point from which a distance is measured, although the gradient has length 1 around that
+            point.
     """
 
     jacobians: list[Array]
@@ -46,12 +47,13 @@ Measure: TypeAlias = Callable[[Values], Array]
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A stack compiled over a region.
+    """A stack of tasks, compiled to a numeric function over a region of poses and parameters.
 
     Attributes:
-        names, sizes, units: of the tasks; the units are those of σ̇.
+        names: names of the tasks. sizes: number of rows of each task. units: unit of σ̇ of each task.
         region: the region of poses and parameters.
-        function: point (d,) → vec(J), x, ‖a‖² and ‖∂a/∂η‖² of the rows, one task after another, as one column.
+        function: CasADi function of a point (d,). Its output is one column that contains, for one task after another,
+            vec(J), x, and ‖a‖² and ‖∂a/∂η‖² of each row a of ∂σ/∂η.
     """
 
     names: tuple[str, ...]
@@ -61,7 +63,7 @@ class Field:
     function: ca.Function
 
     def at(self, points: Array) -> Values:
-        """The values at points (N, d); non-finite values are passed on unchanged."""
+        """Return the values of all tasks at points (N, d); non-finite values are passed on unchanged."""
         column = np.asarray(self.function(points.T), dtype=float).T
         values, start = Values([], [], []), 0
         for k in self.sizes:
@@ -97,7 +99,7 @@ def build_field(stack: Stack, region: Region) -> Field:
 
 
 def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:
-    """Indices of up to `most` samples (N, f) with the smallest finite measure (N,), well apart from each other."""
+    """Return the indices of up to `most` samples (N, f), well apart, with the smallest finite measures (N,)."""
     order = np.argsort(measure, kind="stable")
     left = order[np.isfinite(measure[order])]
     chosen: list[np.intp] = []
@@ -109,10 +111,10 @@ def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:
 
 
 def descend(field: Field, measure: Measure, start: Array) -> tuple[Array, float]:
-    """Search from a point (f,) of the unit box for a local minimum of the measure: (point (d,), measure there).
+    """Return (point (d,), measure at this point) of a local minimum, found from a start (f,) in the unit box.
 
     The method is L-BFGS-B with central differences on the squared measure, which is smooth where a distance or a sine
-    reaches 0. The result is never worse than the start.
+    reaches 0. The measure at the result is never larger than at the start.
     """
     from scipy.optimize import minimize
 
@@ -134,7 +136,7 @@ def descend(field: Field, measure: Measure, start: Array) -> tuple[Array, float]
 
 
 def _value(field: Field, measure: Measure, unit: Array) -> Array:
-    """The measure (N,) at points of the unit box; inf where a Jacobian is not finite."""
+    """Return the measure (N,) at points of the unit box; inf where a Jacobian is not finite."""
     values = field.at(field.region.place(unit))
     finite = np.logical_and.reduce([np.isfinite(J).all(axis=(1, 2)) for J in values.jacobians])
     cleaned = [np.where(finite[:, None, None], J, 0.0) for J in values.jacobians]
@@ -143,7 +145,7 @@ def _value(field: Field, measure: Measure, unit: Array) -> Array:
 
 
 def _slope(field: Field, measure: Measure, u: Array, *, scale: float) -> tuple[float, Array]:
-    """(measure/scale)² and its gradient (f,), from one call for all points."""
+    """Return (measure/scale)² and its gradient (f,), from one call of the measure for all difference points."""
     steps = _STEP * np.eye(u.size)
     around = np.clip(np.vstack([u[None], u + steps, u - steps]), 0.0, 1.0)
     # where the measure is undefined it is capped at a value just high enough to shorten a step that ends there

@@ -1,4 +1,4 @@
-"""Findings of a diagnosis as data: one class for each question."""
+"""Findings of a diagnosis as data, with one class for each kind of finding."""
 
 from __future__ import annotations
 
@@ -30,14 +30,15 @@ relative to the median of ‖J‖; or the turning, the step [m or rad] that may 
 
 @dataclass(frozen=True)
 class Equality:
-    """Whether NSB equals strict priority, for the whole stack.
+    """The finding on whether NSB equals strict priority for the whole stack.
 
     Attributes:
         verdict: see `Verdict`.
-        largest: largest commutator norm found; see `commutator_norms`.
-        task, where: the level with the largest norm and the pose; None when no level differs.
-        by_task: largest norm found at each level.
-        structural: levels whose commutator vanishes as an expression.
+        largest: the largest commutator norm found (see `commutator_norms`).
+        task: the level with the largest commutator norm; None if NSB equals strict priority at all levels. where: the
+            pose of this norm, or None.
+        by_task: largest commutator norm found at each level.
+        structural: names of the levels whose commutator vanishes as an expression.
         searches: number of local searches.
     """
 
@@ -52,17 +53,18 @@ class Equality:
 
 @dataclass(frozen=True)
 class Pair:
-    """The relation between the row spaces of two tasks.
+    """The finding on the relation between the row spaces of two tasks.
 
     Attributes:
-        first, second: names, the higher priority first.
+        first: name of the task with the higher priority. second: name of the other task.
         kind: see `PairKind`.
-        smallest, largest: smallest and largest value over the region of the smallest principal angle [rad]. The
-            smallest value comes from a search, the largest from samples. None if the two are never active together.
-        where: the pose of `smallest`.
-        shared: largest number of common directions among the samples.
-        structural: True if `orthogonal` is an identity of the expressions.
-        equal: `Equality.verdict` for these two tasks alone (from samples, without search).
+        smallest, largest: smallest and largest value, over the region, of the smallest principal angle between the row
+            spaces [rad]. `smallest` comes from a search, `largest` from samples. Both are None if the two tasks are
+            never active together.
+        where: the pose at which the angle is `smallest`.
+        shared: largest number of directions that both row spaces contain, over the samples.
+        structural: True if the tasks are orthogonal as an identity of the expressions.
+        equal: `Equality.verdict` for a stack of only these two tasks (from samples, without local search).
     """
 
     first: str
@@ -78,17 +80,17 @@ class Pair:
 
 @dataclass(frozen=True)
 class Singularity:
-    """Poses where a level loses rank.
+    """The finding on poses where a level loses rank.
 
     Attributes:
         task: name of the task.
-        kind: `algorithmic`: a direction of the task falls into the row space above while its own Jacobian is
-            regular; `kinematic`: the Jacobian itself loses rank, or has no limit.
+        kind: `algorithmic`: a direction of the task lies in the row space of the tasks above while its own Jacobian is
+            regular; `kinematic`: the Jacobian itself loses rank, or has no limit value at the pose.
         symptom: see `Symptom`.
-        value: the smallest value found.
-        poses: the poses, worst first, at some distance from each other.
-        also_singular: tasks above that are singular by themselves at the first pose.
-        share: fraction of the samples below the threshold (0 … 1).
+        value: the smallest value of the measure found.
+        poses: the singular poses, worst first, at some distance from each other.
+        also_singular: tasks of higher priority whose own Jacobians are singular at the first pose.
+        share: fraction of the samples with a measure below the threshold (0 … 1).
     """
 
     task: str
@@ -102,7 +104,7 @@ class Singularity:
 
 @dataclass(frozen=True)
 class Residual:
-    """‖J_i v − x_i‖ over the samples [unit of σ per second]: the median, the largest, and the pose of the largest."""
+    """Residual ‖J_i v − x_i‖ over the samples [unit of σ per second]: median, largest, and the pose of the largest."""
 
     median: float
     largest: float
@@ -111,15 +113,15 @@ class Residual:
 
 @dataclass(frozen=True)
 class LevelReport:
-    """How well one level is met.
+    """The finding on how well one level is met.
 
     Attributes:
         task: name of the task.
-        rank: largest rank of its Jacobian among the samples.
-        gained: largest number of its directions outside the row space above, among the samples.
+        rank: largest rank of the task's Jacobian among the samples.
+        gained: largest number, among the samples, of the task's directions outside the row space of the tasks above.
         rank_above: largest rank of all tasks above together, among the samples.
         exhausted: share of the samples where the tasks above leave no freedom at all (0 … 1).
-        strict, nsb: residuals with strict priority and with the law (16).
+        strict: residuals with strict priority. nsb: residuals with the law (16).
         met: see `Met`.
         unit: unit of the residuals, for example "m/s"; "" if the task has none.
     """
@@ -136,5 +138,5 @@ class LevelReport:
 
     @property
     def dependent(self) -> int:
-        """Number of directions that the task shares with the tasks above it at every sample."""
+        """Return the number of directions that the task shares with the tasks above it at every sample."""
         return self.rank - self.gained

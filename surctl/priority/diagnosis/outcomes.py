@@ -16,7 +16,9 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def strict_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
-    """v (..., n) of strict priority: v ← v + (J_i N)⁺(x_i − J_i v), N the null space of all levels above.
+    """Return v (..., n) of strict priority: v ← v + (J_i N)⁺(x_i − J_i v).
+
+    N is the projector on the null space of all levels above.
 
     Siciliano and Slotine (1991). Singular values of J_i N up to `CUTOFF`·‖J_i‖ count as 0: where a task depends on the
     tasks above it, v stays bounded but jumps.
@@ -36,9 +38,9 @@ def strict_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -
 
 
 def nsb_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
-    """v (..., n) of the law (16), as the sweep w ← w + J_i⁺(x_i − J_i w) from the lowest level to the highest.
+    """Return v (..., n) of the law (16), computed by w ← w + J_i⁺(x_i − J_i w) from the lowest level to the highest.
 
-    Arguments as for `strict_velocities`.
+    The arguments are those of `strict_velocities`.
     """
     w = np.zeros(jacobians[0].shape[-1])
     for J, x in zip(reversed(jacobians), reversed(references), strict=True):
@@ -47,14 +49,14 @@ def nsb_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> A
 
 
 def residual_norms(jacobians: Sequence[Array], references: Sequence[Array], v: Array) -> Array:
-    """Residual norms ‖J_i v − x_i‖ of all levels, (..., levels) [unit of σ per second]."""
+    """Return the residual norms ‖J_i v − x_i‖ of all levels, (..., levels) [unit of σ per second]."""
     return np.stack(
         [np.linalg.norm(_times(J, v) - x, axis=-1) for J, x in zip(jacobians, references, strict=True)], axis=-1
     )
 
 
 def _pulled(J: Array, y: Array, least: Array) -> Array:
-    """The product J⁺y, (..., n); singular values up to `least` (..., 1) count as 0."""
+    """Return the product J⁺y (..., n); singular values of J up to `least` (..., 1) count as 0."""
     left, s, right = np.linalg.svd(J, full_matrices=False)
     significant = s > least
     share = np.where(significant, np.einsum("...ka,...k->...a", left, y), 0.0) / np.where(significant, s, 1.0)
@@ -63,7 +65,7 @@ def _pulled(J: Array, y: Array, least: Array) -> Array:
 
 
 def _span(J: Array, least: Array) -> Array:
-    """The projector J⁺J, (..., n, n); singular values up to `least` count as 0."""
+    """Return the projector J⁺J (..., n, n); singular values of J up to `least` count as 0."""
     _, s, right = np.linalg.svd(J, full_matrices=False)
     rows = right * (s > least)[..., None]
     projector: Array = np.swapaxes(rows, -1, -2) @ rows

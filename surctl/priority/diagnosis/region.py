@@ -1,4 +1,4 @@
-"""The box of poses and parameters that a diagnosis covers: bounds, samples, and text for its points."""
+"""The box of poses and parameters that a diagnosis covers: its bounds, samples in it, and text for its points."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Region:
     """A box of poses and parameters; `build_region` checks and builds it.
 
     Attributes:
-        symbols: SX (d, 1): eta, then every parameter that the stack uses.
-        names: (d,), as in a `Pose`.
-        lower, upper: (d,) [m, m, m, rad, then the unit of each parameter].
+        symbols: SX (d, 1): the entries of eta, then those of every parameter that the stack uses.
+        names: (d,) names of the variables, as in a `Pose`.
+        lower, upper: (d,) bounds of the variables [m, m, m, rad, then the unit of each parameter].
     """
 
     symbols: ca.SX
@@ -44,17 +44,17 @@ class Region:
 
     @property
     def free(self) -> NDArray[np.intp]:
-        """Indices (f,) of the variables whose lower and upper bounds differ."""
+        """Return the indices (f,) of the free variables, whose lower and upper bounds differ."""
         return np.flatnonzero(self.upper > self.lower)
 
     def place(self, unit: Array) -> Array:
-        """Points (N, d) of the region from points (N, f) of the unit box."""
+        """Return the points (N, d) of the region that correspond to points (N, f) of the unit box."""
         points = np.tile(self.lower, (len(unit), 1))
         points[:, self.free] += np.clip(unit, 0.0, 1.0) * (self.upper - self.lower)[self.free]
         return np.clip(points, self.lower, self.upper)
 
     def sample(self, samples: int, seed: int) -> Array:
-        """(2^k ≥ samples, f) scrambled Sobol points of the unit box; one point when no variable is free."""
+        """Return 2^k ≥ `samples` scrambled Sobol points (2^k, f) of the unit box; one point if no variable is free."""
         from scipy.stats import qmc
 
         if self.free.size == 0:
@@ -63,12 +63,14 @@ class Region:
         return np.asarray(points, dtype=float)
 
     def pose(self, point: Array) -> dict[str, float]:
-        """The point (d,) as a mapping from names to values."""
+        """Return the point (d,) as a mapping from names to values."""
         return {name: float(value) for name, value in zip(self.names, point, strict=True)}
 
 
 def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] = ()) -> Region:
-    """Check the box of eta, (4,) each [m, m, m, rad], and of the parameters; unused parameters are dropped.
+    """Return the checked region from the bounds of eta, (4,) each [m, m, m, rad], and of the parameters.
+
+    Parameters that the stack does not use are dropped.
 
     Raises:
         InputError: a wrong size, NaN or infinity, crossed bounds, a parameter that is not a symbol, occurs twice or
@@ -94,7 +96,7 @@ def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] =
 
 
 def pose_text(pose: Pose) -> str:
-    """The pose as text, `x = 0.5 m, y = …, psi = 0.3 rad, waypoint_0 = 1`, with four significant digits."""
+    """Return the pose as text, `x = 0.5 m, y = …, psi = 0.3 rad, waypoint_0 = 1`, with four significant digits."""
     units = {"x": " m", "y": " m", "z": " m", "psi": " rad"}
     return ", ".join(f"{name} = {value:.4g}{units.get(name, '')}" for name, value in pose.items())
 
@@ -138,7 +140,7 @@ def _fresh(name: str, names: list[str]) -> str:
 
 
 def _corners(bounds: Bounds, size: int, *, key: str, names: Sequence[str]) -> tuple[Array, Array]:
-    """Both corners, (size,) each; for parameters, a single number applies to all entries."""
+    """Return the lower and upper corner, (size,) each; for parameters, a single number applies to all entries."""
     try:
         lower, upper = (np.array(part, dtype=float).reshape(-1) for part in bounds)
     except (TypeError, ValueError):

@@ -17,12 +17,12 @@ class Diagnosis:
     """All findings on a stack over a region; `explain` (or `str`) returns them as sentences.
 
     Attributes:
-        tasks: names, highest priority first.
+        tasks: names of the tasks, highest priority first.
         region: (lower, upper) of every variable [m, m, m, rad, then the unit of each parameter].
         samples: number of samples.
         seed: seed of the samples.
-        threshold: sine, strength or step [m or rad] below which a pose counts as singular.
-        equality, pairs, singularities, levels: the findings.
+        threshold: sine of an angle, relative strength, or step [m or rad] below which a pose counts as singular.
+        equality, pairs, singularities, levels: the findings of each kind.
     """
 
     tasks: tuple[str, ...]
@@ -36,7 +36,7 @@ class Diagnosis:
     levels: tuple[LevelReport, ...]
 
     def explain(self) -> str:
-        """Return one sentence per line: equality, pairs, singularities, levels, and the basis of the numbers."""
+        """Return one sentence per line on equality, pairs, singularities, levels, and the origin of the numbers."""
         lines = [say_equality(self.equality, levels=len(self.tasks), samples=self.samples)]
         lines += [say_pair(pair) for pair in self.pairs]
         lines += [say_singularity(singularity) for singularity in self.singularities]
@@ -48,11 +48,11 @@ class Diagnosis:
         return "\n".join(lines)
 
     def __str__(self) -> str:
-        """Return the sentences of `explain`."""
+        """Return the text of `explain`."""
         return self.explain()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; every number is finite."""
+        """Return the diagnosis as plain data for JSON; every number is finite."""
         return {name: _plain(value) for name, value in asdict(self).items()}
 
 

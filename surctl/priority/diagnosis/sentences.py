@@ -11,7 +11,7 @@ __all__ = ["say_equality", "say_level", "say_pair", "say_singularity"]
 
 
 def say_equality(equality: Equality, *, levels: int, samples: int) -> str:
-    """The sentence on whether NSB equals strict priority."""
+    """Return the sentence on whether NSB equals strict priority."""
     if levels == 1:
         return "With one task, NSB equals strict priority."
     if equality.verdict == "everywhere":
@@ -26,7 +26,7 @@ def say_equality(equality: Equality, *, levels: int, samples: int) -> str:
 
 
 def say_pair(pair: Pair) -> str:
-    """The sentence on how two tasks affect each other."""
+    """Return the sentence on how two tasks affect each other."""
     both = f"`{pair.first}` and `{pair.second}`"
     if pair.smallest is None or pair.largest is None or pair.where is None:
         return f"{both} are never active together."
@@ -49,7 +49,7 @@ def say_pair(pair: Pair) -> str:
 
 
 def say_singularity(singularity: Singularity) -> str:
-    """The sentence on where a level loses rank, and why."""
+    """Return the sentence on where a level loses rank, and why."""
     at = pose_text(singularity.poses[0])
     more = f" ({len(singularity.poses) - 1} more poses found)" if len(singularity.poses) > 1 else ""
     if singularity.kind == "algorithmic":
@@ -67,7 +67,7 @@ def say_singularity(singularity: Singularity) -> str:
 
 
 def say_level(level: LevelReport) -> str:
-    """The sentence on whether a level is met, and why not."""
+    """Return the sentence on whether a level is met, and if not, why."""
     name = f"`{level.task}`"
     if level.met == "by both laws":
         text = f"{name} is met by both laws at all samples"

@@ -1,4 +1,4 @@
-"""Poses where a level loses rank by itself (kinematic), or only because of the tasks above it (algorithmic)."""
+"""Search for poses where a level loses rank by itself (kinematic) or because of the tasks above it (algorithmic)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Survey:
     """The samples of a diagnosis and the local searches that start from them.
 
     Attributes:
-        field: the stack over its region.
+        field: the stack, compiled over its region.
         unit: (N, f), the samples in the unit box.
         points: (N, d), the samples.
         values: the values of the tasks at the samples.
@@ -41,23 +41,23 @@ class Survey:
     starts: int
 
     def search(self, measure: Measure) -> list[tuple[Array, float]]:
-        """The end (point (d,), measure) of each search from the best samples, smallest measure first."""
+        """Return the end (point (d,), measure) of each search from the best samples, smallest measure first."""
         chosen = best_of(measure(self.values), self.unit, most=self.starts)
         return sorted((descend(self.field, measure, self.unit[k]) for k in chosen), key=lambda end: end[1])
 
 
 def task_rank(values: Values, i: int) -> int:
-    """Largest rank of J_i over the samples."""
+    """Return the largest rank of J_i over the samples."""
     return int(directions(values.jacobians[i]).rank.max())
 
 
 def gained_rank(values: Values, i: int) -> int:
-    """Largest number of directions of level i outside the row space above, over the samples."""
+    """Return the largest number, over the samples, of directions of level i outside the row space above it."""
     return int(np.count_nonzero(freedom(values, i) > TOLERANCE, axis=1).max())
 
 
 def find_singularities(survey: Survey) -> tuple[Singularity, ...]:
-    """Kinematic and algorithmic singularities of every level, in order of priority."""
+    """Return the kinematic and algorithmic singularities of every level, in order of priority."""
     singularities: list[Singularity] = []
     for i in range(len(survey.field.names)):
         for symptom, measure in _own(survey, i).items():
@@ -70,7 +70,7 @@ def find_singularities(survey: Survey) -> tuple[Singularity, ...]:
 
 
 def _own(survey: Survey, i: int) -> dict[Symptom, Measure]:
-    """The two measures that involve task i alone; empty when it is never active."""
+    """Return the two measures that involve task i alone; empty if task i is never active."""
     rank = task_rank(survey.values, i)
     if rank == 0:
         return {}
@@ -80,7 +80,7 @@ def _own(survey: Survey, i: int) -> dict[Symptom, Measure]:
 
 
 def _regular(survey: Survey, i: int, point: Array) -> bool:
-    """Whether task i alone is far from singular at the point (d,)."""
+    """Return whether task i by itself is far from singular at the point (d,)."""
     here = survey.field.at(point[None])
     return all(measure(here)[0] > survey.threshold for measure in _own(survey, i).values())
 
@@ -88,7 +88,7 @@ def _regular(survey: Survey, i: int, point: Array) -> bool:
 def _singularity(
     survey: Survey, i: int, symptom: Symptom, measure: Measure, counts: Callable[[Array], bool]
 ) -> list[Singularity]:
-    """The finding for one measure: search results below the threshold that `counts` accepts; empty if none."""
+    """Return the finding for one measure: search results below the threshold that `counts` accepts; empty if none."""
     ends = [end for end in survey.search(measure) if end[1] <= survey.threshold and counts(end[0])]
     if not ends:
         return []

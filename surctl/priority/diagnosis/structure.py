@@ -1,9 +1,10 @@
 """Properties of a stack that hold as identities of its expressions: levels that commute at every pose.
 
-J = A(η) R(ψ) with A = ∂σ/∂η, and R of (2) is orthogonal. So J_iᵀJ_i commutes with the projector of the tasks above
-exactly when A_iᵀA_i commutes with theirs. In {E} there are no sines and cosines, and most A are constant.
+J = A(η) R(ψ) with A = ∂σ/∂η and the rotation matrix R of (2), which is orthogonal. So J_iᵀJ_i commutes with the
+row-space projector of the tasks above if and only if A_iᵀA_i commutes with the corresponding projector formed from A.
+In frame {E}, the matrices A contain no sines and cosines of ψ from R, and most A are constant.
 
-A result of True means that an identity of the expressions was shown; False means only that none was shown.
+A result of True means that an identity of the expressions was shown. False means only that no identity was shown.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _ROUNDING = 1e-12  # constants of this size are rounding errors of zero
 
 
 def world_jacobians(stack: Stack) -> list[ca.SX]:
-    """A = ∂σ/∂η, (k, 4), of each task: σ̇ = A η̇ in {E}. Equal subexpressions are shared."""
+    """Return A = ∂σ/∂η (k, 4) of each task, with σ̇ = A η̇ in {E}. The expressions share equal subexpressions."""
     parts = [ca.jacobian(task.sigma, stack.eta) for task in stack.tasks]
     together = ca.cse(ca.vertcat(*parts))
     ends = np.cumsum([0, *(task.size for task in stack.tasks)])
@@ -34,10 +35,10 @@ def world_jacobians(stack: Stack) -> list[ca.SX]:
 
 
 def commuting_levels(stack: Stack) -> tuple[bool, ...]:
-    """For each level, whether its commutator vanishes as an expression, that is, for all η and all parameters.
+    """Return for each level whether its commutator vanishes as an expression, that is, for all η and all parameters.
 
-    The commutator vanishes if A_iᵀA_i maps the row space above into itself, which is tested row by row, or if that row
-    space contains all rows of A_i.
+    The commutator vanishes if A_iᵀA_i maps the row space of the higher levels into itself, which is tested row by row,
+    or if the row space of the higher levels contains all rows of A_i.
     """
     levels = world_jacobians(stack)
     rows = [[A[i, :].T for i in range(A.shape[0])] for A in levels]
@@ -45,16 +46,16 @@ def commuting_levels(stack: Stack) -> tuple[bool, ...]:
 
 
 def orthogonal_pairs(stack: Stack) -> set[tuple[int, int]]:
-    """Pairs (i, j), i < j, of tasks whose rows are orthogonal as expressions."""
+    """Return the pairs (i, j), i < j, of tasks whose Jacobian rows are orthogonal as expressions."""
     levels = world_jacobians(stack)
     return {(i, j) for j, B in enumerate(levels) for i, A in enumerate(levels[:j]) if _vanishes(A @ B.T)}
 
 
 def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
-    """Whether AᵀA maps the span of the rows above, given as columns (n, 1), into itself.
+    """Return whether AᵀA maps the span of the rows of higher levels, given as columns (n, 1), into itself.
 
-    The span is range(P) of the constant rows plus the parts of the other rows outside it. The dimension of the span may
-    vary from pose to pose without effect on the result.
+    The span is range(P) of the constant rows, plus the parts of the other rows outside range(P). The result remains
+    valid if the dimension of the span varies from pose to pose.
     """
     P = _projector([np.array(ca.DM(row)).ravel() for row in above if row.is_constant()], A.shape[1])
     outside = ca.SX(ca.sparsify(ca.DM(np.eye(A.shape[1]) - P)))
@@ -71,7 +72,7 @@ def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
 
 
 def _projector(rows: list[Array], n: int) -> Array:
-    """Projector (n, n) on the span of constant rows; entries within rounding of 0 or ±1 are set to these values."""
+    """Return the projector (n, n) on the span of constant rows; entries within rounding of 0 or ±1 are set exactly."""
     if not rows:
         return np.zeros((n, n))
     basis = row_space(np.array(rows)).rows
@@ -80,7 +81,7 @@ def _projector(rows: list[Array], n: int) -> Array:
 
 
 def _eigenvalues(A: ca.SX) -> list[float]:
-    """The value 0, and the eigenvalues of AᵀA when it is constant."""
+    """Return 0 and, if AᵀA is constant, the eigenvalues of AᵀA."""
     if not A.is_constant():
         return [0.0]
     squares = np.linalg.svd(np.array(ca.DM(A)), compute_uv=False) ** 2
@@ -88,7 +89,7 @@ def _eigenvalues(A: ca.SX) -> list[float]:
 
 
 def _clean(expression: ca.SX) -> ca.SX:
-    """The expression without entries that are zero or constants of the size of rounding errors."""
+    """Return the expression without entries that are zero or constants of the size of rounding errors."""
     entries = ca.SX(*expression.shape)
     simple = ca.simplify(expression)
     for i, j in zip(*simple.sparsity().get_triplet(), strict=True):

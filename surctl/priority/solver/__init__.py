@@ -1,3 +1,3 @@
-"""This package's own least-distance solver: a dual active-set iteration in bounded loops, with fallback stages."""
+"""This package's own least-distance solver: a dual active-set method with fallback stages."""
 
 from __future__ import annotations

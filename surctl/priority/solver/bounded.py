@@ -1,13 +1,14 @@
-"""The last stage of the bounded fallback: a solution of constant cost, in place of stages 2 to 4 of the exact fallback.
+"""The last stage of the bounded fallback: a result at constant cost that replaces stages 2 to 4 of the exact fallback.
 
-It starts from a safe point: the target in the box or v = 0, whichever satisfies the hard rows and violates the soft
-ones less. From the point where stage 1 stopped it projects on one violated row after another, in a few sweeps over all
-rows (Agmon 1954; Motzkin and Schoenberg 1954). The last sweep makes shorter steps, because rows may contradict each
-other. Then v moves from the safe point towards the result, as far as no hard row is violated, and no soft row more than
-at the safe point.
+The stage first determines a safe point: the target moved into the box, or v = 0, whichever satisfies the hard
+constraint rows and violates the soft rows less. From the point where stage 1 stopped, the stage projects on one
+violated row after another, in a few sweeps over all constraint rows (Agmon 1954; Motzkin and Schoenberg 1954). The last
+sweep makes shorter steps, because constraint rows may contradict each other. Then v moves from the safe point towards
+the result of the projections. The move ends before v violates a hard row, or a soft row by more than the safe point
+does.
 
-So v is never worse than the safe point, but not optimal: a point that satisfies all rows may be missed, and nothing
-improves the task after stage 1 and the projections.
+So v violates the constraint rows no more than the safe point does, but v is not optimal: the stage may miss a point
+that satisfies all rows, and it does not reduce the task residual.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ _Body: TypeAlias = Callable[[list[ca.SX], ca.SX, list[ca.SX]], list[ca.SX]]
 
 
 def eased(sizes: Sizes) -> Routine:
-    """Body of a loop that runs once if stage 1 fails.
+    """Routine: body of a loop that runs once if stage 1 fails.
 
-    (point (n + 1,), active, multipliers (n,), status, count, end, unit, target, box) → the first six; end is the
-    status of the search of stage 1. status: `BOUNDED`, or 0 if neither safe point satisfies the hard rows; the point is
-    then the target in the box.
+    Inputs: point (n + 1,), active (n,), multipliers (n,), status, count, end, unit, target, box; the first six are also
+    the outputs. end: status of the search of stage 1. status: `BOUNDED`, or 0 if neither the target in the box nor v =
+    0 satisfies the hard constraint rows; the point is then the target in the box.
     """
     n = sizes.n
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("end", 1))
@@ -80,7 +81,7 @@ def _over_rows(
     *,
     results: tuple[str, ...],
 ) -> Loop:
-    """A loop over all rows, one after another for any number of lanes."""
+    """Loop over all constraint rows, one after another even if several rows are stored side by side."""
     width, lanes = sizes.n + 3, sizes.lanes
     together = lanes if lanes > 1 else math.gcd(sizes.m, _TOGETHER)
     block = ca.SX.sym("rows", together * width)
@@ -97,10 +98,11 @@ def _over_rows(
 
 
 def _start(sizes: Sizes) -> Program:
-    """(point, end, target, box) → near, limits (2,), worst (2,), hard (2,), stands, first.
+    """Instruction list (point, end, target, box) → near, limits (2,), worst (2,), hard (2,), stands, first.
 
-    near: the target in the box. limits: allowed violation of a hard row by near, and by v = 0. worst, hard: 0.
-    stands: whether the box contains 0. first: the start of the projections, inside the box.
+    near: the target in the box. limits: allowed violation of a hard constraint row by near, and by v = 0. worst, hard:
+    initial value 0 of the largest violations. stands: whether the box contains v = 0. first: the start of the
+    projections, inside the box.
     """
     n, precision = sizes.n, sizes.precision
     point, end = ca.SX.sym("point", n + 1), ca.SX.sym("end")
@@ -124,12 +126,12 @@ def _start(sizes: Sizes) -> Program:
 
 
 def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Amounts by which the row's value is above its upper bound and below its lower bound (negative if inside)."""
+    """Return the amounts by which a·v exceeds the upper bound and falls below the lower bound (negative if inside)."""
     return value - row[-2], row[-3] - value
 
 
 def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """First sweep; also the largest violation of any row, and of a hard row, by near and by v = 0."""
+    """Return the state after one row in the first sweep, with the largest violations by near and by v = 0 so far."""
     (point, worst, hard), (near,) = state, fixed
     after: list[tuple[ca.SX, ca.SX]] = []
     for k, (above, below) in enumerate((_misses(row, dot(row[:-3], near)), (-row[-2], row[-3]))):
@@ -139,10 +141,10 @@ def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
 
 
 def _choose(sizes: Sizes) -> Program:
-    """(near, limits, stands, worst, hard) → safe, slack (2,), sound; 1, 0.
+    """Instruction list (near, limits, stands, worst, hard) → safe, slack (2,), sound; 1, 0.
 
-    slack: allowed violation of a soft and of a hard row from here on: that of the safe point, plus rounding. sound:
-    whether the safe point satisfies the hard rows.
+    slack: allowed violation of a soft row and of a hard row in the remaining computation, equal to the violation by the
+    safe point plus rounding. sound: whether the safe point satisfies the hard rows.
     """
     near, limits, stands = ca.SX.sym("near", sizes.n), ca.SX.sym("limits", 2), ca.SX.sym("stands")
     worst, hard = ca.SX.sym("worst", 2), ca.SX.sym("hard", 2)
@@ -161,19 +163,19 @@ def _choose(sizes: Sizes) -> Program:
 
 
 def _sweep_again(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """One row of the second sweep."""
+    """Return the state after one constraint row in the second sweep of projections."""
     return [_moved(state[0], row, _SWEEPS[1])]
 
 
 def _moved(point: ca.SX, row: ca.SX, part: float) -> ca.SX:
-    """The point moved towards the row by a fraction of its violation."""
+    """Return the point moved towards the feasible side of the constraint row by a fraction of the violation."""
     value = dot(row[:-3], point)
     missed = value - ca.fmin(ca.fmax(value, row[-3]), row[-2])
     return point - (part * missed) * row[:-3]
 
 
 def _inside(sizes: Sizes) -> Program:
-    """(point (n,), near, box) → the point moved into the box; near if the point is not finite."""
+    """Instruction list (point (n,), near, box) → the point moved into the box; near if the point is not finite."""
     n = sizes.n
     point, near, box = ca.SX.sym("point", n), ca.SX.sym("near", n), ca.SX.sym("box", 2 * n)
     finite = ca.SX(1)
@@ -184,7 +186,7 @@ def _inside(sizes: Sizes) -> Program:
 
 
 def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Fraction of the path from safe to goal within the row's slack; largest violation of any row at the goal."""
+    """Return the fraction of the path safe → goal with a violation of at most slack, and the largest goal violation."""
     (part, missed), (safe, goal, slack) = state, fixed
     from_, to = dot(row[:-3], safe), dot(row[:-3], goal)
     above, below = _misses(row, from_)
@@ -197,7 +199,7 @@ def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[c
 
 
 def _end(sizes: Sizes) -> Program:
-    """(near, safe, goal, slack, sound, part, missed) → point (n + 1,), no active rows, status."""
+    """Instruction list (near, safe, goal, slack, sound, part, missed) → point (n + 1,), no active rows, status."""
     n = sizes.n
     near, safe, goal = (ca.SX.sym(name, n) for name in ("near", "safe", "goal"))
     slack, sound, part, missed = ca.SX.sym("slack", 2), ca.SX.sym("sound"), ca.SX.sym("part"), ca.SX.sym("missed")

@@ -1,14 +1,16 @@
 """One iteration of the dual active-set method of Goldfarb and Idnani (1983) for min ‖y‖, as symbolic expressions.
 
-The rows act on a point, and the point moves with the unknown y (d,):
+The constraint rows apply to a point, which depends on the unknown y (d,):
 
     lower ≤ g·point ≤ upper,   point = start + M y
 
-or, if the opening t of the soft rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). Rows are
-priced at the point itself, `lanes` rows at a time, so the last pricing also checks the returned point. Up to d
-active rows are stored in slots, the empty ones last: normal, multiplier and signed row number (+ at the upper bound, −
-at the lower, 0 empty). Every iteration orthogonalises the slots again (modified Gram–Schmidt), so no factor is updated
-and errors do not accumulate. A row that needs several steps is pending between them.
+or, if the opening t of the soft constraint rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). The
+violation of the constraint rows is evaluated (priced) at the point itself, `lanes` rows side by side, so the last
+evaluation also checks the returned point. Up to d active rows are stored in slots, with empty slots at the end. A slot
+holds normal, multiplier and signed row number (+ at the upper bound, − at the lower, 0 empty). Every iteration
+orthogonalises the normals again (modified Gram–Schmidt), so errors do not accumulate as they would in an updated
+factorisation. A violated constraint row that needs several steps to enter the active set is called pending between
+these steps.
 """
 
 from __future__ import annotations
@@ -43,13 +45,13 @@ OPTIMAL, STUCK, SKIPPED = 1, 2, 3
 
 @dataclass(frozen=True)
 class Space:
-    """Sizes of the search, and which variables are free.
+    """Sizes of the active-set search, and which variables are free.
 
     Attributes:
-        n: number of entries of v, the point without t.
+        n: number of entries of v, that is, of the point without the opening t.
         d: length of y, at least 1.
-        opening: whether t is free as well; the point then has n + 1 entries, and d = n + 1.
-        mapped: whether M is an input; otherwise it is the identity.
+        opening: whether the opening t is free as well; the point then has n + 1 entries, and d = n + 1.
+        mapped: whether the matrix M is an input; otherwise M is the identity.
         precision: tolerances.
     """
 
@@ -61,19 +63,22 @@ class Space:
 
     @property
     def row(self) -> int:
-        """Number of entries of a row: normal, lower, upper, soft (no soft if M is the identity and t is fixed)."""
+        """Return the number of entries of a constraint row: normal, lower, upper, soft.
+
+        The entry soft is absent if M is the identity and t is fixed.
+        """
         return self.n + 3 if self.opening or self.mapped else self.n + 2
 
     @property
     def point(self) -> int:
-        """Number of entries of the point."""
+        """Return the number of entries of the point."""
         return self.n + self.opening
 
 
 def pricing(space: Space) -> Program:
-    """(turn, best, row, point) → best: the most violated row so far, as (violation, signed row number from 1).
+    """Instruction list (turn, best, row, point) → best: (violation, signed number) of the worst constraint row so far.
 
-    The comparison is strict: of equal rows in a lane the first is chosen, and a NaN never is.
+    The comparison is strict: of equally violated constraint rows the first is chosen, and a NaN is never chosen.
     """
     turn, best = ca.SX.sym("turn"), ca.SX.sym("best", 2)
     row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.point)
@@ -87,7 +92,7 @@ def pricing(space: Space) -> Program:
 
 
 def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Amounts by which the point is above the upper bound and below the lower bound (negative if inside)."""
+    """Return the amounts by which the point is above the upper and below the lower bound (negative if inside)."""
     n = space.n
     value = _sum([row[i] * point[i] for i in range(n)])
     if not space.opening:
@@ -97,26 +102,26 @@ def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _sum(terms: list[ca.SX]) -> ca.SX:
-    """Sum of the terms, added in pairs, which halves the latency."""
+    """Return the sum of the terms, added in pairs, which shortens the chain of dependent additions."""
     while len(terms) > 1:
         terms = [a + b for a, b in zip(terms[::2], terms[1::2], strict=False)] + terms[len(terms) // 2 * 2 :]
     return terms[0]
 
 
 def dot(a: ca.SX, b: ca.SX) -> ca.SX:
-    """The product a · b, summed in pairs."""
+    """Return the scalar product a · b, summed in pairs."""
     return _sum([a[i] * b[i] for i in range(a.numel())])
 
 
 def threshold(space: Space) -> Program:
-    """point → (smallest violation that counts, row number 0)."""
+    """Instruction list: point → (smallest violation that counts, row number 0)."""
     point = ca.SX.sym("point", space.point)
     least = space.precision.priced * _size(point[: space.n])
     return lower(ca.Function("threshold", [point], [ca.densify(ca.vertcat(least, 0))]))
 
 
 def halve() -> Program:
-    """(two violations, two row numbers) → (violation, number) of the row violated more; if equal, of the first row."""
+    """Instruction list (two violations, two numbers) → those of the row violated more, or of the first if equal."""
     four = ca.SX.sym("four", 4)
     tie = ca.logic_and(ca.eq(four[0], four[1]), ca.fabs(four[3]) < ca.fabs(four[2]))
     second = ca.logic_or(four[0] < four[1], tie)
@@ -125,7 +130,7 @@ def halve() -> Program:
 
 
 def close() -> Program:
-    """(best, pending, status) → status: optimal if no row is violated and none is pending."""
+    """Instruction list (best, pending, status) → status: optimal if no row is violated and no row is pending."""
     best, pending, status = ca.SX.sym("best", 2), ca.SX.sym("pending", 2), ca.SX.sym("status")
     idle = ca.logic_and(ca.eq(best[1], 0), ca.eq(pending[0], 0))
     after = ca.if_else(ca.logic_and(ca.eq(status, 0), idle), OPTIMAL, status)
@@ -140,7 +145,7 @@ def _size(v: ca.SX) -> ca.SX:
 
 
 def which() -> Program:
-    """(best, pending) → index and signed number of the row to process: the pending row, if any."""
+    """Instruction list (best, pending) → index and signed number of the row to process (a pending row goes first)."""
     best, pending = ca.SX.sym("best", 2), ca.SX.sym("pending", 2)
     number = ca.if_else(ca.eq(pending[0], 0), best[1], pending[0])
     return lower(ca.Function("which", [best, pending], [ca.fabs(number) - 1, number]))
@@ -148,7 +153,7 @@ def which() -> Program:
 
 @dataclass(frozen=True)
 class _Slots:
-    """Active rows in slots: normals (d,) each, multipliers, numbers; the empty slots last."""
+    """Active constraint rows in slots: normals (d,) each, multipliers, signed row numbers; empty slots at the end."""
 
     normals: list[ca.SX]
     multipliers: list[ca.SX]
@@ -160,7 +165,7 @@ class _Triangle:
     """Factors normals = Q R by modified Gram–Schmidt without square roots: Q orthogonal, R unit upper triangular.
 
     Attributes:
-        Q: columns. R: above the diagonal. inverse: 1/‖q‖² of each column, 0 in an empty slot.
+        Q: columns. R: entries above the diagonal. inverse: 1/‖q‖² of each column q of Q, 0 in an empty slot.
     """
 
     Q: list[ca.SX]
@@ -183,9 +188,9 @@ class _Triangle:
         return _Triangle(Q, R, inverse)
 
     def split(self, normal: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
-        """(part outside the span of Q, coordinates in Q); two passes suffice (Parlett 1998, 6.9).
+        """Return (part of the normal outside the span of Q, coordinates in Q); two passes suffice (Parlett 1998, 6.9).
 
-        If the last slot is in use, nothing is outside the span, so the first result ignores that slot.
+        If the last slot is in use, every normal lies in the span, so the first result may ignore the last slot.
         """
         outside, inside = normal, [ca.SX(0)] * len(self.Q)
         for _ in range(2):
@@ -197,7 +202,7 @@ class _Triangle:
         return outside, inside
 
     def solve(self, rhs: list[ca.SX]) -> list[ca.SX]:
-        """Solve R r = rhs; entries of empty slots are 0."""
+        """Solve R r = rhs by back substitution; the entries of r for empty slots are 0."""
         r = list(rhs)
         for j in reversed(range(len(r))):
             for k in range(j + 1, len(r)):
@@ -207,7 +212,7 @@ class _Triangle:
 
 @dataclass(frozen=True)
 class _Entering:
-    """The row to process, with its sign chosen so that normal · v ≤ bound: signed number, normal in y, violation."""
+    """The row to process, signed so that normal · v ≤ bound: signed row number, normal with respect to y, violation."""
 
     number: ca.SX
     normal: ca.SX
@@ -226,13 +231,14 @@ class _Entering:
 
 @dataclass(frozen=True)
 class _Place:
-    """Relation of the entering row to the active rows.
+    """Relation of the entering constraint row to the active constraint rows.
 
     Attributes:
-        outside: whether its normal is sufficiently outside their span.
-        whole, full: if so, step of the multiplier and displacement (d,) that satisfy the row.
-        rate: displacement (d,) for a unit step. r: decrease of the multipliers for a unit step. ratios: multipliers
-            divided by r.
+        outside: whether the normal of the entering row is sufficiently outside the span of the active normals.
+        whole, full: if outside, the step of the multiplier and the displacement (d,) of y that satisfy the entering
+            constraint row.
+        rate: displacement (d,) of y for a unit step of the multiplier. r: decrease of the active multipliers for a unit
+            step. ratios: multipliers divided by r.
     """
 
     outside: ca.SX
@@ -261,7 +267,7 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Step:
-    """Step length, and the change of the slots."""
+    """Step length, and the resulting change of the slots of active rows."""
 
     length: ca.SX
     displacement: ca.SX
@@ -294,10 +300,13 @@ class _Step:
 
 
 def iteration(space: Space) -> Program:
-    """(point, normals, multipliers, numbers, pending, status, count, number, row[, M]) → the first seven after a step.
+    """Instruction list for one iteration: it updates the first seven of its inputs.
 
-    normals: (d·d,), slot by slot. multipliers, numbers: (d,). pending: (2,), signed number (0: none) and multiplier.
-    number: signed number of the row. M: (n·d,) row by row, only if `mapped`.
+    The inputs are point, normals, multipliers, numbers, pending, status, count, number, row and, if `mapped`, M.
+
+    normals: (d·d,), slot by slot. multipliers: (d,), Lagrange multiplier in each slot. numbers: (d,), signed row number
+    in each slot. pending: (2,), signed number (0: none) and multiplier of the pending row. number: signed number of the
+    row to process. row: the entries of this row. M: (n·d,), stored row by row, only if `mapped`.
     """
     n, d = space.n, space.d
     point, normals, u = ca.SX.sym("point", space.point), ca.SX.sym("normals", d * d), ca.SX.sym("multipliers", d)
@@ -329,7 +338,7 @@ def iteration(space: Space) -> Program:
 
 
 def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, multiplier: ca.SX) -> _Slots:
-    """Slots after the step: those behind a dropped row move up, and the entering row takes the first empty slot."""
+    """Return the slots after the step: slots behind a dropped row move up, the entering row takes an empty slot."""
     columns: tuple[list[ca.SX], ...] = ([], [], [])
     left = [ca.fmax(u - step.length * ratio, 0) for u, ratio in zip(slots.multipliers, r, strict=True)]
     new = (entering.normal, multiplier, entering.number)

@@ -12,12 +12,14 @@ __all__ = ["Elimination", "Reflection", "as_matrix", "eliminate", "flat", "pseud
 
 
 class Elimination(NamedTuple):
-    """Elimination of p rows J (p, n) from n variables.
+    """Result of the elimination of p equalities J x = b, J (p, n), from n variables.
 
     Attributes:
-        lift: (n, p): v + lift (b − J v) is the point of J x = b nearest to v. Zero columns for dependent rows.
-        basis: (n, n), orthonormal columns; the first `rank` span the rows, the others are the free directions.
-        rank: number of independent rows.
+        lift: (n, p): v + lift (b − J v) is the point of J x = b nearest to v. The columns for dependent rows of J are
+            zero.
+        basis: (n, n), orthonormal columns; the first `rank` columns span the row space of J, the others the free
+            directions.
+        rank: number of independent rows of J.
     """
 
     lift: ca.SX
@@ -26,23 +28,23 @@ class Elimination(NamedTuple):
 
 
 def as_matrix(entries: ca.SX, columns: int) -> ca.SX:
-    """Matrix with these entries, stored row by row."""
+    """Return the matrix whose entries are stored row by row."""
     return ca.reshape(entries, columns, entries.numel() // columns).T
 
 
 def flat(matrix: ca.SX) -> ca.SX:
-    """Entries of a matrix, row by row, as a column."""
+    """Return the entries of a matrix, row by row, as a column."""
     return ca.reshape(ca.densify(matrix).T, -1, 1)
 
 
 class Reflection(NamedTuple):
-    """Elimination of p < n independent rows from n variables.
+    """Result of the elimination of p < n independent equalities J x = b from n variables.
 
     Attributes:
         origin: (n,), the shortest x with J x = b.
-        free: (n, n − p), orthonormal columns, the free directions.
+        free: (n, n − p), orthonormal columns that span the free directions.
         start: (n − p,), the target's coordinates in the free directions.
-        full: whether the rows are independent; if not, the other attributes are invalid.
+        full: whether the rows of J are independent; if not, the other attributes are invalid.
     """
 
     origin: ca.SX
@@ -52,7 +54,7 @@ class Reflection(NamedTuple):
 
 
 def reflect(J: ca.SX, b: ca.SX, target: ca.SX, precision: Precision = FLOAT64) -> Reflection:
-    """Householder elimination of p < n rows, expected to be independent, at a third of the cost of `eliminate`."""
+    """Eliminate p < n independent rows of J by Householder reflections, at a third of the cost of `eliminate`."""
     p, n = J.shape
     full, normals, weights, solved = ca.SX(1), list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for k in range(p):
@@ -80,7 +82,7 @@ def _mirror(x: ca.SX, normal: ca.SX, weight: ca.SX) -> ca.SX:
 
 
 def eliminate(J: ca.SX, precision: Precision = FLOAT64) -> Elimination:
-    """Householder elimination of the rows of J (p, n); a row that depends on earlier rows is skipped."""
+    """Eliminate the rows of J (p, n) by Householder reflections; a row that depends on earlier rows is skipped."""
     p, n = J.shape
     basis, rank = ca.SX.eye(n), ca.SX(0)
     triangle = ca.SX.zeros(n, p)  # column k: coefficients of b − J v for the variable that row k determines
@@ -110,9 +112,10 @@ def eliminate(J: ca.SX, precision: Precision = FLOAT64) -> Elimination:
 
 
 def pseudo_inverse(J: ca.SX, precision: Precision = FLOAT64) -> ca.SX:
-    """Moore-Penrose inverse (n, p) of J (p, n), by a complete orthogonal decomposition.
+    """Return the Moore-Penrose inverse (n, p) of J (p, n), by a complete orthogonal decomposition.
 
-    J = L Q.T with orthonormal columns Q of its row space; then L, which has full column rank, is eliminated as well.
+    J = L Q.T, where the columns of Q are an orthonormal basis of the row space of J. Then L, which has full column
+    rank, is eliminated as well.
     """
     left = eliminate(J, precision)
     Q = ca.horzcat(*(ca.if_else(left.rank > i, left.basis[:, i], 0) for i in range(J.shape[1])))
@@ -120,12 +123,12 @@ def pseudo_inverse(J: ca.SX, precision: Precision = FLOAT64) -> ca.SX:
 
 
 def _at_least(i: int, rank: ca.SX, k: int) -> ca.SX:
-    """Whether variable i is still free before row k; always true for i ≥ k."""
+    """Return whether variable i is still free before row k is eliminated; always true for i ≥ k."""
     return ca.SX(1) if i >= k else rank <= i
 
 
 def _is(i: int, rank: ca.SX, k: int) -> ca.SX:
-    """Whether row k, if independent, determines variable i."""
+    """Return whether row k of J, if independent of earlier rows, determines variable i."""
     if k == 0:
         return ca.SX(1 if i == 0 else 0)
     return ca.SX(0) if i > k else ca.eq(rank, i)

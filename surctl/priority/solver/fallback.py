@@ -1,13 +1,15 @@
-"""The safe step as one routine: a finite velocity for any input, by fallback stages of least-distance problems.
+"""The safe step as one routine: least-distance problems in fallback stages give a finite velocity for any input.
 
-1. The point nearest to the target that meets the task J v = x and satisfies every row.
-2. If stage 1 has no solution: of the points that meet the task as well as the rows allow, the nearest to the target.
-3. If the rows contradict each other: the smallest opening of the soft rows, then stage 2.
-4. If the hard rows contradict each other: the target in the box.
+1. Stage 1 finds the point nearest to the target that meets the task J v = x and satisfies every constraint row.
+2. If stage 1 has no solution, stage 2 finds, of the points that meet the task as well as the constraint rows allow, the
+   point nearest to the target.
+3. If the constraint rows contradict each other, stage 3 opens the soft rows as little as possible and repeats stage 2.
+4. If the hard constraint rows contradict each other, the result is the target moved into the box.
 
 Every result is moved into the box and checked. Module `stages` describes how stages 1 to 3 are solved.
 
-The bounded fallback tries stage 1 for a few iterations, then one stage of constant cost; see module `bounded`.
+The bounded fallback runs stage 1 for a few iterations and, if stage 1 fails, one stage of constant cost; see module
+`bounded`.
 """
 
 from __future__ import annotations
@@ -26,24 +28,26 @@ from surctl.priority.solver.stages import LIMITED, RELAXED, exact_stage, lower_s
 __all__ = ["BOUNDED", "CLAMPED", "LIMITED", "MET", "RELAXED", "safe_step"]
 
 MET, CLAMPED = 1, 4
-"""Status values in addition to `LIMITED`, `RELAXED` and `BOUNDED`: task met; v only moved into the box."""
+"""Status values besides `LIMITED`, `RELAXED`, `BOUNDED`. MET: task met. CLAMPED: v is only moved into the box."""
 
 
 def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallback: Fallback = "exact") -> Routine:
-    """(target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → the outputs of a safe step, always finite.
+    """Routine (target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → finite outputs of a safe step.
 
-    rows: a (n,), lower, upper, soft (1: may open, 0: may not), of any length. box: lower (n,), upper (n,).
-    Outputs: v (n,); active (n,), signed row numbers from 1 (+ at the upper bound, − at the lower, 0 empty) and
-    their multipliers (n,) of ½‖v − target‖², for rows of length 1; opening (1,) of the soft rows [row of length
-    1]; status (1,), see `MET` …; count (1,), total number of iterations.
+    rows: m constraint rows of any length; each is a (n,), lower, upper, soft (1: may open, 0: may not open). box: lower
+    (n,), upper (n,) bounds of v. Outputs: v (n,): velocity; active (n,): signed numbers of the active constraint rows,
+    from 1 (+ at the upper bound, − at the lower, 0 empty slot); multipliers (n,): Lagrange multipliers of the active
+    rows in min ½‖v − target‖², for rows of length 1; opening (1,): opening of the soft rows [row of length 1]; status
+    (1,): see `MET` …; count (1,): total number of iterations.
 
     Args:
         n: number of velocities, at least 1.
-        p: number of task rows, at least 1 (for no task, pass a row of zeros with x = 0).
-        m: number of rows, at least 1 (a row of zeros with infinite bounds is idle); multiples of 8 are fastest.
+        p: number of rows of J, at least 1 (for no task, pass a row of zeros with x = 0).
+        m: number of constraint rows, at least 1 (a row of zeros with infinite bounds is idle); multiples of 8 are
+            fastest.
         precision: tolerances for the number type with which the routine runs.
-        fallback: "exact", or "bounded". Both give the same result, to the last bit, if stage 1 succeeds within
-            `bounded.CAP` iterations. For a task with several rows, "bounded" does not handle dependent rows.
+        fallback: "exact" or "bounded". Both fallbacks give the same result, to the last bit, if stage 1 succeeds within
+            `bounded.CAP` iterations. If J has several rows, "bounded" does not handle dependent rows of J.
 
     Example:
         >>> import numpy as np
@@ -81,7 +85,7 @@ def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallbac
 
 
 def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Steps that check stage 1, and run the lower stages if it fails."""
+    """Steps that check the result of stage 1, and run the lower stages if stage 1 fails."""
     carried = ("point", "active", "multipliers", "status", "count", "none")
     after = tuple(f"{name}_down" for name in carried)
     return (
@@ -92,7 +96,7 @@ def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
 
 
 def _bounded_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Steps that check stage 1, if its search found a point, and run the stage of constant cost if it fails."""
+    """Steps that check the result of stage 1, if there is one, and run the stage of constant cost if stage 1 fails."""
     end = ca.SX.sym("end")
     failed = lower(ca.Function("failed", [end], [ca.logic_not(ca.eq(end, OPTIMAL))]))
     one = lower(ca.Function("done", [ca.SX.sym("failed")], [ca.SX.ones(1)]))
@@ -117,7 +121,7 @@ def _zero() -> Program:
 
 
 def _down(sizes: Sizes) -> Routine:
-    """Body of a loop that runs once if stage 1 fails: up to two passes over the lower stages."""
+    """Routine: body of a loop that runs once if stage 1 fails; it makes up to two passes over the lower stages."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("box", 2 * n))
@@ -134,14 +138,17 @@ def _down(sizes: Sizes) -> Routine:
 
 
 def _near(n: int) -> Program:
-    """The target moved into the box, as the start of stages 2 and 3 (small numbers lose less); the same with t = 0."""
+    """Instruction list → the target moved into the box, without and with t = 0 appended: start of stages 2 and 3."""
     target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
     near = ca.vertcat(*(into(target[i], box[i], box[n + i]) for i in range(n)))
     return lower(ca.Function("near", [target, box], [near, ca.densify(ca.vertcat(near, 0))]))
 
 
 def _judge(sizes: Sizes) -> Program:
-    """(point, kernel status, feasible, J, x) → MET or 0: MET if every task row holds, relative to its length."""
+    """Instruction list (point, solver status, feasible, J, x) → MET or 0.
+
+    MET: every row of J v = x holds to rounding, relative to the length of the row.
+    """
     n, p = sizes.n, sizes.p
     point, end, feasible = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("feasible")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -157,10 +164,10 @@ def _judge(sizes: Sizes) -> Program:
 
 
 def _finish(sizes: Sizes) -> Program:
-    """(point, status, safe, target, J, x, box) → v inside the box, finite for any input; opening; outcome.
+    """Instruction list (point, status, safe, target, J, x, box) → v inside the box and always finite, opening, status.
 
-    A point that results from a non-finite task or target does not count as a solution. If nothing better was found, a
-    point of stage 3 that satisfies the opened rows is accepted.
+    A point that results from a non-finite task or target does not count as a solution. If no stage found a solution
+    (status 0), a point of stage 3 that satisfies the opened constraint rows is accepted.
     """
     n, p, huge = sizes.n, sizes.p, sizes.precision.huge
     point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)

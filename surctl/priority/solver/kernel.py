@@ -1,8 +1,8 @@
-"""The least-distance solver as a routine: the iteration of `dual_step` in a bounded loop.
+"""The least-distance solver as a routine: it repeats the iteration of `dual_step` in a bounded loop.
 
-Rows are stored in blocks of one row for each lane, entry by entry (`surctl.ir.Loop`), so that one instruction prices
-several rows. The choice between equally violated rows does not depend on the lanes: one lane and four give the same
-numbers.
+Constraint rows are stored in groups (blocks) of as many rows as the processor handles side by side (lanes), entry by
+entry (`surctl.ir.Loop`), so that one instruction evaluates several rows. The choice between equally violated rows does
+not depend on the number of lanes: the result with one lane equals the result with four lanes.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ OPEN_CAP = 80
 
 
 def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
-    """Number of rows in a block: the largest of the precision's lanes (4, 2, 1) that divides the number of rows."""
+    """Return the number of rows in a block: the largest of 4, 2, 1 that divides `rows` and is at most the lanes."""
     return math.gcd(rows, precision.lanes)
 
 
 def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Reorder (…, rows, width) to (…, rows·width) in blocks, as the routines here expect them in double."""
+    """Reorder constraint rows (…, rows, width) to blocks (…, rows·width), as the routines expect in double."""
     *batch, count, width = rows.shape
     lanes = lanes_of(count)
     return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
 
 
 def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> Routine:
-    """The same routine with its first input, `rows` rows, stored row by row instead of in blocks."""
+    """Return the routine with its first input, `rows` constraint rows, stored row by row instead of in blocks."""
     if lanes_of(rows, precision) == 1:
         return routine
     (name, size), *others = routine.inputs
@@ -64,14 +64,14 @@ def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> R
 
 
 def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """(rows, base, skip[, Z]) → (point, numbers, multipliers, status, count).
+    """Routine (rows, base, skip[, Z]) → (point, numbers, multipliers, status, count).
 
-    The routine finds the point nearest to the base, measured in y, that satisfies all rows.
+    The routine finds the point that satisfies all constraint rows and is nearest to the base, measured in y.
 
-    rows: (rows·(n + 3),) in blocks, each a (of length 1, or 0), lower, upper, soft. base: (n + 1,), v and t. skip: if
-    nonzero, the result is the base with status `SKIPPED`. Z: (n·d,), row by row, orthonormal columns (or an orthogonal
-    projector); absent if the opening is free. status: 0 if `cap` (`CAP`, or `OPEN_CAP`) was reached; the point then
-    violates rows.
+    rows: (rows·(n + 3),), constraint rows in blocks; each is a (of length 1 or 0), lower, upper, soft. base: (n + 1,),
+    v and the opening t. skip: if nonzero, the result is the base with status `SKIPPED`. Z: (n·d,), row by row,
+    orthonormal columns (or an orthogonal projector); absent if the opening is free. status: final status of the search,
+    0 if `cap` (`CAP`, or `OPEN_CAP`) was reached; the point then violates rows.
     """
     n, d = space.n, space.d
     free = () if space.opening else (("Z", n * d),)
@@ -94,10 +94,11 @@ def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
 
 
 def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """(rows, origin, start, skip, Z) → (point, numbers, multipliers, status, count): like `kernel`, in d < n variables.
+    """Routine (rows, origin, start, skip, Z) → outputs of `kernel`, by a search in d < n variables.
 
-    The point is origin + Z y with opening 0, and y (d,) is nearest to start; the rows are reduced to y once. The origin
-    (n,) should be about as large as the solution, or the bounds of the rows lose digits; start may be far away.
+    The point is origin + Z y with opening 0, and y (d,) is the feasible value nearest to start. The constraint rows are
+    converted once to constraints on y. The origin (n,) should be about as large as the solution, or the bounds of the
+    constraint rows lose digits; start may be far from the solution.
     """
     n, d = space.n, space.d
     lanes = lanes_of(rows, space.precision)
@@ -116,7 +117,7 @@ def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
 
 
 def _reduce(space: Space) -> Program:
-    """(row, origin, Z) → the row on y: Z.T a, with lower and upper reduced by the row's value at the origin."""
+    """Instruction list (row, origin, Z) → constraint row on y: Z.T a, lower and upper reduced by a · origin."""
     n, d = space.n, space.d
     row, origin, Z = ca.SX.sym("row", n + 3), ca.SX.sym("origin", n), ca.SX.sym("Z", n * d)
     value = ca.dot(row[:n], origin)
@@ -125,7 +126,7 @@ def _reduce(space: Space) -> Program:
 
 
 def _search(space: Space, rows: int, cap: int | None) -> Routine:
-    """(rows, start, skip[, M]) → (point, numbers, multipliers, status, count)."""
+    """Routine (constraint rows, start, skip[, M]) → (point, numbers, multipliers, status, count)."""
     free = (("M", space.n * space.d),) if space.mapped and not space.opening else ()
     space = space if free else Space(space.n, space.d, space.opening, mapped=False, precision=space.precision)
     width = space.row
@@ -166,7 +167,7 @@ def _state(space: Space) -> tuple[tuple[str, int], ...]:
 
 
 def _start(space: Space) -> Program:
-    """(start, skip) → the state before the first pricing."""
+    """Instruction list (start, skip) → the state before the violations are first evaluated."""
     base, skip = ca.SX.sym("base", space.point), ca.SX.sym("skip")
     d = space.d
     zeros = [ca.SX.zeros(size, 1) for size in (d * d, d, d, 2)]
@@ -175,7 +176,7 @@ def _start(space: Space) -> Program:
 
 
 def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
-    """The most violated row at point{tag}: first of each lane, then of pairs of lanes, until one row is left."""
+    """Steps that find the most violated row at point{tag}: first in each lane of parallel rows, then among lanes."""
     lanes = lanes_of(rows, space.precision)
     names = [f"best{tag}" if left == 1 else f"best{tag}_of_{left}" for left in (8, 4, 2, 1) if left <= lanes]
     halves: list[Step] = []
@@ -193,7 +194,7 @@ def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
 
 
 def _turn(space: Space, rows: int) -> Routine:
-    """One step with the pending row or the most violated row; then all rows are priced again."""
+    """Routine for one iteration with the pending or most violated constraint row; it then evaluates all violations."""
     state, lanes = _state(space), lanes_of(rows, space.precision)
     free = (("M", space.n * space.d),) if space.mapped else ()
     names = tuple(name for name, _ in state[:-2])
@@ -212,9 +213,9 @@ def _turn(space: Space, rows: int) -> Routine:
 
 
 def certificate(space: Space, rows: int) -> Routine:
-    """(rows, point) → 1 if the point (n + 1,) satisfies every row to `feasibility`·max(1, |v|), else 0.
+    """Routine (rows, point) → 1 if the point (n + 1,) satisfies every row to `feasibility`·max(1, |v|), else 0.
 
-    The test states what must hold, not what is violated, because every comparison with a NaN is false.
+    The test is written as the condition that must hold, because every comparison with a NaN is false.
     """
     n, lanes = space.n, lanes_of(rows, space.precision)
     full = Space(n, space.d, space.opening, precision=space.precision)

@@ -1,10 +1,11 @@
-"""Stage 2: the least-squares solution of the task inside the rows, exact to rounding.
+"""Stage 2: the least-squares solution of the task subject to the constraint rows, exact to rounding.
 
-min ‖v − c‖² + ‖J v − x‖²/δ² over the rows is itself a least-distance problem, in v and the scaled residuals
-(J v − x)/δ, with equalities that are always independent: it is a proximal step from c (Rockafellar 1976). The step
-finds the active rows, and the least-squares problem is then solved directly on these. If that point satisfies every row
-and its multipliers have the right sign, it is the minimiser. Otherwise the step is repeated from its result with a
-smaller δ, because v hardly moves in a direction in which J is shorter than δ.
+min ‖v − c‖² + ‖J v − x‖²/δ² subject to the constraint rows is a proximal step from c (Rockafellar 1976). It is also a
+least-distance problem in v and the scaled residuals (J v − x)/δ, with equalities that are always independent. The
+proximal step finds the active constraint rows, and the least-squares problem is then solved directly with these rows as
+equalities. If the direct solution satisfies every constraint row and its multipliers have the right signs, it is the
+minimiser. Otherwise the proximal step is repeated from its result with a smaller δ, because v hardly moves in a
+direction in which J is shorter than δ.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ _STEPS = 5
 
 
 def least_squares(sizes: Sizes) -> Routine:
-    """(open, near (n,), opening (1,), J, x) → (point (n + 1,), active (n,), multipliers (n,), status, count).
+    """Routine (open, near (n,), opening (1,), J, x) → (point (n + 1,), active (n,), multipliers (n,), status, count).
 
-    The point minimises ‖J v − x‖ over the open rows (m·(n + 3),); status is 1 if it was found. The active rows are
-    those of this problem; they have no multipliers of the distance, so these outputs are 0.
+    The point minimises ‖J v − x‖ subject to the constraint rows `open` (m·(n + 3),); status is 1 if the point was
+    found. active: constraint rows active in this minimisation. multipliers: 0, since no distance to a target is
+    minimised.
     """
     n, p = sizes.n, sizes.p
     inputs = (("open", sizes.rows), ("near", n), ("opening", 1), ("J", p * n), ("x", p))
@@ -42,7 +44,7 @@ def least_squares(sizes: Sizes) -> Routine:
 
 
 def _begin(sizes: Sizes) -> Program:
-    """The initial state, J and x divided by the length of J's longest row, and zero multipliers."""
+    """Instruction list → the initial state, J and x divided by the length of the longest row of J, zero multipliers."""
     n, p = sizes.n, sizes.p
     near, opening = ca.SX.sym("near", n), ca.SX.sym("opening")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -57,7 +59,7 @@ def _begin(sizes: Sizes) -> Program:
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """One proximal step, then the minimiser on the active rows of that step."""
+    """Routine for one proximal step, followed by the direct solution with the active rows of the step."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("delta", 1), ("status", 1), ("count", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p))
@@ -80,13 +82,13 @@ def _turn(sizes: Sizes) -> Routine:
 
 
 def _unsolved() -> Program:
-    """Kernel status → 0, and whether the kernel found no point."""
+    """Instruction list: solver status → 0, whether the solver found no point."""
     end = ca.SX.sym("end")
     return lower(ca.Function("unsolved", [end], [ca.SX.zeros(1), ca.logic_not(ca.eq(end, OPTIMAL))]))
 
 
 def _polish(sizes: Sizes) -> Routine:
-    """Body of a loop that runs once if the kernel found a point: the direct solution on the active rows."""
+    """Routine: body of a loop that runs once if the solver found a point; it computes the direct solution."""
     n, p = sizes.n, sizes.p
     state = (("candidate", n + 1), ("good", 1), ("feasible", 1), ("stop", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p), ("numbers", n))
@@ -103,7 +105,7 @@ def _polish(sizes: Sizes) -> Routine:
 
 
 def _weigh(sizes: Sizes) -> Program:
-    """(point, δ, J, x) → base and Z (in v) of the problem in (v, (J v − x)/δ), and 0."""
+    """Instruction list (point, δ, J, x) → base and Z (in v) of the problem in (v, (J v − x)/δ), and 0."""
     n, p = sizes.n, sizes.p
     point, delta = ca.SX.sym("point", n + 1), ca.SX.sym("delta")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -115,15 +117,15 @@ def _weigh(sizes: Sizes) -> Program:
 
 
 def _indices(n: int) -> Program:
-    """Signed row numbers → row indices; −1 for an empty slot."""
+    """Instruction list: signed row numbers → row indices; −1 for an empty slot."""
     numbers = ca.SX.sym("numbers", n)
     return lower(ca.Function("indices", [numbers], [ca.fabs(numbers[j]) - 1 for j in range(n)]))
 
 
 def _direct(sizes: Sizes) -> Program:
-    """(candidate, numbers, J, x, row of each slot) → minimiser of ‖J v − x‖ on the active rows; whether it is optimal.
+    """Instruction list (candidate, numbers, J, x, active rows) → minimiser of ‖J v − x‖ on these rows, whether optimal.
 
-    It is optimal if J.T (x − J v) is a combination of the active normals with multipliers of the right sign.
+    The minimiser is optimal if J.T (x − J v) is a combination of the active normals with multipliers of the right sign.
     """
     n, p = sizes.n, sizes.p
     candidate, numbers = ca.SX.sym("candidate", n + 1), ca.SX.sym("numbers", n)
@@ -158,7 +160,7 @@ def _direct(sizes: Sizes) -> Program:
 
 
 def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.SX:
-    """Rows of J in the free directions; a row that is only rounding noise is set to zero."""
+    """Return the rows of J restricted to the free directions; a row that is only rounding noise is set to zero."""
     rows = []
     for k in range(matrix.shape[0]):
         left = ca.sumsqr(projected[k, :]) > precision.cutoff**2 * ca.sumsqr(matrix[k, :])
@@ -167,7 +169,7 @@ def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.
 
 
 def _decide(sizes: Sizes) -> Program:
-    """Stop if the direct point is optimal and feasible (1), or if no feasible point exists (3); otherwise reduce δ."""
+    """Instruction list: stop if the direct solution is optimal and feasible (1) or none exists (3); else reduce δ."""
     n = sizes.n
     point, active, delta = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("delta")
     status, count = ca.SX.sym("status"), ca.SX.sym("count")
@@ -188,7 +190,7 @@ def _decide(sizes: Sizes) -> Program:
 
 
 def _end(sizes: Sizes) -> Program:
-    """(status, δ, feasible) → whether the point is valid: optimal, or the result of at least one proximal step."""
+    """Instruction list (status, δ, feasible) → whether the point is optimal or the result of a proximal step."""
     status, delta, feasible = ca.SX.sym("status"), ca.SX.sym("delta"), ca.SX.sym("feasible")
     stepped = ca.logic_or(ca.eq(status, OPTIMAL), delta < sizes.precision.delta)
     return lower(ca.Function("least_squares_end", [status, delta, feasible], [ca.logic_and(stepped, feasible)]))

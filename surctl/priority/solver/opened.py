@@ -1,9 +1,10 @@
-"""Stage 3: the smallest t by which the soft rows must open, exact to rounding.
+"""Stage 3: the smallest opening t of the soft constraint rows that makes all rows consistent, exact to rounding.
 
-min t over the rows is a linear programme. A proximal step from (v, t) is the least-distance problem from (v, t − γ).
-Finitely many steps reach a minimiser (Mangasarian and Meyer 1979 for one, Ferris 1991 for several). A step of length s
-leaves t at most s·D/γ above the minimum, where D is the diameter of the feasible set; the steps stop when this bound is
-negligible. γ grows, since nearly parallel rows need a large γ, and is small in the last step to limit rounding.
+The minimisation of t subject to the constraint rows is a linear programme. A proximal step of this programme from (v,
+t) is a least-distance problem with target (v, t − γ). Finitely many steps reach a minimiser (Mangasarian and Meyer 1979
+for a single step, Ferris 1991 for several steps). After a step of length s, t is at most s·D/γ above the minimum, where
+D is the diameter of the feasible set; the steps stop when this bound is negligible. γ grows, since nearly parallel
+constraint rows need a large γ. In the last step, γ is small to limit rounding errors.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ _STEPS = 7
 
 
 def opened(sizes: Sizes) -> Routine:
-    """(unit, near (n,), point (n + 1,), skip) → (wide (n + 1,), solved, feasible, count).
+    """Routine (unit, near (n,), point (n + 1,), skip) → (wide (n + 1,), solved, feasible, count).
 
-    wide: a point with the smallest opening (not below that of the input point) plus a margin for rounding, or the input
-    point if the search failed. skip: if nonzero, nothing is done. feasible: whether wide satisfies the opened rows.
+    wide: a point with the smallest opening plus a margin for rounding, or the input point if the search failed; its
+    opening is never below the opening of the input point. skip: if nonzero, nothing is done. feasible: whether wide
+    satisfies the opened constraint rows.
     """
     n, tight = sizes.n, sizes.precision
     state = ("low", "gamma", "ends", "solved", "count")
@@ -48,14 +50,14 @@ def opened(sizes: Sizes) -> Routine:
 
 
 def _begin(n: int, precision: Precision) -> Program:
-    """(near, skip) → the point (near, 0), γ, the stop flag, solved = 0, count = 0."""
+    """Instruction list (near, skip) → the point (near, 0), γ, the stop flag, solved = 0, count = 0."""
     near, skip = ca.SX.sym("near", n), ca.SX.sym("skip")
     outputs = [ca.vertcat(near, 0), ca.SX(precision.pull), skip, ca.SX.zeros(1), ca.SX.zeros(1)]
     return lower(ca.Function("open_begin", [near, skip], list(map(ca.densify, outputs))))
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """One proximal step; a step that fails ends the loop and leaves the point unchanged."""
+    """Routine for one proximal step; a step that fails ends the loop and leaves the point unchanged."""
     n = sizes.n
     steps = (
         Call(_pull(n), ("low", "gamma"), ("base", "go")),
@@ -79,14 +81,14 @@ def _size(point: ca.SX) -> ca.SX:
 
 
 def _pull(n: int) -> Program:
-    """(point, γ) → the base (v, t − γ·size), and 0."""
+    """Instruction list (point, γ) → the target (v, t − γ·size) of the least-distance problem, and 0."""
     point, gamma = ca.SX.sym("point", n + 1), ca.SX.sym("gamma")
     base = ca.vertcat(point[:n], point[n] - gamma * _size(point))
     return lower(ca.Function("pull", [point, gamma], [base, ca.SX.zeros(1)]))
 
 
 def _judge(n: int, precision: Precision) -> Program:
-    """The state after a step; the loop stops when t can hardly decrease further, or when the step failed."""
+    """Instruction list → the state after a step; the loop stops if t can hardly decrease further or the step failed."""
     low, gamma, ends, solved = ca.SX.sym("low", n + 1), ca.SX.sym("gamma"), ca.SX.sym("ends"), ca.SX.sym("solved")
     count, after, why, spent = ca.SX.sym("count"), ca.SX.sym("after", n + 1), ca.SX.sym("why"), ca.SX.sym("spent")
     good = ca.eq(why, OPTIMAL)
@@ -106,14 +108,14 @@ def _judge(n: int, precision: Precision) -> Program:
 
 
 def _clean(n: int, precision: Precision) -> Program:
-    """(point, solved) → the base of the last step, and whether to skip that step."""
+    """Instruction list (point, solved) → target of the last step, whether to skip the last step."""
     low, solved = ca.SX.sym("low", n + 1), ca.SX.sym("solved")
     base = ca.vertcat(low[:n], low[n] - precision.pull * _size(low))
     return lower(ca.Function("clean", [low, solved], [base, ca.logic_not(solved)]))
 
 
 def _widened(n: int, precision: Precision) -> Program:
-    """The cleaned point (or the one before, or the input point) with a margin on its opening; solved; count."""
+    """Instruction list → result of the last step (else of the loop, else the input) with a margin; solved; count."""
     low, solved, cleaned = ca.SX.sym("low", n + 1), ca.SX.sym("solved"), ca.SX.sym("cleaned", n + 1)
     end, point = ca.SX.sym("end"), ca.SX.sym("point", n + 1)
     count, spent = ca.SX.sym("count"), ca.SX.sym("spent")

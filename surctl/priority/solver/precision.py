@@ -1,4 +1,4 @@
-"""Tolerances of the solver for one number type, and how many rows it processes side by side."""
+"""Tolerances of the solver for one number type, and the number of constraint rows processed side by side."""
 
 from __future__ import annotations
 
@@ -12,24 +12,27 @@ LONGEST = 1e140
 
 @dataclass(frozen=True)
 class Precision:
-    """Tolerances of the solver; those of rows are for rows of length 1 and relative to 1 + max |v|.
+    """Tolerances of the solver; tolerances of rows apply to rows of length 1 and are relative to 1 + max |v|.
 
     Attributes:
-        priced: during the search, a row violated by at most this counts as satisfied.
-        rounding: same for a row that depends on the active rows; above this, they are incompatible.
-        feasibility: when a solution is checked, a row violated by at most this counts as satisfied.
+        priced: largest violation at which a constraint row counts as satisfied during the search.
+        rounding: largest violation at which a row that depends on the active rows counts as satisfied; with a larger
+            violation, the rows are incompatible.
+        feasibility: largest violation at which a constraint row counts as satisfied when a solution is checked.
         parallel: smallest squared component of a normal outside the span of the active normals.
-        pushing: smallest decrease rate of a multiplier that counts.
-        cutoff: a row of length 1 with this distance from the span of the rows above it counts as dependent.
-        short: length up to which a row counts as a row of zeros.
-        unit: rows whose squared length differs from 1 by at most this are not scaled.
-        never, huge: a number that replaces infinity; the largest entry of a solution.
-        delta, shrink: start value and reduction factor of δ in the proximal steps of stage 2.
-        sign, noise: tolerances for a multiplier of the wrong sign in stage 2, relative to the task residual and to
-            1 + max |v|.
-        pull, growth, gap: start value and growth factor of γ in the proximal steps of stage 3, and stop tolerance.
+        pushing: smallest decrease rate of a multiplier that does not count as 0.
+        cutoff: largest distance from the span of the rows above at which a row of length 1 counts as dependent.
+        short: largest length at which a row counts as a row of zeros.
+        unit: largest difference between squared length and 1 at which a constraint row is not scaled.
+        never: number that replaces infinity. huge: largest allowed entry of a solution.
+        delta: start value of δ in the proximal steps of stage 2. shrink: reduction factor of δ.
+        sign: tolerance for a multiplier of the wrong sign in stage 2, relative to the task residual. noise: the
+            corresponding tolerance relative to 1 + max |v|.
+        pull: start value of γ in the proximal steps of stage 3. growth: growth factor of γ. gap: tolerance at which
+            these steps stop.
         margin: margin added to the smallest opening.
-        lanes: rows processed side by side, 1, 2 or 4; float has 1, for processors without vector units.
+        lanes: number of constraint rows processed side by side: 1, 2 or 4; 1 for float, for processors without vector
+            units.
     """
 
     priced: float

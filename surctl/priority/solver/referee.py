@@ -1,13 +1,15 @@
-"""An independent check of the lower fallback stages, by linear programmes and non-negative least squares.
+"""An independent check of the results of fallback stages 2 and 3, by linear programmes and non-negative least squares.
 
-It shares no code with the solver. For `limited` and `relaxed` solutions v with opening t of the soft rows it computes
+The check shares no code with the solver. For `limited` and `relaxed` solutions v with opening t of the soft constraint
+rows, the check computes
 
-* by how much t could be smaller: the linear programme min t over all rows (HiGHS);
-* by how much ‖J v − x‖ could be smaller: with r = x − J v, an upper bound is the largest r·J(w − v)/‖r‖ over all w
-  that satisfy the rows (a convex function lies above its tangent), also a linear programme. Its multipliers show how
-  much of the bound is due to rounding of the rows: nearly parallel rows make any solution inaccurate;
-* the nearest point with the same J v: least distance as non-negative least squares (Lawson and Hanson 1974,
-  chapter 23; scipy's nnls).
+* by how much t could be smaller: from the linear programme min t subject to all constraint rows (HiGHS);
+* by how much ‖J v − x‖ could be smaller: with r = x − J v, an upper bound is the largest r·J(w − v)/‖r‖ over all w that
+  satisfy the constraint rows (a convex function lies above its tangent), also a linear programme. The multipliers of
+  this programme show how much of the bound is due to rounding of the constraint rows, because nearly parallel rows make
+  any solution inaccurate;
+* the point nearest to the target with the value of J v, from a least-distance problem solved as non-negative least
+  squares (Lawson and Hanson 1974, chapter 23; scipy's nnls).
 """
 
 from __future__ import annotations
@@ -28,12 +30,14 @@ _TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of the check for one solution; NaN where the check itself fails.
+    """Result of the check for one solution; an attribute is NaN if its check fails to run.
 
     Attributes:
-        opening: t minus the smallest t.
-        task: ‖J v − x‖ minus the smallest value that the opened rows allow, divided by the length of J's longest row.
-        weight: largest sum of the multipliers of that bound: its sensitivity to changes of the rows.
+        opening: opening t of the solution minus the smallest possible opening.
+        task: ‖J v − x‖ minus the smallest value that the opened constraint rows allow, divided by the length of J's
+            longest row.
+        weight: largest sum of the multipliers in the bound for `task`, that is, the sensitivity of `task` to changes of
+            the constraint rows.
         distance: largest entry of the difference between v and the nearest point, relative to 1 + max |target|.
     """
 
@@ -44,7 +48,7 @@ class Finding:
 
 
 def examine(trials: Trials, v: Array, opening: Array) -> list[Finding]:
-    """Return one finding for each problem; v (N, n), opening (N,)."""
+    """Return one `Finding` for each of N problems, with solutions v (N, n) and openings (N,)."""
     A, lower, upper, soft = trials.unit()
     findings = []
     for k, (point, t) in enumerate(zip(v, opening, strict=True)):
@@ -63,7 +67,7 @@ def examine(trials: Trials, v: Array, opening: Array) -> list[Finding]:
 
 
 def _one_sided(rows: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """G, h with G z ≤ h; the last column belongs to the opening, which widens both bounds."""
+    """Return G, h of the constraints G z ≤ h; the last column of G belongs to the opening, which widens both bounds."""
     above, below = np.isfinite(upper), np.isfinite(lower)
     turned = np.column_stack([-rows[below, :-1], rows[below, -1]])
     return np.vstack([rows[above], turned]), np.concatenate([upper[above], -lower[below]])
@@ -79,10 +83,10 @@ def _least_opening(G: Array, h: Array) -> float:
 
 
 def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, float]:
-    """How far ‖J v − x‖ exceeds a lower bound of its minimum, and the largest sum of multipliers.
+    """Return by how much ‖J v − x‖ exceeds a lower bound of its minimum, and the largest sum of multipliers.
 
-    The bound is that of the tangent at v, or, where this is loose, at a better point: the best combination of v and the
-    solutions of the linear programmes so far (Frank and Wolfe 1956, fully corrective).
+    The bound comes from the tangent of ‖J v − x‖ at v, or, if this bound is loose, at a better point: the best
+    combination of v and the solutions of the linear programmes so far (Frank and Wolfe 1956, fully corrective).
     """
     from scipy.optimize import linprog
 
@@ -111,7 +115,7 @@ def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, fl
 
 
 def _closest(corners: Array, J: Array, x: Array) -> Array:
-    """The combination of corners, with weights of at least 0 and sum 1, that minimises ‖J v − x‖."""
+    """Return the convex combination of the corners that minimises ‖J v − x‖."""
     from scipy.optimize import nnls
 
     images = (J @ corners.T) - x[:, None]
@@ -124,7 +128,7 @@ def _closest(corners: Array, J: Array, x: Array) -> Array:
 
 
 def _distance(G: Array, h: Array, J: Array, target: Array, v: Array) -> float:
-    """Distance between v and the minimiser of ‖w − target‖ over w with J w = J v and G w ≤ h."""
+    """Return the distance between v and the minimiser of ‖w − target‖ over all w with J w = J v and G w ≤ h."""
     from scipy.optimize import nnls
 
     length = np.linalg.norm(J, axis=1, keepdims=True)

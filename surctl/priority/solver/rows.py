@@ -1,4 +1,4 @@
-"""Sizes shared by the routines of the fallback stages, and routines that several of them call."""
+"""Sizes shared by the routines of the fallback stages, and routines that several stages call."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ __all__ = ["Sizes", "into", "unit_rows"]
 
 
 class Sizes:
-    """Sizes of the fallback routines: n velocities, p task rows, m limit rows.
+    """Sizes of the fallback routines: n velocities, p rows of the task Jacobian J, m constraint rows.
 
     Attributes:
         precision: tolerances.
-        cap: largest number of iterations of a search for v; None means the limit of `kernel`.
-        general: search space with v free in n directions. fast: in n − p, after p independent task rows (None if
-            p ≥ n). opening: with v and the opening free.
-        rows: number of entries of all rows. lanes, blocks: rows in a block, and number of blocks.
-        general_kernel, opening_kernel, certificate, opening_certificate: routines from `kernel`.
+        cap: largest number of iterations of a search for v; None means the limit that module `kernel` sets.
+        general: search space with v free in n directions. fast: search space with v free in n − p directions, after
+            elimination of p independent rows of J (None if p ≥ n). opening: search space with v and the opening free.
+        rows: number of entries of all constraint rows. lanes: number of rows in a block. blocks: number of blocks.
+        general_kernel, opening_kernel: solver routines from module `kernel`. certificate, opening_certificate:
+            feasibility checks from that module.
     """
 
     def __init__(self, n: int, p: int, m: int, precision: Precision = FLOAT64, *, cap: int | None = None) -> None:
@@ -39,10 +40,11 @@ class Sizes:
 
 
 def unit_rows(sizes: Sizes) -> tuple[Step, ...]:
-    """Convert rows (m·(n + 3),), stored row by row, to unit: in blocks, with each row scaled to length 1.
+    """Steps that convert `rows` (m·(n + 3),), stored row by row, to `unit`: in blocks, each row scaled to length 1.
 
-    A row of zeros keeps its bounds: it is always or never satisfied. A row whose squared length exceeds `huge` is never
-    satisfied. With one lane a block is a row, and rows that already have length 1 are checked without a copy.
+    A constraint row with zero normal keeps its bounds, so it is either always or never satisfied. A constraint row
+    whose squared length exceeds `huge` is never satisfied. If a block holds one constraint row (one lane), rows that
+    already have length 1 are not copied.
     """
     if sizes.lanes == 1:
         look: tuple[Step, ...] = (
@@ -67,13 +69,13 @@ def _one() -> Program:
 
 
 def _load(sizes: Sizes) -> Program:
-    """(all rows of this lane are of length 1 or 0, row) → the same including this row; the row."""
+    """Instruction list (flag, row) → flag: 1 if all rows of this lane so far have length 1 or 0; the row."""
     yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
     return lower(ca.Function("load", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0), row]))
 
 
 def _look(sizes: Sizes) -> Program:
-    """(all rows so far are of length 1 or 0, row) → the same including this row."""
+    """Instruction list (flag, row) → flag: 1 if all constraint rows so far have length 1 or 0."""
     yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
     return lower(ca.Function("look", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0)]))
 
@@ -91,7 +93,7 @@ def _every(lanes: int) -> Program:
 
 
 def _scaling(sizes: Sizes) -> Routine:
-    """Body of a loop that runs once if some row has a length other than 0 or 1."""
+    """Routine: body of a loop that runs once if some constraint row has a length other than 0 or 1."""
     n = sizes.n
     row = ca.SX.sym("row", n + 3)
     square = ca.sumsqr(row[:n])
@@ -111,6 +113,6 @@ def _scaling(sizes: Sizes) -> Routine:
 
 
 def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    """The value moved between the bounds; a NaN is replaced by the lower bound."""
+    """Return the value moved between the bounds; a NaN is replaced by the lower bound."""
     above = ca.if_else(low <= value, value, low)
     return ca.if_else(above <= high, above, high)

@@ -1,4 +1,4 @@
-"""The safe step, compiled for fixed sizes and called with arrays."""
+"""The safe step as a Python function of arrays, compiled for fixed sizes."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ class SafePoint:
     """Result of `least_distance`.
 
     Attributes:
-        v: (n,), finite and inside the box.
+        v: velocity (n,), always finite and inside the box.
         stage: the fallback stage that gave v.
-        binding: (name, multiplier) of the active rows, of ½‖v − target‖² for the rows as passed in: positive at an
-            upper bound, negative at a lower bound. Empty unless v solves a least-distance problem.
-        opening: amount by which soft rows had to open [row of length 1].
+        binding: (name, Lagrange multiplier) of each active constraint row in min ½‖v − target‖², for the unscaled row;
+            positive at an upper bound, negative at a lower bound. `binding` is empty unless v solves a least-distance
+            problem.
+        opening: amount by which soft constraint rows had to open [row of length 1].
         iterations: number of active-set iterations, over all stages.
     """
 
@@ -51,7 +52,7 @@ class SafePoint:
 
 @cache
 def step_runner(n: int, p: int, m: int) -> Runner:
-    """`safe_step` of these sizes, compiled once; without a compiler `replay` gives the same numbers, but slower."""
+    """A `safe_step` of fixed sizes, compiled once; without a compiler, `replay` gives the same numbers more slowly."""
     return runnable(safe_step(n, p, m))
 
 
@@ -72,23 +73,28 @@ def least_distance(
     box: tuple[ArrayLike, ArrayLike] | None = None,
     names: tuple[str, ...] | None = None,
 ) -> SafePoint:
-    """Return the point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper, or the next fallback (`fallback`).
+    """Return the point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper.
 
-    Results are exact to rounding, with two exceptions. If nearly parallel rows contradict each other, the opening is
-    the smallest one, but the task residual may be larger than the opened rows allow (by 1e-11 divided by the angle
-    between the rows). Rows that intersect only far away (1e9 times the size of the box) are opened instead.
+    If there is no such point, return the result of the next fallback stage (see `fallback`).
+
+    Results are exact to rounding, with two exceptions. If nearly parallel rows of A contradict each other, the opening
+    is the smallest possible, but the task residual may be larger than the opened rows allow (by 1e-11 divided by the
+    angle between the rows). Constraint rows that have common points only far away (1e9 times the size of the box) are
+    opened instead.
 
     Args:
         target: (n,).
-        A, lower, upper: rows (m, n) of any length and bounds (m,); an absent bound is ±inf.
+        A: (m, n), normals of the constraint rows, of any length. lower, upper: (m,), bounds of A v; an absent bound is
+            ±inf.
         J, x: the task, (p, n) and (p,). None: no task.
-        soft: (m,), true for rows that may open when the rows contradict each other. None: all may.
-        box: lower and upper (n,) into which v is moved at the end. None: no box. A must contain its rows as well.
-        names: names of the rows; "row 0", … if None.
+        soft: (m,), true for constraint rows that may open if the rows contradict each other. None: all may.
+        box: lower (n,) and upper (n,), bounds into which v is moved at the end. None: no box. A must contain the bounds
+            of the box as rows as well.
+        names: names of the constraint rows; "row 0", … if None.
 
     Raises:
-        InputError: the shapes disagree, a number is not finite, an entry of A or J exceeds 1e140, or bounds cross;
-            the message names the row.
+        InputError: the shapes disagree, a number is not finite, an entry of A or J exceeds 1e140, or bounds cross; the
+            message names the constraint row.
 
     Example:
         >>> import numpy as np
@@ -127,9 +133,11 @@ def least_distance(
 
 
 def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array, int, int]:
-    """Solve min ½‖y‖² with lower ≤ G y ≤ upper, rows of length 1: (y, multipliers (m,), status, iterations).
+    """Solve min ½‖y‖² with lower ≤ G y ≤ upper, rows of length 1.
 
-    The status is one of those in `dual_step` (0: iteration limit reached).
+    Returns: y (d,), multipliers (m,), status, number of iterations.
+
+    The status is a status value of `dual_step`, or 0 if the iteration limit was reached.
     """
     m, d = G.shape
     size = -(-m // _BUCKET) * _BUCKET
@@ -145,7 +153,7 @@ def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array,
 
 
 def idle_row(n: int) -> Array:
-    """A row that never binds."""
+    """Return a constraint row that never binds."""
     return np.concatenate([np.zeros(n), [-np.inf, np.inf, 0.0]])
 
 
@@ -157,7 +165,7 @@ def _length(a: Array) -> float:
 def _rows(
     n: int, A: ArrayLike, lower: ArrayLike, upper: ArrayLike, soft: ArrayLike | None, names: tuple[str, ...] | None
 ) -> tuple[Array, tuple[str, ...]]:
-    """The checked rows (m, n + 3) and their names."""
+    """Return the checked constraint rows (m, n + 3) and their names."""
     normals = _array("A", A, (None, n))
     m = len(normals)
     named = tuple(f"row {i}" for i in range(m)) if names is None else names

@@ -1,9 +1,9 @@
-"""The stages of the safe step, each a routine over the kernel: exact task, limited task, opened rows.
+"""The stages of the safe step, each a routine that calls the least-distance solver.
 
-1. `exact_stage`: the point nearest to the target that meets the task J v = x and satisfies every row.
-2. The points that meet the task as well as the rows allow (`least_squares`), and of these the nearest to the target:
-   stage 1 again, with J v fixed at the value found.
-3. The smallest t by which the soft rows must open (`opened`), then stage 2.
+1. `exact_stage`: the point nearest to the target that meets the task J v = x and satisfies every constraint row.
+2. Of the points that meet the task as well as the constraint rows allow (`least_squares`), the point nearest to the
+   target. It is found by stage 1 with J v fixed at the least-squares value.
+3. The smallest t by which the soft constraint rows must open (`opened`), then stage 2.
 
 `lower_stages` is one pass over stages 2 and 3; `fallback` runs the passes.
 """
@@ -27,10 +27,11 @@ LIMITED, RELAXED = 2, 3
 
 
 def exact_stage(sizes: Sizes) -> Routine:
-    """(unit, target, J, x, skip) → (point, active, multipliers, status, count): stage 1, with opening 0 in the point.
+    """Routine (unit, target, J, x, skip) → (point, active, multipliers, status, count) of stage 1; point has opening 0.
 
-    Independent task rows are eliminated, which leaves n − p unknowns; otherwise there are n. The bounded fallback does
-    not handle dependent rows of a task with several rows; it then ends with status `SKIPPED`.
+    If the rows of J are independent, they are eliminated, which leaves n − p unknowns; otherwise there are n unknowns.
+    The bounded fallback does not handle dependent rows in a J with several rows; stage 1 then ends with status
+    `SKIPPED`.
     """
     n, p, fast = sizes.n, sizes.p, sizes.fast
     outputs = ("point", "active", "multipliers", "status", "count")
@@ -55,7 +56,11 @@ def exact_stage(sizes: Sizes) -> Routine:
 
 
 def _reflected(sizes: Sizes, d: int) -> Program:
-    """(target, J, x, skip) → origin, start, Z of the fast kernel; whether it is sufficient; whether to skip it."""
+    """Instruction list (target, J, x, skip) → origin, start, Z for the solver in n − p unknowns; sufficient; skip.
+
+    sufficient: whether this solver is enough (J has independent rows, or stage 1 is skipped). skip: whether to skip
+    this solver.
+    """
     n, p = sizes.n, sizes.p
     target, J, x, skip = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("skip")
     left = reflect(as_matrix(J, n), x, target, sizes.precision)
@@ -70,14 +75,14 @@ def _reflected(sizes: Sizes, d: int) -> Program:
 
 
 def _padded(n: int, d: int) -> Program:
-    """Active rows and multipliers of the fast kernel, extended by empty slots."""
+    """Instruction list: active rows and multipliers of the solver in n − p unknowns, extended by empty slots."""
     pair = [ca.SX.sym("active", d), ca.SX.sym("multipliers", d)]
     wide = [ca.densify(ca.vertcat(a, ca.SX.zeros(n - d, 1))) for a in pair]
     return lower(ca.Function("padded", pair, wide))
 
 
 def _otherwise(sizes: Sizes) -> Routine:
-    """Body of a loop that runs once if task rows are dependent: the general kernel replaces the fast one."""
+    """Routine: body of a loop that runs once if rows of J are dependent; it calls the solver in n unknowns instead."""
     n, p = sizes.n, sizes.p
     sizes_of = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("ends", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
@@ -90,7 +95,7 @@ def _otherwise(sizes: Sizes) -> Routine:
 
 
 def _dependent(sizes: Sizes) -> Routine:
-    """Variant of `exact_stage` for any task rows: a row that depends on earlier rows is skipped."""
+    """Routine: variant of `exact_stage` for any J; a row of J that depends on earlier rows is skipped."""
     n, p = sizes.n, sizes.p
     target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
     matrix = as_matrix(J, n)
@@ -111,7 +116,7 @@ def _dependent(sizes: Sizes) -> Routine:
 
 
 def lower_stages(sizes: Sizes) -> Routine:
-    """Stages 2 and 3: meet the task as well as the rows allow; if infeasible, open soft rows for the next pass."""
+    """Routine for stages 2 and 3: meet the task as well as the rows allow, or open soft rows for the next pass."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("near", n), ("J", p * n), ("x", p))
@@ -145,7 +150,7 @@ def lower_stages(sizes: Sizes) -> Routine:
 
 
 def _again(sizes: Sizes) -> Routine:
-    """Body of a loop that runs once after stage 2 found a task value: stage 1 with it, and a feasibility check."""
+    """Routine: body of a loop that runs once if stage 2 found a value of J v; stage 1 with this value, then a check."""
     n, p = sizes.n, sizes.p
     state = (
         ("point", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1), ("feasible", 1), ("no", 1),
@@ -161,7 +166,7 @@ def _again(sizes: Sizes) -> Routine:
 
 
 def _opening_turn(sizes: Sizes) -> Routine:
-    """Body of a loop that runs once if stage 2 found no point: the smallest opening."""
+    """Routine: body of a loop that runs once if stage 2 found no point; it computes the smallest opening."""
     n = sizes.n
     state = (("point", n + 1), ("solved", 1), ("feasible", 1), ("count", 1), ("yes", 1))
     after = tuple(f"{name}_next" for name, _ in state)
@@ -173,18 +178,18 @@ def _opening_turn(sizes: Sizes) -> Routine:
 
 
 def _done(flag: str) -> Program:
-    """A flag that ends the loop after one pass."""
+    """Instruction list: flag → 1, which ends the loop after one pass."""
     return lower(ca.Function("done", [ca.SX.sym(flag)], [ca.SX.ones(1)]))
 
 
 def _opening(n: int) -> Program:
-    """point → its opening."""
+    """Instruction list: point → the opening of the point."""
     point = ca.SX.sym("point", n + 1)
     return lower(ca.Function("opening", [point], [point[n]]))
 
 
 def _open_row(sizes: Sizes) -> Program:
-    """A row whose bounds are moved outwards by the opening of the point, if it is soft."""
+    """Instruction list: row → row with bounds moved outwards by the opening of the point if the row is soft."""
     n = sizes.n
     row, point = ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
     widening = row[n + 2] * point[n]
@@ -193,7 +198,7 @@ def _open_row(sizes: Sizes) -> Program:
 
 
 def _value(sizes: Sizes) -> Program:
-    """(least-squares point, end, J) → its task value, whether there is no point, whether there is one, and 0."""
+    """Instruction list (least-squares point, end, J) → J v, whether no point exists, whether a point exists, 0."""
     n, p = sizes.n, sizes.p
     point, end, J = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("J", p * n)
     good = ca.eq(end, OPTIMAL)
@@ -202,7 +207,7 @@ def _value(sizes: Sizes) -> Program:
 
 
 def _outcome(sizes: Sizes) -> Program:
-    """The better of the two results of stage 2; if there is none, the point of the opened rows and its opening."""
+    """Instruction list: the better of two results of stage 2; if both failed, the point of stage 3 and its opening."""
     n = sizes.n
     point, count, safe = ca.SX.sym("point", n + 1), ca.SX.sym("count"), ca.SX.sym("safe")
     yes, feasible, wide = ca.SX.sym("yes"), ca.SX.sym("feasible"), ca.SX.sym("wide", n + 1)

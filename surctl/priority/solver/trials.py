@@ -1,4 +1,4 @@
-"""Random least-distance problems that are difficult for a solver, and an independent check of the solutions."""
+"""Random least-distance problems that are difficult for a solver, and an independent check of their solutions."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class Trials:
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
-        """The five arrays of problem data, in the order of the attributes."""
+        """Return the five arrays of problem data, in the order of the attributes."""
         return self.target, self.J, self.x, self.rows, self.box
 
     def unit(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """A (N, m, n) with rows of length 1, lower, upper (N, m), and a mask of the soft rows."""
+        """Return normals A (N, m, n) of length 1, lower (N, m), upper (N, m), and a mask (N, m) of the soft rows."""
         n = self.target.shape[1]
         rows = self.rows.reshape(len(self.rows), -1, n + 3)
         A, length = rows[..., :n], np.linalg.norm(rows[..., :n], axis=2)
@@ -67,13 +67,13 @@ class Trials:
 
 
 def draw_trials(count: int, *, n: int = 4, p: int = 2, m: int = 24, seed: int = 0, mixed: bool = True) -> Trials:
-    """Random problems: n box rows and some thrust rows are hard and consistent (0 satisfies them), the rest are soft.
+    """Return random problems: box and some thrust rows are hard and satisfied by v = 0, all other rows are soft.
 
     Args:
         count: number of problems N.
-        n, p, m: number of velocities, task rows, rows; m > n.
+        n: number of velocities. p: number of rows of J. m: number of constraint rows, m > n.
         seed: seed of numpy's PCG64 generator.
-        mixed: give each problem 0–3 features of `FAMILIES`; otherwise all are plain.
+        mixed: give each problem 0–3 features of `FAMILIES`; otherwise no problem has such a feature.
     """
     rng = np.random.default_rng(seed)
     picks = rng.random((count, len(FAMILIES))) < 0.2 if mixed else np.zeros((count, len(FAMILIES)), dtype=bool)
@@ -145,13 +145,13 @@ def _task(inside: Array, p: int, has: dict[str, NDArray[np.bool_]], rng: np.rand
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """KKT residuals of a solution that is reported as optimal, relative to 1 + max |v|, |target|; all (N,).
+    """KKT residuals of a solution that is reported as optimal, (N,) each, relative to 1 + max(|v|, |target|).
 
     Attributes:
-        missed: violation of rows of length 1. task: residual of task rows of length 1.
-        stationary: part of target − v outside the cone of active rows and the span of J.
-        loose: largest distance between a row with a multiplier and its bound.
-        negative: largest multiplier of the wrong sign.
+        missed: largest violation of a constraint row of length 1. task: residual of J v = x for rows of J of length 1.
+        stationary: part of target − v outside the cone of the active normals and the span of the rows of J.
+        loose: largest distance from the bound for a constraint row with a nonzero multiplier.
+        negative: largest absolute value of a multiplier with the wrong sign.
     """
 
     missed: Array
@@ -161,14 +161,14 @@ class Verdict:
     negative: Array
 
     def worst(self) -> Array:
-        """The largest of all residuals (N,); the KKT conditions hold when it is 0."""
+        """Return the largest residual (N,) of each problem; the KKT conditions hold if it is 0."""
         every = (self.missed, self.task, self.stationary, self.loose, self.negative)
         largest: Array = np.max(np.stack(every), axis=0)
         return largest
 
 
 def judge(trials: Trials, v: Array, active: Array, *, multipliers: Array) -> Verdict:
-    """KKT residuals of v (N, n), with the active rows (N, k) as signed numbers and their multipliers (N, k)."""
+    """Return the KKT residuals of v (N, n), for active rows (N, k) as signed numbers and their multipliers (N, k)."""
     A, lower, upper, _ = trials.unit()
     count, n = v.shape
     size = 1.0 + np.maximum(np.abs(v).max(axis=1), np.abs(trials.target).max(axis=1))
