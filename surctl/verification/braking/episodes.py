@@ -181,7 +181,7 @@ class _World:
         return self.braking
 
     def _free(self, across: Vector) -> Vector:
-        """Return the thrust of vehicles that need not brake: mostly ahead, sideways up to the claim's sideways speed."""
+        """Return the thrust of vehicles that need not brake: mostly ahead, sideways up to `claim.sideways`."""
         b, claim, mood = self.claim.brakes, self.claim, self.mood
         towards = np.sum(self.velocity * self.normal, axis=1)
         aside = np.sum(self.velocity * across, axis=1)
