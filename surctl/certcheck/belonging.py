@@ -47,7 +47,6 @@ _LIMITS = ("Fu_max", "Fv_max")
 class Belonging:
     """Result of the comparison of a certificate with an exported controller.
 
-
     Attributes:
         differs: one message for each mismatch; empty if the certificate belongs to the controller.
         excludes: one message for each part of the exported controller that the certificate does not cover.

@@ -15,7 +15,7 @@ Held commands: W = V + (h − τ) ρ ∫ |ḟ|² over the τ seconds since the l
 be commanded in the held heading (Fridman 2010). W = V at the instants, W ≥ V, and e = f(then) − f(now) satisfies |e|² ≤
 τ ∫ |ḟ|². So Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|². With ḟ = −m k_v U̇ + (the effect of the position
 alone, ≤ c |δU|) and |w_4| ≤ (1 + r h)|e| + r h |δF_c|, the square of each sum is bounded by a sum of squares with fixed
-weights. With held commands, the shells are bounded by levels of W.
+weights. With held commands, the shells are sets between two levels of W.
 """
 
 from __future__ import annotations
