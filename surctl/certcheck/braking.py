@@ -8,7 +8,7 @@ side:
 
 - the table of G satisfies the differential inequality of the braking distance and is convex, for every obstacle of the
   claim, also while the vehicle retreats;
-- the claim's table states a sufficient range for each of its own speeds;
+- the claim's table states a sufficient range for every own speed that it lists;
 - if the claim contains a law, the range needed is available wherever the law's speed bound does not make it brake with
   the guaranteed force.
 """
@@ -86,8 +86,8 @@ def needed(
 
     `since` is the largest measured speed since the echo [m/s].
 
-    While the vehicle retreats faster than the obstacle approaches, drag accelerates it towards the obstacle; the range
-    includes the speed gained in this way.
+    While the vehicle retreats faster than the obstacle approaches, drag accelerates the vehicle towards the obstacle;
+    the range includes the speed gained in this way.
     """
     closing, period = high + claim.speed_error + at.obstacle, claim.period
     astern = max(at.through, claim.current + claim.speed_error - low)

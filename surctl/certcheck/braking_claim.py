@@ -84,7 +84,7 @@ class BrakingClaim:
 
     Attributes:
         mass, linear, quadratic: true mass and drag.
-        drag: `along` for drag along the velocity, `axes` for drag axis by axis.
+        drag: `along` for drag along the velocity, `axes` for drag of each axis separately.
         brake, most, side: brake is the guaranteed braking force F_b; most is the largest thrust towards the obstacle;
             side is the largest thrust perpendicular to this direction.
         lag: largest time constant τ of the thrust.

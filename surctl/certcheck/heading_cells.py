@@ -62,7 +62,7 @@ def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
 
 
 def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: Array) -> Array:
-    """Return an upper bound on |row ξ| (n,) over V ≤ 1 with (ψ, y) in the cell."""
+    """Return an upper bound (n,) on |row · ξ|, for row vectors `row`, over V ≤ 1 with (ψ, y) in each cell."""
     mean = np.einsum("nk,kj->nj", row.mid, form.regression)
     centre = np.abs(mean[:, 0] * psi + mean[:, 1] * y)
     moved = np.abs(mean[:, 0]) * half[0] + np.abs(mean[:, 1]) * half[1]

@@ -1,8 +1,8 @@
 """A second implementation of the heading-steered loop, compared with the linear forms in ξ that the proof uses.
 
 At sampled positions, headings and vehicles the state derivative of the whole loop must equal A ξ up to rounding, where
-A uses the thrust share φ = 1 and the true secant slopes of the drag. The comparison does not replace the derivation,
-but it reveals a wrong sign, frame or factor.
+A uses the thrust share φ = 1 and the true secant slopes of the drag. The comparison does not replace the derivation of
+A, but it reveals a wrong sign, frame or factor.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ def check(document: Mapping[str, Any]) -> None:
 
 
 def _matrix(rows: Any, size: int) -> Matrix:
-    """Return the symmetric matrix of a lower triangle given row by row."""
+    """Return the symmetric matrix whose lower triangle is given row by row."""
     shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
     if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
         raise Rejected(f"proof.P must be a lower triangle with {size} rows")

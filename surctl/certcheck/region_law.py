@@ -2,7 +2,7 @@
 
 At sampled positions, parameters and headings (rational points of the unit circle, positions with a rational slant
 √(y_e² + Δ²)/Δ) the true derivative must equal A ξ + Σ B_j w_j exactly, with every w_j within its bound. The comparison
-does not replace the derivation, but it reveals a wrong sign, frame or factor.
+does not replace the derivation of the inclusion, but it reveals a wrong sign, frame or factor.
 """
 
 from __future__ import annotations

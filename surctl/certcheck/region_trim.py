@@ -34,7 +34,7 @@ class Trim:
         command: least and largest commanded speed v + ω [m/s].
         linear, quadratic: coefficients [N] of the commanded trim force `linear` c + `quadratic` c² per axis, at the
             largest ω.
-        backward: largest trim force at the least ω if it points backwards, else 0 [N].
+        backward: largest backward trim force [N] at the least ω; 0 if the trim force points forward.
         total: largest |commanded − required| force [N].
         drift: largest |ω_y| [m/s], the commanded speed across the path against a current.
         aside: largest |y*| [m], the steady offset from the path that produces ω_y.

@@ -88,7 +88,7 @@ def build_law(
         dt: control period [s].
         contacts: number of slots for known obstacles; the number does not change the result as long as there is a slot
             for each known obstacle.
-        sonar: whether the law uses the sonars; without them it needs true obstacle positions.
+        sonar: whether the law uses the sonars; a law without sonars needs true obstacle positions as input.
         equipment: the sensors that a law with sonars assumes; the law `paper` always uses the paper's four sonars.
         moving: whether known obstacles may move; False gives the same result as long as no obstacle moves.
         guidance: path following: `los`, `ilos` or `alos`; `ilos` and `alos` adapt to a steady disturbance (see

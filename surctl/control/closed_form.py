@@ -34,7 +34,7 @@ _NEAR = 1e-3  # [m] smallest distance to the obstacle's centre at which its dire
 
 
 def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception:
-    """Return a perception that contains only the obstacle of input `contacts` (1, 6); it has no walls.
+    """Return a perception that contains only the obstacle of input `contacts` (1, 6) and no walls.
 
     The components of the direction are clamped to [-1, 1], so that a rounding error cannot take them outside this
     interval.

@@ -67,7 +67,7 @@ class Closing:
     def outputs_of(self, memory: Memory, nu_reference: ca.SX, stage: ca.SX) -> dict[str, ca.SX]:
         """Return tau, x_next, status and telemetry for a velocity reference.
 
-        `stage` is the fallback stage of the priority solver, 0 if it did not run.
+        `stage` is the fallback stage of the priority solver, 0 if the solver did not run.
         """
         carried = self.state.split(memory.carried)
         tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"])

@@ -128,7 +128,7 @@ def dead_end_step(dead_end: DeadEnd, place: Place, movers: Iterable[Mover], miss
 
     Args:
         dead_end: present state.
-        place: position and surroundings in this step.
+        place: position and surroundings of the robot in this step.
         movers: known obstacles that may move.
         mission: gains, model and mission numbers of the law.
         dt: control period [s].

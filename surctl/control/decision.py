@@ -41,7 +41,7 @@ class Decision:
 
     Attributes:
         levels: tasks, highest priority first; a level with zero Jacobian and zero reference has no effect.
-        rows: barriers on ν for the modes with inequalities.
+        rows: limit rows of the barriers on ν, for the priority modes with inequalities.
         velocity: commanded horizontal velocity (2, 1) in {E} [m/s].
         avoiding: 1 while a contact changes the desired velocity.
         degraded: 1 if no course satisfies the bounds of all contacts.
@@ -72,7 +72,7 @@ def lower_levels(
     """Return the priority levels below the velocity task: depth, then heading.
 
     A law with sonars turns all the time instead of holding a heading. Its yaw rate is `spin`, or less if the yaw
-    thrusters cannot sustain this rate. While it does not know its position, it keeps its depth rate at 0.
+    thrusters cannot sustain this rate. While the robot does not know its position, it keeps its depth rate at 0.
     """
     depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
     if scan is None:

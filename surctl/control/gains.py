@@ -115,7 +115,7 @@ def check_value(name: str, value: float, source: object) -> None:
 
 
 def load_gains(name_or_path: str) -> Gains:
-    """Load a built-in gain file by name, or another gain file by path; it must contain every gain without a default.
+    """Load a built-in gain file by name or another gain file by path; a file must contain all gains without default.
 
     Raises:
         InputError: the file is unreadable, a gain is unknown or missing, a unit is wrong, or a value is out of bounds.

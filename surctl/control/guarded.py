@@ -231,7 +231,7 @@ def _sector(contact: Contact, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop) ->
 def _evaded(contact: Contact, desired: DesiredMotion) -> ca.SX:
     """Return whether a contact moves and does not come from behind.
 
-    The robot evades such a contact sideways; it outruns a contact from behind.
+    The robot evades a moving contact sideways, unless the contact comes from behind; then the robot outruns it.
     """
     speed = ca.sqrt(ca.sumsqr(desired.velocity))
     ahead = ca.dot(desired.velocity, contact.normal) > -_BEHIND * speed

@@ -118,9 +118,9 @@ class Law:
         mode: priority mode.
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
-        block: (x, u, p) → (tau, x_next, status, telemetry). In mode nsb it is `closed`; in other modes it combines
-            `pre`, the priority solver and `post`. It needs no libm functions, because sin, cos and atan2 are replaced
-            by elementary operations.
+        block: (x, u, p) → (tau, x_next, status, telemetry). In mode nsb `block` is `closed`; in other modes `block`
+            combines `pre`, the priority solver and `post`. `block` needs no libm functions, because sin, cos and atan2
+            are replaced by elementary operations.
         stages: the law in closed form, and its parts before and after the priority solver.
         levels: (name, number of rows of J, unit) of each priority level, highest first.
         rows: names of the limit rows: first those of the velocity box, then those of the barriers.

@@ -2,10 +2,11 @@
 
 The paper allows a robot to pass an obstacle "by changing the depth and/or moving horizontally". The robot first tries
 horizontal escapes. If `control.dead_end` finds a dead end, the robot changes its depth by one layer, i.e. by one hull
-diameter plus a margin. It stops, moves up or down in place, deletes its sonar map of the old depth, and searches for a
-path again. It tries all layers that it can reach above, the nearest first, then the layers below. After the last layer
-the robot gives up. The robot returns to the path's depth in the same way as soon as two conditions hold: it has passed
-the dead end by one hull diameter plus a margin along its path, and the water back to the path's depth is free.
+diameter plus a margin. The robot stops, moves up or down in place, deletes its sonar map of the old depth, and searches
+for a path again. The robot tries all layers that it can reach above, the nearest first, then the layers below. After
+the last layer the robot gives up. The robot returns to the path's depth in the same way as soon as two conditions hold:
+it has passed the dead end by one hull diameter plus a margin along its path, and the water back to the path's depth is
+free.
 
 The horizontal sonars do not measure the water above or below. The robot moves only through water that its echo sounders
 measure as free (`column`), at a speed from which it can stop within that water, and holds its horizontal position. A

@@ -64,7 +64,7 @@ def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
 
 
 def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:
-    """Return the time to contact [s]; it is very large if the robot does not approach the contact."""
+    """Return the time to contact [s]; the time is very large if the robot does not approach the contact."""
     rate = ca.fmax(speed - contact.closing, 1e-3)
     return ca.fmax(contact.clearance, 0) / rate
 

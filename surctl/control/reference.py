@@ -23,7 +23,7 @@ from surctl.guidance import (
 )
 from surctl.vehicle import planar_rotation
 
-_RETURNS = 0.5  # share of LOS cross-track speed above which the robot returns to the path
+_RETURNS = 0.5  # share of LOS cross-track speed above which the robot counts as returning
 _SEPARATION = 3.0  # ratio of the bandwidths of the velocity loop and the position loop
 
 __all__ = ["DesiredMotion", "learnt", "path_following"]

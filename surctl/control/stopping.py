@@ -70,9 +70,9 @@ BARRIERS: Mapping[Barrier, Callable[[Mapping[str, ca.SX], float], Stop]] = Mappi
 def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float = 1.0) -> ca.SX:
     """Return a velocity command that brakes harder than the velocity loop alone, if the robot exceeds a speed bound.
 
-    Thrust is clipped on each axis separately, so a sideways command at the same time can halve the braking force. The
-    more the robot exceeds the bound, the closer the sideways command comes to the present sideways velocity, as far as
-    the other bounds allow it.
+    Thrust is clipped on each axis separately, so a simultaneous sideways command can halve the braking force. The more
+    the robot exceeds the bound, the closer the sideways command comes to the present sideways velocity, as far as the
+    other bounds allow it.
 
     Args:
         velocity: desired velocity (2, 1) in {E} [m/s].

@@ -1,9 +1,9 @@
 """Velocity controller with drag feedforward at the desired velocity, proportional action and thrust limits.
 
 The controller does not cancel Coriolis forces or the true drag. A body that turns while it translates needs no force to
-keep its inertial velocity (cancelling m u r would need 9–14 N of the available 5 N), and the true drag adds damping.
-With equal gains in surge and sway, the closed loop can be analysed by proof. The feedback uses the velocity over
-ground, so a constant current causes only a small steady error.
+keep its inertial velocity (a force that cancels m u r would be 9–14 N, but only 5 N are available), and the true drag
+adds damping. With equal gains in surge and sway, properties of the closed loop can be proved. The feedback uses the
+velocity over ground, so a constant current causes only a small steady error.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class Barrier:
     Attributes:
         name: name of the barrier and of its limit row: identifiers joined by dots.
         eta: SX symbol (4, 1), pose (x, y, z [m] in {E}, ψ [rad]).
-        h: SX scalar expression of eta; other symbols may appear in it and are constant in its derivative.
+        h: SX scalar expression of eta; h may contain other symbols, which its derivative treats as constant.
         alpha: γ > 0 [1/s], or a function SX → SX, also a ca.Function. Samples in [−10, 10] check that α(0) = 0, that
             α(s) has the sign of s, and that α never decreases (class K, but constant parts are allowed). A function
             that contains other symbols is not checked.

@@ -55,7 +55,7 @@ def cbf_law(s: Situation) -> Decision:
 
 
 def nearest_velocity(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return v that minimises |v − desired| subject to n·v ≤ bound for every row and |v| ≤ cap.
+    """Return v that minimises |v − desired| subject to n·v ≤ bound for every constraint in `rows`, and |v| ≤ cap.
 
     Args:
         desired: desired velocity (2, 1) [m/s].

@@ -87,9 +87,9 @@ def over_ground(s: Situation) -> ca.SX:
 def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: bool = False) -> ca.SX:
     """Return the time [s] until a robot at constant `velocity` (2, 1) [m/s] comes within `margin` of a moving contact.
 
-    The contact keeps its velocity. It is a disc of radius `combined_radius` + margin around its centre, or a straight
-    wall if `flat`. The result is 0 if the robot is within the margin and approaches; it is `NEVER` if robot and contact
-    do not meet.
+    The contact keeps its velocity. The contact is a disc of radius `combined_radius` + margin around its centre, or a
+    straight wall if `flat`. The result is 0 if the robot is within the margin and approaches; it is `NEVER` if robot
+    and contact do not meet.
     """
     gap = contact.clearance - margin
     relative = velocity - contact.velocity

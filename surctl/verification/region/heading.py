@@ -166,7 +166,7 @@ def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[
 
 
 def loops_at(claim: HeadingClaim, psi: Array, y: Array, limits: Limits) -> Array:
-    """Return the state matrices A (k, 6, 6) of all vertices at all points (ψ, y); the order is fixed."""
+    """Return the state matrices A (k, 6, 6) of all vertices at all (ψ, y), in a fixed order; some may be equal."""
     ranges, v, velocity_gain = claim.ranges, claim.law["cruise"], claim.velocity_gain
     one = np.ones(len(psi))
     drag = (

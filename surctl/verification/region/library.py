@@ -107,7 +107,7 @@ def prove_statement(
     """Prove a region claim for a vehicle and gains, with the search effort that the statement sets.
 
     Raises:
-        InputError, NotApplicable: for the same reasons as `RegionStatement.claim`.
+        InputError, NotApplicable: `RegionStatement.claim` raises the error.
     """
     claim: RegionClaim | HeadingClaim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
     if isinstance(claim, HeadingClaim):

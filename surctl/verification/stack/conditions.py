@@ -4,13 +4,13 @@ With σ̃ the stacked errors, the law gives dσ̃/dt = −M K σ̃, M_ij = J_i N
 printed). The conditions extend those on orthogonality and independence by Antonelli (2009, Stability analysis for
 prioritized closed-loop inverse kinematic algorithms):
 
-- M_ij with j > i is the disturbance of a higher task by a lower one. It is zero if the projectors of the levels
-  commute, as those of orthogonal tasks do. Then M is lower block triangular: a cascade, which is stable for any
+- M_ij with j > i is the disturbance of a higher task by a lower one. M_ij with j > i is zero if the projectors of the
+  levels commute, as those of orthogonal tasks do. Then M is lower block triangular: a cascade, which is stable for any
   positive gains.
 - M_ii = J_i N_1 ⋯ N_{i−1} J_i⁺ is the share of its own motion that a task keeps. If the projectors commute, the
   eigenvalues of M_ii are sin² of the angles between the task's Jacobian rows and those of the tasks above. The
   eigenvalues are positive if the task is independent of all tasks above it together (rank [J_1; …; J_i] is the sum of
-  the ranks), and 1 if it is orthogonal to them.
+  the ranks), and 1 if the task is orthogonal to all tasks above.
 - If lower tasks do disturb higher ones, the comparison matrix decides. The diagonal of this matrix holds the least
   eigenvalues of the symmetric parts of M_ii; its other entries are −max‖M_ij‖. If the comparison matrix is a
   non-singular M-matrix, all errors converge for all scalar gains (vector Lyapunov function Σ p_i‖σ̃_i‖; a gain scales
@@ -161,7 +161,7 @@ def stack_conditions(
     seed: int = 0,
     time_limit: float = 5.0,
 ) -> StackConditions:
-    """Decide for each pair and for each task of a stack whether it converges over a region of states.
+    """Return the relation of each pair of tasks and the convergence of each task over a region of states.
 
     Args:
         stack: tasks with one reference each.
@@ -172,7 +172,7 @@ def stack_conditions(
         time_limit: time limit of each proof of independence [s].
 
     Raises:
-        InputError: for the same reasons as `surctl.priority.diagnosis.diagnose`.
+        InputError: `surctl.priority.diagnosis.diagnose` raises the error.
     """
     diagnosis = diagnose(stack, region, parameters=parameters, samples=samples, seed=seed)
     box = build_region(stack, region, parameters)

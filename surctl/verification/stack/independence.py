@@ -20,7 +20,7 @@ _LEAST_STRENGTH = 1e-6  # least det J Jᵀ of a task whose Jacobian counts as re
 
 
 def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float, time_limit: float) -> float:
-    """Return `sine` if it provably bounds the product of sines between task i and the tasks above from below, else 0.
+    """Return `sine` if it is a proved lower bound on the product of sines between task i and tasks above, else 0.
 
     The proof is by interval branch and bound, and the independent checker must accept it.
     """
