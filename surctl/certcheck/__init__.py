@@ -1,13 +1,14 @@
 """The independent checker of certificates: it imports none of the provers' code and does not use CasADi.
 
-A certificate is one JSON file with the keys `format`, `version`, `kind`, `claim`, the keys of its kind, and `sha256`.
-That hash covers the canonical JSON (sorted keys, no spaces, UTF-8, floats as `repr`) of all other keys. Each kind is a
-module of this package with a function `check(document) -> None`, which raises `Rejected(reason)`.
+A certificate is one JSON file. It has the keys `format`, `version`, `kind`, `claim` and `sha256`, and further keys that
+depend on its kind. The hash `sha256` covers the canonical JSON (sorted keys, no spaces, UTF-8, floats as `repr`) of all
+other keys. For each kind of certificate, this package has a module with a function `check(document) -> None`, which
+raises `Rejected(reason)`.
 
-The hash reveals an altered certificate, which is rejected. If the hash is recomputed as well, the file is a certificate
-of another claim, and it is rejected unless its content proves that claim. A false claim is never accepted; an altered
-claim that is still true may be accepted. Checking a file takes at most `PATIENCE` seconds of processor time and about
-400 MB of memory.
+A certificate whose content does not match its hash is rejected. If someone alters the content and recomputes the hash,
+the file is a certificate of another claim, and it is rejected unless its content proves this other claim. A false claim
+is never accepted; an altered claim that is still true may be accepted. The check of a file takes at most `PATIENCE`
+seconds of processor time and about 400 MB of memory.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ KINDS = ("braking", "heading", "interval", "region")
 _MALFORMED = (
     KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, MemoryError,
 )  # fmt: skip
-_LONGEST = 400  # most characters of a reason
+_LONGEST = 400  # largest number of characters of `reason`
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,12 @@ class Checked:
         accepted: whether the certificate proves its claim.
         reason: why the certificate is rejected; empty if it is accepted.
         kind: kind of the certificate; empty if it cannot be read.
-        claim: the claim as plain data.
+        claim: the certificate's claim, as plain data (dicts, lists, numbers, text).
         seconds: duration of the check [s].
-        proves: what an accepted inequality proves, in words; empty for other kinds and for a rejected certificate.
-        slack: by how much the left side of an inequality may exceed the right side, in the claim's unit; 0 for other
-            kinds.
+        proves: sentence that states what an accepted inequality proves; empty for other kinds of certificate and for a
+            rejected certificate.
+        slack: tolerance of an accepted inequality (left side ≤ right side + slack), in the claim's unit; 0 for other
+            kinds of certificate.
     """
 
     accepted: bool
@@ -99,11 +101,11 @@ def check_file(path: str | Path, *, time_limit: float = PATIENCE) -> Checked:
 
 
 def check_document(document: Mapping[str, Any], *, began: float | None = None, time_limit: float = math.inf) -> Checked:
-    """Check a certificate in memory as `check_file` checks a file.
+    """Check a certificate in memory: first its format and hash, then its proof.
 
     Args:
         document: the certificate.
-        began: reading of `time.perf_counter` from which the duration counts; None stands for the present time.
+        began: value of `time.perf_counter` at which the reported duration starts; None stands for the time of the call.
         time_limit: processor time [s] after which the certificate is rejected; by default there is no limit, because
             the document usually comes from the caller's own proof.
 
@@ -122,7 +124,7 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
     kind = kind if isinstance(kind, str) else ""
     claim = claim if isinstance(claim, dict) else {}
     try:
-        with patient(time_limit), np.errstate(all="ignore"):  # a comparison with NaN is false: it proves nothing
+        with patient(time_limit), np.errstate(all="ignore"):  # a comparison with NaN is false, so NaN proves nothing
             verify_frame(document)
             _checker(kind)(document)
     except Rejected as rejected:
@@ -137,7 +139,7 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
 
 
 def _proves(kind: str, claim: Mapping[str, Any]) -> str:
-    """Return what an accepted inequality proves, in words that do not come from the file."""
+    """Return a sentence that states what an accepted inequality proves; no word of it comes from the file."""
     if kind != "interval":
         return ""
     if not claim["slack"]:

@@ -1,9 +1,10 @@
-"""Proved intervals of sines, cosines and angles: fixed-point numbers with a counted error, rounded outward.
+"""Proved intervals for sines, cosines and angles, in fixed-point arithmetic with an error bound and outward rounding.
 
-A fixed-point number is an integer number of units of 2^-128. Every sum here has at most 40 terms, each off by less than
-3 units: a truncated product or quotient loses less than one unit, and its operands lose less than two.
-Each result is given an error of `_OFF` = 2^11 units, more than twice the error that its docstring derives.
-Interval ends are raw numbers of mpmath; the only arithmetic used on them is +, -, ×, ÷, square root and comparison.
+A fixed-point number is an integer number of units of 2^-128. Every sum in this module has at most 40 terms. The error
+of a term is less than 3 units, because truncation of a product or quotient costs less than one unit and the errors of
+its operands contribute less than two. Each returned interval extends `_OFF` = 2^11 units to both sides of the computed
+number. This is more than twice the error bound that the function's docstring derives. Interval ends are raw numbers of
+mpmath. The module applies only +, -, ×, ÷, square root and comparison to them.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ BITS = 60
 _W = 128
 _UNIT = 1 << _W
 _OFF = 1 << 11
-_FAR, _NEAR = 1100, -40  # above 2^_FAR a sine is bounded by ±1 only; below 2^_NEAR it is nearly its argument
+_FAR, _NEAR = 1100, -40  # above 2^_FAR the bounds of a sine are ±1; below 2^_NEAR sin x ≈ x
 _LESS = libmp.mpf_sub(libmp.fone, libmp.mpf_shift(libmp.fone, 2 * _NEAR))  # 1 − 2^-80
 _LINE_OF_ONE = (libmp.fnone, libmp.fone)
 
 
 def _arccot(n: int, bits: int) -> int:
-    """Return arctan(1/n) in units of 2^-bits for n > 1; each of its fewer than `bits` terms is off by less than 2."""
+    """Return arctan(1/n) in units of 2^-bits for n > 1. Each of its fewer than `bits` terms has an error < 2."""
     power, total, k = (1 << bits) // n, 0, 1
     while power:
         total += -(power // k) if k & 2 else power // k
@@ -42,18 +43,18 @@ def _arccot(n: int, bits: int) -> int:
 
 
 _LONG = _FAR + _W + 64
-# Machin: π/2 = 8 arctan 1/5 − 2 arctan 1/239, off by less than 20 times twice _LONG units, before truncation by 64 bits
+# Machin: π/2 = 8 arctan 1/5 − 2 arctan 1/239; error < 20 · 2 · _LONG units before truncation by 64 bits
 _HALF_PI = (8 * _arccot(5, _LONG + 64) - 2 * _arccot(239, _LONG + 64)) >> 64
 
 
 @lru_cache(2048)
 def _half_pi(bits: int) -> int:
-    """Return π/2 in units of 2^-bits, off by less than 2 units; bits ≤ _LONG."""
+    """Return π/2 in units of 2^-bits, with an error of less than 2 units; bits ≤ _LONG."""
     return _HALF_PI >> (_LONG - bits)
 
 
 def _ends(value: int) -> Interval:
-    """Return an interval around a fixed-point number that is off by less than _OFF units."""
+    """Return the interval ± _OFF units around a fixed-point number; the number's error is less than _OFF units."""
     low, high = (libmp.from_man_exp(value + off, -_W, BITS, rounding) for off, rounding in ((-_OFF, "f"), (_OFF, "c")))
     return low, high
 
@@ -74,9 +75,10 @@ def _magnitude(x: Raw) -> int:
 def _taylor(r: int) -> tuple[int, int]:
     """Return cosine and sine of r units, for −4 units ≤ r ≤ π/4 + 4 units.
 
-    The terms r^n/n! fall below one unit at n = 36 at the latest, so that each series has at most 18 terms. A term
-    follows from the term before it by a truncated product (1 unit), with a truncated r² (1 unit), and by a truncated
-    quotient: it is off by less than 3 units. The rest of the series is less than 4 units: together less than 60.
+    The terms r^n/n! fall below one unit at n = 36 at the latest, so that each series has at most 18 terms. Each term is
+    computed from the previous term by a truncated product (error 1 unit) with a truncated r² (1 unit), and by a
+    truncated quotient (1 unit), so its error is less than 3 units. The remainder of the series is less than 4 units.
+    The total error is therefore less than 60 units.
     """
     square, cosine, sine = r * r >> _W, _UNIT, r
     a, b, n = _UNIT, r, 1
@@ -93,12 +95,13 @@ def _taylor(r: int) -> tuple[int, int]:
 
 @lru_cache(8192)
 def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
-    """Return (quarter k, rest r in units, cos x, sin x) of one number with |x| < 2^_FAR.
+    """Return (quarter k, remainder r = x − k π/2 in units, cos x, sin x) of one number with |x| < 2^_FAR.
 
     If x has m bits before the point, x and π/2 are computed in units of 2^-(128 + m). Truncation changes x by less than
-    one such unit, and k π/2 with k ≤ 2^m by less than 2^(m+1). So r = x − kπ/2 is off by less than 3 units of 2^-128,
-    plus one unit for its own truncation; π/2 − r, where it is used, is off by less than 6 units. Slopes are at most 1:
-    with `_taylor` the error is less than 70 units.
+    one unit of 2^-(128 + m), and k π/2 with k ≤ 2^m by less than 2^(m+1). So the error of r = x − kπ/2 is less than 3
+    units of 2^-128, plus one unit for the truncation of r; where π/2 − r is used, its error is less than 6 units. The
+    slopes of sine and cosine are at most 1. Together with the error of `_taylor`, the error of the results is less than
+    70 units.
     """
     if x == libmp.fzero:
         return 0, 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
@@ -118,13 +121,13 @@ def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
 
 
 def _nearly(x: Raw) -> Interval:
-    """Return bounds on sin x and arctan x for |x| ≤ 2^-40: for x ≥ 0 both lie between x (1 − 2^-80) and x."""
+    """Return bounds on sin x and arctan x for |x| ≤ 2^-40; both values lie between x (1 − 2^-80) and x if x ≥ 0."""
     less, more = libmp.mpf_mul(x, _LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u")
     return (more, less) if x[0] else (less, more)
 
 
 def _within(a: Interval) -> Interval:
-    """Return the part of an interval in [−1, 1], where a sine or cosine must lie."""
+    """Return the intersection of an interval with [−1, 1], the range of sine and cosine."""
     low = libmp.fnone if libmp.mpf_lt(a[0], libmp.fnone) else a[0]
     return low, libmp.fone if libmp.mpf_gt(a[1], libmp.fone) else a[1]
 
@@ -132,8 +135,8 @@ def _within(a: Interval) -> Interval:
 def circle(a: Interval) -> tuple[Interval, Interval]:
     """Return the ranges of cosine and sine on an interval.
 
-    Both are monotone between multiples of π/2, so that the values at the ends and the values 0, ±1 at the multiples
-    inside give the ranges. A multiple within 16 units of an end counts as inside.
+    Cosine and sine are monotone between multiples of π/2. So their values at the ends of the interval, and the values 0
+    and ±1 at the multiples of π/2 inside, give the ranges. A multiple within 16 units of an end counts as inside.
     """
     low, high = a
     if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
@@ -162,12 +165,13 @@ def _hull(a: Interval, b: Interval) -> Interval:
 
 
 def _arctan(t: int) -> int:
-    """Return arctan of t units, for 0 ≤ t ≤ 1; t itself is off by less than one unit.
+    """Return arctan of t units, for 0 ≤ t ≤ 1; the error of the argument t is less than one unit.
 
-    The rule arctan t = 2 arctan(t/(1 + √(1 + t²))) is applied three times. Its slope is at most 1/2, and truncation of
-    root and quotient costs less than 2 units, so that t is then off by less than 4 units and at most tan(π/32) <
-    0.0985. After 20 terms the series is below one unit; each term is off by less than 3 units, and the rest is less
-    than 2. Together with the argument the error is less than 66 units, times 8 less than 530.
+    The rule arctan t = 2 arctan(t/(1 + √(1 + t²))) is applied three times. The map t → t/(1 + √(1 + t²)) has a slope of
+    at most 1/2, and truncation of root and quotient costs less than 2 units. So after three applications the error of t
+    is less than 4 units, and t ≤ tan(π/32) < 0.0985. After 20 terms the terms of the series are below one unit; each
+    term has an error of less than 3 units, and the remainder is less than 2. With the error of the argument, the error
+    of the series is less than 66 units; the factor 8 makes it less than 530.
     """
     for _ in range(3):
         t = (t << _W) // (_UNIT + isqrt((_UNIT << _W) + t * t))
@@ -181,7 +185,7 @@ def _arctan(t: int) -> int:
 
 @lru_cache(8192)
 def _angle_of(y: Raw, x: Raw) -> Interval:
-    """Return atan2(y, x) of two numbers, not both 0, from arctan(smaller/larger); off by less than 600 units."""
+    """Return atan2(y, x) of two numbers, not both 0, from arctan(smaller/larger); the error is less than 600 units."""
     up, ahead = libmp.mpf_abs(y), libmp.mpf_abs(x)
     steep = bool(libmp.mpf_gt(up, ahead))
     small, large = (ahead, up) if steep else (up, ahead)
@@ -208,11 +212,11 @@ def _ratio(small: Raw, large: Raw) -> int:
 
 
 def angle(y: Interval, x: Interval) -> Interval:
-    """Return the range of atan2 on a box without (0, 0) and without its jump: y ≥ 0, y < 0 or x > 0 on the whole box.
+    """Return the range of atan2 on a box where y ≥ 0, y < 0 or x > 0 throughout, without (0, 0).
 
-    On such a box atan2 is smooth. If y keeps its sign, atan2 is monotone in x, and monotone in y at each end of x. If y
-    changes its sign, x is positive: atan2 is monotone in y, and monotone in x at each end of y. In both cases the
-    corners of the box give the range.
+    On such a box atan2 is smooth, because its jump lies outside. If y keeps its sign, atan2 is monotone in x, and
+    monotone in y at each end of x. If y changes its sign, x is positive: atan2 is monotone in y, and monotone in x at
+    each end of y. In both cases the corners of the box give the range.
     """
     first, *others = {(a, b) for a in y for b in x}
     total = _angle_of(*first)
@@ -222,7 +226,7 @@ def angle(y: Interval, x: Interval) -> Interval:
 
 
 def arccos(x: Interval) -> Interval:
-    """Return the range of arccos on an interval within [−1, 1]; arccos falls, so that the ends give the range."""
+    """Return the range of arccos on an interval within [−1, 1]; arccos decreases, so the ends give the range."""
     return _arccos_of(x[1])[0], _arccos_of(x[0])[1]
 
 

@@ -1,9 +1,10 @@
-"""Whether an accepted certificate is about an exported controller: each of its numbers is compared with the manifest.
+"""Decide whether an accepted certificate applies to an exported controller, by comparing its numbers with the manifest.
 
 An equal hash alone is not enough. A vehicle parameter must lie in the certified range, a gain must equal the certified
-gain, and a certified bound must hold for the exported controller. If the manifest does not state one of these numbers,
-the certificate does not belong to the controller. If the vehicle file gives a wider range than the certificate, or the
-certificate leaves something out, the certificate belongs to the controller, and `excludes` names what is not covered.
+gain, and a certified bound must hold for the exported controller. If the manifest lacks a parameter, gain or bound that
+the certificate states, the certificate does not belong to the controller. If the vehicle file gives a wider range than
+the certificate, or if the certificate leaves a part of the controller out, the certificate still belongs to the
+controller, and `excludes` names the parts that are not covered.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ _LIMITS = ("Fu_max", "Fv_max")
 
 @dataclass(frozen=True)
 class Belonging:
-    """Whether a certificate is about an exported controller.
+    """Result of the comparison of a certificate with an exported controller.
 
     Attributes:
         differs: one message for each mismatch; empty if the certificate belongs to the controller.
@@ -56,7 +57,7 @@ class Belonging:
 
     @property
     def belongs(self) -> bool:
-        """Whether the certificate belongs to the controller: `differs` is empty."""
+        """Return whether the certificate belongs to the controller, i.e. whether `differs` is empty."""
         return not self.differs
 
     def to_dict(self) -> dict[str, Any]:
@@ -84,7 +85,7 @@ class _Comparison:
         self.differs, self.excludes = list(manifest.wrong), list[str]()
         self.ranges = manifest.ranges or {}
 
-    # ---- kinds
+    # ---- comparison for each kind of certificate
 
     def inequality(self) -> None:
         name = str(self.claim["name"])
@@ -160,7 +161,7 @@ class _Comparison:
             self._gain("stopping", law["stopping"][key], at)
         self._perception()
 
-    # ---- numbers
+    # ---- comparison of numbers
 
     def _gains(self, name: str) -> Sequence[float]:
         return self.manifest.gains.get(name, ())
@@ -169,7 +170,7 @@ class _Comparison:
         return [self.manifest.values[name] for name in names if name in self.manifest.values]
 
     def _limits(self) -> list[float]:
-        """Thrust limits of the law, then of the vehicle [N]; a limit that the manifest does not state is left out."""
+        """Return the thrust limits of the law, then of the vehicle [N]; a limit missing in the manifest is left out."""
         return [*self._gains("thrust_limit")[:2], *self._numbers(*_LIMITS)]
 
     def _unknown(self, what: str) -> None:
@@ -183,7 +184,7 @@ class _Comparison:
             self.differs.append(f"{name}[{at}]: {certified!r} certified, {have[at]!r} exported")
 
     def _believed(self, law: Mapping[str, Any]) -> None:
-        """Compare mass and drag of surge and sway in the law's model."""
+        """Compare mass and drag of surge and sway in the law's model with the certified values."""
         for port, key in (("mass", "mass_kg"), ("linear_drag", "linear_drag"), ("quadratic_drag", "quadratic_drag")):
             for axis in (0, 1):
                 self._gain(port, law[key], axis)
@@ -201,7 +202,7 @@ class _Comparison:
             self.differs.append(f"{what}: at most {certified!r} {unit} certified, {max(have)!r} exported")
 
     def _within(self, what: str, ends: Sequence[float], names: Sequence[str]) -> None:
-        """Compare the vehicle's parameters with a certified range; exclude what its file allows beyond that range."""
+        """Compare the vehicle's parameters with a certified range; add an exclusion if the vehicle file allows more."""
         low, high = ends
         for name in names:
             if name not in self.manifest.values:
@@ -221,7 +222,7 @@ class _Comparison:
         if least and min(least) < certified:
             self.excludes.append(f"{what}: {min(least)!r} {unit} in the vehicle file, {certified!r} {unit} certified")
 
-    # ---- what all share
+    # ---- helpers of all comparisons
 
     def _hashes(self, *, lawless: bool = False) -> None:
         laws, vehicle = self.manifest.laws, self.manifest.vehicle

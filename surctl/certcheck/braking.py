@@ -1,13 +1,16 @@
-"""Check of a braking certificate: a vehicle with inertia, lag and sampling never touches the obstacle it brakes for.
+"""Check of a braking certificate, which claims that a vehicle with inertia and thrust lag never touches an obstacle.
 
-The claim: under its assumptions, if clearance ≥ m G(z) ≥ 0 holds once, it holds for ever. Here z = s + q/m, s is the
-closing speed, and q is the impulse that the thrust lag still delivers. The proof is that of `surctl.guidance.braking`.
-This module checks each of its inequalities for the numbers of the certificate, in exact rational numbers, with every
-figure rounded to the safe side:
+The claim states that under its assumptions, if clearance ≥ m G(z) ≥ 0 holds at one instant, it holds at all later
+instants; the vehicle brakes at sampled instants. Here z = s + q/m, s is the closing speed, and q is the impulse that
+the thrust lag still delivers. The proof is that of `surctl.guidance.braking`. This module checks each of its
+inequalities for the numbers of the certificate, in exact rational arithmetic, with every number rounded to the safe
+side:
 
-- the table of G is a convex super-solution for every obstacle of the claim, also while the vehicle retreats;
-- the claim's table states the range needed at each of its speeds correctly;
-- with a law: wherever its speed bound does not make it brake with the guaranteed force, the range needed is available.
+- the table of G satisfies the differential inequality of the braking distance and is convex, for every obstacle of the
+  claim, also while the vehicle retreats;
+- the claim's table states a sufficient range for every own speed that it lists;
+- if the claim contains a law, the range needed is available wherever the law's speed bound does not make it brake with
+  the guaranteed force.
 """
 
 from __future__ import annotations
@@ -32,8 +35,8 @@ from surctl.certcheck.region_claim import record
 
 __all__ = ["check"]
 
-_FIGURE = 10**4  # figures of the table are rounded up to 0.1 mm
-_FIRST, _FINEST = Fraction(1, 100), Fraction(1, 10**6)  # [m/s] first and least width of a cell of the law's bound
+_FIGURE = 10**4  # distances of the table are rounded up to 0.1 mm
+_FIRST, _FINEST = Fraction(1, 100), Fraction(1, 10**6)  # [m/s] first and least width of a cell in the bound b
 
 
 def check(document: Mapping[str, Any]) -> None:
@@ -79,12 +82,12 @@ def _check_limit(claim: BrakingClaim) -> None:
 def needed(
     claim: BrakingClaim, at: Forces, distance: BrakingDistance, low: Fraction, high: Fraction, since: Fraction
 ) -> Fraction:
-    """Return a range [m] that is enough for a period without braking, at any measured speed from low to high [m/s].
+    """Return a range [m] that suffices for one period without braking, at any measured speed from low to high [m/s].
 
     `since` is the largest measured speed since the echo [m/s].
 
-    While the vehicle retreats faster than the obstacle approaches, drag accelerates it towards the obstacle; the speed
-    gained in this way is included.
+    While the vehicle retreats faster than the obstacle approaches, drag accelerates the vehicle towards the obstacle;
+    the range includes the speed gained in this way.
     """
     closing, period = high + claim.speed_error + at.obstacle, claim.period
     astern = max(at.through, claim.current + claim.speed_error - low)
@@ -94,12 +97,12 @@ def needed(
 
 
 def _stale(claim: BrakingClaim, at: Forces, since: Fraction) -> Fraction:
-    """Return by how much the measured range may exceed the clearance [m], because of its error and its age."""
+    """Return the largest excess of the measured range over the clearance [m], caused by the range's error and age."""
     return claim.range_error + max(since + claim.speed_error + at.obstacle, Fraction(0)) * claim.age
 
 
 def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, column: int) -> None:
-    """Check the claim's table: closed-form braking distance without drag's help, distance with it, range needed."""
+    """Check the claim's table: closed-form braking distance without drag, braking distance with drag, range needed."""
     left = claim.brake - at.disturbance - drag(claim, at.through)
     for row, speed in enumerate(claim.speeds):
         closing = speed + at.obstacle
@@ -118,11 +121,12 @@ def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, c
 
 
 def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: BrakingDistance) -> None:
-    """Check margin + K(b) ≥ range needed at b + x(b) for every bound b: without braking, the range is sufficient.
+    """Check margin + K(b) ≥ range needed at speed b + x(b), for every value b of the law's speed bound.
 
     K(b) is the distance at which the law's speed bound is b, and x is the excess over the bound at which the velocity
-    loop commands F_b. K, x and the range needed rise with b. So the inequality is checked on cells of b, which are
-    halved where necessary, starting at a bound that belongs to a negative clearance.
+    loop commands F_b. As long as the law does not brake with F_b, the speed is at most b + x(b). K, x and the range
+    needed rise with b. So the inequality is checked on cells of b, which are halved where necessary. The first cell
+    starts at a value of b that belongs to a negative clearance.
     """
     if claim.brake > law.limit:
         raise Rejected("the law's thrust limit is below brake_n, the guaranteed braking force")
@@ -151,8 +155,8 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
 def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
     """Return x [m/s], the excess over the bound b at which the velocity loop commands the braking force F_b.
 
-    The loop commands drag(v_d) + m k_v (v_d − v) with v_d ≤ b − gain x; its drag model is axis by axis and includes the
-    sideways speed.
+    The loop commands drag(v_d) + m k_v (v_d − v) with v_d ≤ b − gain x; the law's drag model treats each axis
+    separately and includes the sideways speed.
     """
     v, w = max(bound, Fraction(0)), claim.sideways
     square = v**2 + Fraction(385, 1000) * v * w + Fraction(7072, 10**4) * w**2
@@ -161,7 +165,7 @@ def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
 
 
 def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
-    """Return K(b) [m], the inverse of the law's speed bound; for a fast retreat, K is linear in b."""
+    """Return K(b) [m], the distance at which the law's speed bound is b; K is linear in b during a fast retreat."""
     force = law.brake * law.limit
     if law.barrier == "simple":
         c, t = bound + at.obstacle, law.reaction
@@ -183,7 +187,7 @@ def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fracti
 
 
 def _no_clearance(law: GuardedLaw, at: Forces, claim: BrakingClaim) -> Fraction:
-    """Return a bound [m/s] that is below every bound of a measured range: margin + K(bound) ≤ −range error."""
+    """Return a speed bound [m/s] below the law's bound at every measured range: margin + K(bound) ≤ −range error."""
     bound = -at.obstacle
     for _ in range(10_000):
         if law.margin + _bound_distance(law, at, claim.period, bound) <= -claim.range_error:

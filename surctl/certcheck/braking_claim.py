@@ -1,4 +1,4 @@
-"""The claim of a braking certificate, read strictly: every number is a plain decimal, no key is missing or unknown."""
+"""Reader of the claim of a braking certificate; it rejects missing or unknown keys and non-decimal numbers."""
 
 from __future__ import annotations
 
@@ -55,11 +55,14 @@ class GuardedLaw:
 
     Attributes:
         barrier: `inertia` or `simple`.
-        margin, reaction: the gains of these names [m, s].
-        brake, limit: share of the thrust limit that the bound relies on, and the thrust limit [N].
-        k_v, gain: bandwidth of the velocity loop [1/s], and multiple of the excess that is subtracted from the command.
+        margin, reaction: the law's gains `margin` [m] and `reaction` [s].
+        brake, limit: brake is the share of the thrust limit that the speed bound relies on; limit is the thrust limit
+            [N].
+        k_v, gain: k_v is the bandwidth of the velocity loop [1/s]; gain times the excess over the bound is subtracted
+            from the commanded velocity.
         mass, linear, quadratic: mass and drag of surge and of sway in the law's model.
-        stopping: lightest and heaviest mass, largest thrust, lag, linear and quadratic drag of the bound `inertia`.
+        stopping: parameters of the bound `inertia`: least mass, largest mass, largest thrust, lag, linear drag,
+            quadratic drag.
     """
 
     barrier: str
@@ -81,16 +84,19 @@ class BrakingClaim:
 
     Attributes:
         mass, linear, quadratic: true mass and drag.
-        drag: `along` for drag along the velocity, `axes` for drag axis by axis.
-        brake, most, side: guaranteed braking force F_b; largest thrust towards the obstacle; largest thrust across it.
+        drag: `along` for drag along the velocity, `axes` for drag of each axis separately.
+        brake, most, side: brake is the guaranteed braking force F_b; most is the largest thrust towards the obstacle;
+            side is the largest thrust perpendicular to this direction.
         lag: largest time constant τ of the thrust.
-        obstacles: approach speeds v_o of the obstacles, rising.
+        obstacles: approach speeds v_o of the obstacles, in rising order.
         current, disturbance: largest current and largest other force towards the obstacle.
         sideways, turn, fastest: largest sideways speed, largest yaw rate while braking, largest own speed.
-        period, age, range_error, speed_error: control period, age of a range, and errors of range and own speed.
-        law: the law; None for the bare rule, which brakes unless the range needed is available.
-        speeds: own speed of each row of the table.
-        closed, distance, needed: entries of the table by own speed and obstacle [m].
+        period, age, range_error, speed_error: control period, largest age of a measured range, largest error of the
+            range, and largest error of the measured own speed.
+        law: the law; None for the rule alone (brake unless the range needed is available).
+        speeds: own speeds for which the table has entries.
+        closed, distance, needed: table entries [m] by own speed and obstacle: closed-form braking distance, braking
+            distance with drag, range needed.
         limit: largest obstacle speed at which the braking force still exceeds drag and disturbance.
     """
 

@@ -1,9 +1,10 @@
-"""The braking distance as a table: a convex G with G' ≥ z/(braking force), checked cell by cell in exact numbers.
+"""The braking distance as a table of a convex function G with G' ≥ z/(braking force), checked in exact arithmetic.
 
-Here z = s + q/m, s = v + v_o is the closing speed, and q is the impulse towards the obstacle that lag and a turning
-hull still deliver. On knots z_0 = 0 < z_1 < …, G' is continuous and linear between the values g_j, and G(0) = 0. The
-braking force left at own speed v = z − v_o is F_b − f + D(v − c), with the least drag D ahead and the largest drag
-astern. On one cell the inequality is a cubic polynomial in z; it holds if no Bernstein coefficient is negative.
+Here z = s + q/m, s = v + v_o is the closing speed, and q is the impulse towards the obstacle that the thrust still
+delivers because of its lag and of the hull's rotation. On knots z_0 = 0 < z_1 < …, G' is continuous and linear between
+the values g_j, and G(0) = 0. The braking force left at own speed v = z − v_o is F_b − f + D(v − c), where D is the
+least drag for motion ahead and the largest drag for motion astern. On one cell (between two knots) the inequality says
+that a cubic polynomial in z is not negative; it holds if no Bernstein coefficient is negative.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ class Forces:
 def largest_disturbance(claim: BrakingClaim, through: Fraction) -> Fraction:
     """Return f [N] for a vehicle that moves astern through the water at up to `through` [m/s].
 
-    f includes the drag beyond D(through) that a sideways speed causes, and the braking force that a turning hull loses.
+    f includes the drag beyond D(through) that a sideways speed causes, and the part of the braking force that is lost
+    because the hull turns.
     """
     w, (low, high), (low2, high2) = claim.sideways, claim.linear, claim.quadratic
     if claim.drag == "along":  # (X + X2 √(a² + w²)) a exceeds D(a) by at most X2 a w and X2 w²/2
@@ -73,7 +75,7 @@ def largest_disturbance(claim: BrakingClaim, through: Fraction) -> Fraction:
 
 
 def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
-    """Return the speeds and forces for an obstacle of that approach speed [m/s].
+    """Return the speeds and forces of the encounter with an obstacle that approaches at `obstacle` [m/s].
 
     Raises:
         Rejected: drag and disturbance use up the braking force.
@@ -88,7 +90,7 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
 
 @dataclass(frozen=True)
 class BrakingDistance:
-    """The function G, given by its knots z_j and by its slopes g_j and values at the knots."""
+    """The function G: its knots z_j, and its slopes g_j and values at these knots."""
 
     knots: tuple[Fraction, ...]
     slopes: tuple[Fraction, ...]
@@ -117,12 +119,12 @@ class BrakingDistance:
         return min(bisect_right(self.knots, z), len(self.knots) - 1) - 1
 
     def worst(self, claim: BrakingClaim, at: Forces, closing: Fraction, swing: Fraction) -> Fraction:
-        """Return m G(s + q/m) [m] at the worse end of the mass range; it is convex in m."""
+        """Return the larger of m G(s + q/m) [m] at both ends of the mass range; m G(s + q/m) is convex in m."""
         return rounded(max(m * self(closing + swing / m) for m in claim.mass))
 
 
 def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistance:
-    """Read the table of one obstacle and check every cell of it.
+    """Return the braking distance for one obstacle from its table, after a check of every cell of the table.
 
     Raises:
         Rejected: the table is malformed or not convex, or one of its slopes is too small.
@@ -168,7 +170,7 @@ def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tup
 
 
 def _check_retreat(claim: BrakingClaim, at: Forces, distance: BrakingDistance) -> None:
-    """Check G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all opening speeds r; the lightest mass is the worst."""
+    """Check G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all opening speeds r; the least mass is the worst."""
     most = at.swing / claim.mass[0]
     for k in range(_CELLS):
         slow, quick = most * k / _CELLS, most * (k + 1) / _CELLS

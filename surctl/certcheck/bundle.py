@@ -1,7 +1,7 @@
-"""The manifest of an exported controller, with every entry verified that can be recomputed.
+"""Reader of the manifest of an exported controller; it verifies every entry that can be recomputed.
 
 The export writes `manifest.json`, which states the content of the bundle: every gain, the vehicle's parameters, the
-hash of the law's instructions, and the hashes of all files. This module recomputes the hashes of the files, of the
+hash of the law's instruction list, and the hashes of all files. This module recomputes the hashes of the files, of the
 gains and of the vehicle, and the id that the C source returns (a hash of law, period, precision, gains and initial
 state).
 """
@@ -33,14 +33,15 @@ class Manifest:
         id: hash of law, period, precision, gains and initial state.
         real: floating-point precision of the exported code.
         period: control period [s].
-        laws: hash of the law's instructions, then hash of the same law with true positions as input.
+        laws: hash of the law's instruction list, then hash of the instruction list of this law with true obstacle
+            positions as input.
         gains: values of the exported gains by name.
         vehicle: hash of the vehicle's parameters; empty if the export names no vehicle.
-        claims: hashes of the library's claims for these gains, by name.
+        claims: hashes of the library's claims for the exported gains, by name of the claim.
         wrong: one message for each entry of the manifest that is false.
         values: values of the vehicle's parameters by name.
-        ranges: (least, largest) of each parameter to which the vehicle file gives a range; None if the manifest states
-            no ranges.
+        ranges: (least, largest) value of each vehicle parameter with a range in the vehicle file, by name; None if the
+            manifest states no ranges.
     """
 
     id: str
@@ -61,7 +62,7 @@ def numbers_sha256(numbers: Sequence[float]) -> str:
 
 
 def stated_sha256(claim: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of the statement of an inequality: variables with their ranges, both sides, constraints."""
+    """Return the SHA-256 of an inequality's statement (variables with their ranges, both sides, and constraints)."""
     return hashlib.sha256(canonical({key: claim.get(key) for key in _STATED})).hexdigest()
 
 
@@ -86,7 +87,7 @@ def read_bundle(folder: Path) -> Manifest:
 
 
 def read_manifest(document: Any, folder: Path | None = None) -> Manifest:
-    """Read a manifest from plain data; the exported files are compared with it if a folder is given.
+    """Read a manifest from plain data; if a folder is given, compare the exported files with the manifest.
 
     Raises:
         InputError: the data are not a manifest.

@@ -1,4 +1,4 @@
-"""The certificate file: JSON with a hash of its own canonical text."""
+"""Reading and writing of certificate files, which are JSON with a hash of their own canonical text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LARGEST = 8_000_000
 
 
 class Rejected(Exception):
-    """The certificate does not prove its claim; the message says why, without a full stop."""
+    """Error for a certificate that does not prove its claim; its message states the reason, without a full stop."""
 
 
 def canonical(document: Mapping[str, Any]) -> bytes:
@@ -39,12 +39,13 @@ def canonical(document: Mapping[str, Any]) -> bytes:
 
 
 def seal(kind: str, claim: Mapping[str, Any], evidence: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a complete certificate: format, version, kind, claim, the keys of its kind, and the hash of all of them.
+    """Return a complete certificate: format, version, kind, claim, the keys of `evidence`, and the hash of all keys.
 
     Args:
         kind: name of the module of `surctl.certcheck` that checks this kind.
         claim: the statement that is proved, as plain data.
-        evidence: the keys of this kind with their values, as plain data.
+        evidence: the keys that certificates of this kind have besides the common keys, with their values, as plain
+            data.
 
     Raises:
         ValueError: the evidence uses a key that every certificate has, or holds a number that JSON does not have.
@@ -66,7 +67,7 @@ def seal(kind: str, claim: Mapping[str, Any], evidence: Mapping[str, Any]) -> di
     if clashes:
         raise ValueError(f"the evidence uses keys that every certificate has: {clashes}")
     document = {**frame, **evidence}
-    # hash what a reader of the file gets: JSON turns tuples into lists and keys into text
+    # hash the data as a reader of the file gets them, because JSON turns tuples into lists and keys into text
     document = json.loads(canonical(document))
     return {**document, "sha256": hashlib.sha256(canonical(document)).hexdigest()}
 

@@ -1,7 +1,7 @@
-"""The checker's own interval arithmetic: 60-bit ends by mpmath's directed rounding, with first and second derivatives.
+"""Interval arithmetic of the checker, with first and second derivatives; mpmath rounds the 60-bit ends outward.
 
-An interval is mpmath's pair of raw numbers. A derivative that is None stands for [0, 0]. mpmath rounds sums, products,
-quotients, integer powers and roots correctly; sines and angles come from `surctl.certcheck.angles`.
+An interval is a pair of raw numbers as mpmath uses them. A derivative that is None stands for [0, 0]. mpmath rounds
+sums, products, quotients, integer powers and roots correctly; sines and angles come from `surctl.certcheck.angles`.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ __all__ = [
 Slopes = list[Any]
 """One derivative for each variable; None stands for 0."""
 
-_MOST = 2_000_000  # most numbers in all jets of an expression
+_MOST = 2_000_000  # largest count of numbers in all jets of an expression
 _ZERO = (libmp.fzero, libmp.fzero)
 _ONE = (libmp.fone, libmp.fone)
 _LINE = (libmp.fninf, libmp.finf)
 
 
 class Undefined(Exception):
-    """An operation is not defined on the whole interval of its operand."""
+    """Error for an operation that is not defined on the whole interval of its operand."""
 
 
 @dataclass(frozen=True)
 class Jet:
-    """Ranges of a value, of its gradient (n) and of its Hessian (n × n, symmetric); None if they are not computed."""
+    """Ranges of a value, its gradient (n) and its Hessian (n × n, symmetric); a derivative not computed is None."""
 
     value: Interval
     slope: Slopes | None = None
@@ -63,7 +63,7 @@ def exact(x: float) -> Interval:
 
 
 def span(low: float, high: float) -> Interval:
-    """Return [low, high]; each end is the double or its printed decimal, whichever lies further out."""
+    """Return the interval [low, high]; each end is the outer of two numbers, the double and its printed decimal."""
     return _end(low)[0], _end(high)[1]
 
 
@@ -87,12 +87,12 @@ def rational(x: Fraction) -> Interval:
 
 
 def above(a: Interval, bound: Any = libmp.fzero) -> bool:
-    """Whether every number in the interval a is greater than the bound."""
+    """Return whether every number in the interval a is greater than the bound."""
     return bool(libmp.mpf_gt(a[0], bound))
 
 
 def is_zero(a: Interval) -> bool:
-    """Whether the interval a is exactly [0, 0]."""
+    """Return whether the interval a is exactly [0, 0]."""
     return bool(a == _ZERO)
 
 
@@ -142,7 +142,7 @@ def enclose(
     """Return the ranges of expressions on a box, with derivatives up to `order`.
 
     Raises:
-        Undefined: an operation in one of them is not defined on the whole box.
+        Undefined: an operation in one of the expressions is not defined on the whole box.
     """
     jets: dict[int, Jet] = {}
     needed = expressions.needed(roots)
@@ -327,7 +327,7 @@ def _angle(y: Jet, x: Jet) -> Jet:
 
 
 def _chosen(a: Interval, b: Interval, x: Jet, y: Jet, value: Interval | None) -> Jet:
-    """Return the jet of x where a ≤ b and of y elsewhere; `value` is its range if it is continuous, else None."""
+    """Return the jet of f = x where a ≤ b, f = y elsewhere; `value` is the range of f if f is continuous, else None."""
     if libmp.mpf_le(a[1], b[0]):
         return x
     if libmp.mpf_gt(a[0], b[1]):

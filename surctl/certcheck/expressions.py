@@ -1,4 +1,4 @@
-"""The checker's own parser of expressions: it turns text into a list of operations without duplicates.
+"""Parser of expressions for the checker; it turns text into a list of operations without duplicates.
 
 The grammar has sums, products, integer powers with ^, the functions in `FUNCTIONS`, exact decimal numbers and `pi`.
 """
@@ -40,7 +40,7 @@ class Entry:
 
 
 class ExpressionTable:
-    """All expressions of one certificate; equal expressions share an entry, and operands precede their use."""
+    """Table of all expressions of one certificate; equal expressions share an entry, and operands precede their use."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
@@ -72,7 +72,7 @@ class ExpressionTable:
         return self._live[key]
 
     def rewritten(self, roots: Sequence[int], change: Callable[[int, tuple[int, ...]], int | None]) -> list[int]:
-        """Return the roots with each entry replaced by change(position, replaced operands), unless that is None."""
+        """Return the roots, each entry replaced by change(position, new operands); None leaves the entry as it is."""
         replaced: dict[int, int] = {}
         for at in self.needed(roots):
             entry = self.entries[at]

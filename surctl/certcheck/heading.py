@@ -1,10 +1,11 @@
-"""Check of a certificate of the heading-steered loop: 8 states, V̇ ≤ −a V on a whole level set, including its centre.
+"""Check of a certificate of the heading-steered loop (8 states), which claims V̇ ≤ −a V on a whole level set of V.
 
-The claim: for all constant true parameters in their ranges, the vehicle comes to rest relative to the moving target at
-x* = (v − u_c*)/k1. V = ξᵀ P ξ is a function of the horizontal deviations (x, y, ψ, U_x, U_y, r), and V_z of (z, w).
-Along every motion that starts in V ≤ 1, V_z ≤ 1 both decay as e^(−a t). The thrust limits are included as sectors
-φ ∈ [φ_min, 1] in each cell. Heave does not act on the other six states. P > 0 and heave are checked in exact numbers,
-the cells in double precision with every rounding error on the safe side.
+The claim states that for all constant true parameters in their ranges, the vehicle comes to rest relative to the moving
+target at x* = (v − u_c*)/k1. V = ξᵀ P ξ is a function of the horizontal deviations (x, y, ψ, U_x, U_y, r), and V_z of
+(z, w). Along every motion that starts in V ≤ 1 and V_z ≤ 1, V and V_z decay as e^(−a t). The proof divides the level
+set into cells; in each cell, a sector φ ∈ [φ_min, 1] models the thrust limits. Heave does not act on the other six
+states. P > 0 and heave are checked in exact rational arithmetic; the cells are checked in double precision with bounds
+on all rounding errors.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def _matrix(rows: Any, size: int, where: str) -> Matrix:
 
 
 def _check_extent(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
-    """Check the claimed offsets, depth and extent of the region, and that the point of rest is within its bound."""
+    """Check the claimed offsets, depth and extent of the region, and the claimed bound on the point of rest x*."""
     v, k1 = claim.law["cruise"], claim.law["k1"]
     for command in claim.command:
         if command <= 0:
@@ -81,7 +82,7 @@ def _check_extent(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
 
 
 def _check_heave(claim: HeadingClaim, p: Matrix) -> None:
-    """Check the decay of V_z for ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w, in exact numbers."""
+    """Check the decay of V_z for ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w, in exact rational arithmetic."""
     covariance = inverse(p)
     velocity_gain, k_z = claim.law["heave_mass_kg"] * claim.law["k"], claim.law["k_z"]
     linear, square = claim.ranges["heave_linear"], claim.ranges["heave_quadratic"]

@@ -1,7 +1,8 @@
-"""Proof of V̇ < −a V over cells of (ψ, y_e): each cell bounds thrust share and drag slope; then its vertices decide.
+"""Proof of V̇ < −a V over cells of (ψ, y_e), at the vertices of the bounds on thrust share and drag slope in each cell.
 
-Cells that fail are divided into four. Matrices are midpoints with radii. The norm of the radii and a bound on all
-rounding errors are subtracted from the diagonal; then a Cholesky factorisation in double precision decides (Rump 2006).
+Cells that fail are divided into four. Interval matrices are stored as midpoints with radii. The norm of the radii and a
+bound on all rounding errors are subtracted from the diagonal of the midpoint; then a Cholesky factorisation in double
+precision decides whether the matrix is positive definite (Rump 2006).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _ROUNDING = 1e-11  # relative rounding error of a 6 × 6 product and its factori
 
 @dataclass(frozen=True)
 class _Form:
-    """P, T with T P Tᵀ ≈ I, P⁻¹, inverse S of its (ψ, y) block, regression of ξ on (ψ, y), residual covariance."""
+    """Matrices: P; T with T P Tᵀ ≈ I; P⁻¹; S⁻¹ = (ψ, y) part of P⁻¹; regression of ξ on (ψ, y); residual covariance."""
 
     p: Array
     change: Array
@@ -53,7 +54,7 @@ def _form(p: Array) -> _Form:
 
 
 def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
-    """Return a lower bound on (ψ, y) S (ψ, y)ᵀ in each cell."""
+    """Return a lower bound on (ψ, y) S (ψ, y)ᵀ, the least V at given (ψ, y), in each cell."""
     s = form.shape
     at = s[0, 0] * psi**2 + 2 * s[0, 1] * psi * y + s[1, 1] * y**2
     slack = half[0] * np.sqrt(s[0, 0]) + half[1] * np.sqrt(s[1, 1])
@@ -61,7 +62,7 @@ def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
 
 
 def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: Array) -> Array:
-    """Return an upper bound on |row ξ| (n,) over V ≤ 1 with (ψ, y) in the cell."""
+    """Return an upper bound (n,) on |row · ξ|, for row vectors `row`, over V ≤ 1 with (ψ, y) in each cell."""
     mean = np.einsum("nk,kj->nj", row.mid, form.regression)
     centre = np.abs(mean[:, 0] * psi + mean[:, 1] * y)
     moved = np.abs(mean[:, 0]) * half[0] + np.abs(mean[:, 1]) * half[1]
@@ -71,7 +72,7 @@ def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: 
 
 
 def _pair(share: Array) -> list[Array]:
-    """Return [φ, 1], or [1] if no cell reaches the thrust limit."""
+    """Return the vertices of the thrust share: [φ, 1], or [1] if no cell reaches the thrust limit."""
     return [np.ones_like(share)] if np.all(share >= 1) else [share, np.ones_like(share)]
 
 
@@ -80,10 +81,11 @@ def _share(left: float, most: Array) -> Array:
 
 
 def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int:
-    """Prove V̇ < −a V on V ≤ 1 for P (6, 6) with at most `most` cells; return the number of cells.
+    """Prove V̇ < −a V on V ≤ 1 for the matrix P (6, 6), with at most `most` cells; return the number of cells.
 
     Raises:
-        Rejected: the proof needs smaller or more cells than allowed, or the steady cruise needs all the thrust.
+        Rejected: the proof needs smaller cells or more cells than allowed, or the steady cruise alone reaches a thrust
+            limit.
     """
     form = _form(matrix)
     law = {key: float(value) for key, value in claim.law.items()}
@@ -119,7 +121,7 @@ def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int
 def _fails(
     claim: HeadingClaim, law: dict[str, float], form: _Form, psi: Array, y: Array, half: Array, least: Array
 ) -> Array:
-    """Return for each cell whether V̇ + a V < 0 is not shown at one of its vertices."""
+    """Return for each cell whether the proof of V̇ + a V < 0 fails at one of the cell's vertices."""
     go_on()
     ranges = {key: (float(low), float(high)) for key, (low, high) in claim.ranges.items()}
     limits = {key: float(value) for key, value in claim.limits.items()}
@@ -187,7 +189,7 @@ _KINEMATIC[0, 3] = _KINEMATIC[1, 4] = _KINEMATIC[2, 5] = 1
 
 
 def _part(form: _Form, loop: Plane) -> tuple[Array, Array, Array, Array]:
-    """Return T (P A + Aᵀ P) Tᵀ (n, 6, 6): middle, both slopes over the cell, and error in the spectral norm (n,)."""
+    """Return T (P A + Aᵀ P) Tᵀ: midpoint and two slopes over the cell (n, 6, 6); spectral norm of the error (n,)."""
     t = form.change
     halves = []
     for part in (loop.mid, loop.psi, loop.y):
@@ -201,7 +203,7 @@ def _part(form: _Form, loop: Plane) -> tuple[Array, Array, Array, Array]:
 
 
 def _positive(m: Array) -> NDArray[np.bool_]:
-    """Return for each matrix (n, k, k) whether all Cholesky pivots are positive."""
+    """Return for each of n matrices (k, k) whether all its Cholesky pivots are positive."""
     # one array for each matrix entry, so that every step runs over contiguous memory
     n = m.shape[1]
     a = {(i, j): m[:, i, j] for i in range(n) for j in range(i + 1)}

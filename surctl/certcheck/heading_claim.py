@@ -1,4 +1,4 @@
-"""The claim of a certificate of the heading-steered loop, read strictly: no key is missing or unknown."""
+"""Reader of the claim of a certificate of the heading-steered loop; it rejects missing and unknown keys."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class HeadingClaim:
         rate: decay rate a of V̇ ≤ −a V [1/s].
         offset: |y_e| [m] that lies in the region at x_e = 0, with the heading along the path and the target's velocity.
         beside: |y_e| [m] that lies in the region at x_e = x*, where the vehicle comes to rest.
-        extent: |x|, |y| [m] and |ψ| [rad], each attained at some point of the region.
+        extent: |x|, |y| [m] and |ψ| [rad], largest values in the region.
         depth: |z_e| [m] that lies in the region at zero heave velocity.
         ultimate_bound: largest |x_e| [m] at rest; y_e, z_e and ψ go to 0.
     """
@@ -65,19 +65,19 @@ class HeadingClaim:
 
     @property
     def velocity_gain(self) -> Fraction:
-        """Velocity gain m k of the law [N s/m]."""
+        """Return the velocity gain m k of the law [N s/m]."""
         return self.law["mass_kg"] * self.law["k"]
 
     @property
     def trim(self) -> Pair:
-        """Least and largest surge drag at the cruise speed [N]."""
+        """Return the least and the largest surge drag at the cruise speed [N]."""
         v = self.law["cruise"]
         low, high = (self.ranges["surge_linear"][i] * v + self.ranges["surge_quadratic"][i] * v * v for i in (0, 1))
         return low, high
 
     @property
     def command(self) -> Pair:
-        """Least and largest surge command at rest in the moving frame [m/s]."""
+        """Return the least and the largest surge command [m/s] of a vehicle at rest relative to the target."""
         v = self.law["cruise"]
         fed = self.law["linear_drag"] * v + self.law["quadratic_drag"] * v * v
         low, high = (v + (trim - fed) / self.velocity_gain for trim in self.trim)
@@ -88,7 +88,8 @@ def read_claim(claim: Any) -> HeadingClaim:
     """Return the claim of a certificate.
 
     Raises:
-        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the restrictions differ.
+        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated restrictions are not
+            those of this kind of claim.
     """
     top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle"), "claim")
     if top["system"] != "heading":

@@ -1,8 +1,8 @@
-"""A second implementation of the heading-steered law and the vehicle, compared with the rows that the proof uses.
+"""A second implementation of the heading-steered loop, compared with the linear forms in ξ that the proof uses.
 
-At sampled positions, headings and vehicles the derivative of the whole loop must equal A ξ, with φ = 1 and the true
-secants of the drag, up to rounding. The comparison does not replace the derivation, but it reveals a wrong sign, frame
-or factor.
+At sampled positions, headings and vehicles the state derivative of the whole loop must equal A ξ up to rounding, where
+A uses the thrust share φ = 1 and the true secant slopes of the drag. The comparison does not replace the derivation of
+A, but it reveals a wrong sign, frame or factor.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Boat = dict[str, float]
 
 
 def commanded_thrust(law: dict[str, float], state: list[float]) -> tuple[float, float, float]:
-    """Return unlimited surge, sway [N] and yaw [N m] of (11), (12) and the velocity loops at (x_e, y_e, ψ, u, v, r)."""
+    """Return the thrust of (11), (12) and the velocity loops at (x_e, y_e, ψ, u, v, r), without limits [N, N, N m]."""
     x_e, y_e, psi, u, v, r = state
     q = math.hypot(y_e, law["lookahead"])
     desired = (law["cruise"] - law["k1"] * x_e) * q / law["lookahead"]
@@ -39,7 +39,7 @@ def commanded_thrust(law: dict[str, float], state: list[float]) -> tuple[float, 
 
 
 def true_rate(law: dict[str, float], boat: Boat, state: list[float], thrust: tuple[float, ...]) -> list[float]:
-    """Return d/dt of (x_e, y_e, ψ, u, v, r) by (2), (3) under this thrust."""
+    """Return d/dt of (x_e, y_e, ψ, u, v, r) by (2), (3) under the given thrust."""
     _, _, psi, u, v, r = state
     m = boat["mass_kg"]
     c, s = math.cos(psi), math.sin(psi)
@@ -61,7 +61,7 @@ def check_identity(claim: HeadingClaim, draw: random.Random) -> None:
     """Compare the derivative of law and vehicle with A ξ at sampled points.
 
     Raises:
-        Rejected: the two derivatives differ.
+        Rejected: the derivative of law and vehicle differs from A ξ.
     """
     law = {key: float(value) for key, value in claim.law.items()}
     v, velocity_gain = law["cruise"], float(claim.velocity_gain)

@@ -1,12 +1,12 @@
-"""The heading-steered loop over cells of (ψ, y_e): rows that are affine up to an error radius, in doubles.
+"""The heading-steered loop over cells of (ψ, y_e), as matrix rows that are affine in (ψ, y_e) up to an error bound.
 
 With m11 = m22 the Coriolis force vanishes in the path frame, ξ = (x − x*, y, ψ, U_x − v, U_y, r), and
     m U̇ = e1(ψ) (φ_u f_u − σ_u δu) + e2(ψ) (φ_v f_v − σ_v v),   m44 ṙ = φ_r f_r − σ_r r,
     δu = cos ψ δU_x + sin ψ U_y − v κ ψ,  v = −sin ψ δU_x + cos ψ U_y − v sinc ψ ψ,   κ = (1 − cos ψ)/ψ,
     f_u = m̂ k (−k1 (q/Δ) x + u_c* y²/(Δ (q + Δ)) − δu),  f_v = −m̂ k v,  f_r = −m̂44 k_r (r + k_ψ (ψ + atan(y/Δ))),
-exactly. The trim force T* cancels and remains only in u_c* = v + (T* − T̂)/(m̂ k). σ are secants of the drag, and φ are
-the shares of the command that the thrust limits leave. Every coefficient of ξ is a smooth function of ψ or of y: its
-tangent and a bound on its second derivative enclose it over a cell.
+exactly. The trim force T* cancels except in u_c* = v + (T* − T̂)/(m̂ k). σ are secants of the drag, and φ are the
+shares of the command that the thrust limits leave. Every coefficient of ξ is a smooth function of ψ or of y. Over a
+cell, the tangent of the function and a bound on its second derivative enclose the function. All numbers are doubles.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TINY = 1e-12  # above the relative rounding error of every entry of order 1
 
 @dataclass(frozen=True)
 class Plane:
-    """Functions over a cell, entry by entry: mid + a psi + b y for a, b in [−1, 1], with an error of at most radius."""
+    """Array of functions over a cell: mid + a psi + b y with a, b in [−1, 1], with an error of at most `radius`."""
 
     mid: Array
     psi: Array
@@ -36,7 +36,7 @@ class Plane:
 
     @property
     def spread(self) -> Array:
-        """Largest distance of a value in the cell from `mid`."""
+        """Return the largest distance of a value in the cell from `mid`."""
         return np.asarray((np.abs(self.psi) + np.abs(self.y) + self.radius) * (1 + _TINY))
 
     def __add__(self, other: Plane) -> Plane:
@@ -60,7 +60,7 @@ class Plane:
         )
 
     def times(self, factor: float | Array) -> Plane:
-        """Return the product with exact numbers."""
+        """Return the plane multiplied by a factor without error."""
         mid = self.mid * factor
         return Plane(mid, self.psi * factor, self.y * factor, self.radius * np.abs(factor) + _TINY * np.abs(mid))
 
@@ -76,7 +76,7 @@ def constant(value: Array) -> Plane:
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows (n cells, 6) of δu, v, f_u/(m̂ k) + δu (for both ends of u_c*) and f_r; e1 and e2 as columns of ξ̇."""
+    """Rows (n cells, 6) of coefficients of ξ for δu, v, f_u/(m̂ k) + δu (at both ends of u_c*), f_r; columns e1, e2."""
 
     surge: Plane
     sway: Plane
@@ -87,7 +87,7 @@ class Rows:
 
 
 def rows(law: Mapping[str, float], commands: tuple[float, float], psi: Array, y: Array, half: Array) -> Rows:
-    """Return the rows over the cells psi ± half[0], y ± half[1] with centres psi and y (n,), for |ψ| ≤ π/2."""
+    """Return `Rows` over the cells psi ± half[0], y ± half[1] with centres psi and y (n,), for |ψ| ≤ π/2."""
     n, ahead, v = len(psi), law["lookahead"], law["cruise"]
     zero = np.zeros(n)
 

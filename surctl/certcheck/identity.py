@@ -1,8 +1,9 @@
-"""Exact identities between expressions: two are equal if the difference of their fractions is the polynomial 0.
+"""Exact identities: two expressions are equal if the numerator of their difference is the polynomial 0.
 
-Every angle is split into single terms; sines and cosines of sums then follow from the product of unit complex numbers.
-The other rules are sqrt(p)² = p, sin² = 1 − cos², and the sides of the triangle behind atan2 and acos. An identity
-holds wherever both sides are defined and the polynomials in `Exact.assumed` are positive.
+Every angle is split into the terms of its sum; sine and cosine of the sum follow from the product of unit complex
+numbers, one for each term. The other rewriting rules are sqrt(p)² = p, sin² = 1 − cos², and the sides of the triangle
+behind atan2 and acos. An identity holds wherever both sides are defined and the polynomials in `Exact.assumed` are
+positive.
 """
 
 from __future__ import annotations
@@ -46,12 +47,12 @@ class Exact:
         self.assumed: list[Sum] = []
 
     def equal(self, a: int, b: Callable[[Exact], Fraction_]) -> bool:
-        """Whether the expression at `a` equals the fraction that `b` builds."""
+        """Return whether the expression at position `a` equals the fraction that the function `b` builds."""
         p, q = self.of(a), b(self)
         return not self.plus(self.mul(p[0], q[1]), self.mul(q[0], p[1]), -1)
 
     def under_root(self, atom: str) -> Sum:
-        """Return the polynomial under the root that an atom names."""
+        """Return the radicand (a polynomial) of the root that an atom stands for."""
         return self._inside[atom]
 
     # ---- polynomials
@@ -72,7 +73,7 @@ class Exact:
         return out
 
     def mul(self, a: Sum, b: Sum) -> Sum:
-        """Return the polynomial a b, with roots and sines in the first power at most."""
+        """Return the polynomial a b, reduced so that roots and sines have powers of at most 1."""
         if len(a) * len(b) > _MOST * 4:
             raise Rejected(_TOO_LARGE)
         out: Sum = {}
@@ -164,7 +165,7 @@ class Exact:
                 return self._inverse_angle("atan2", args[0], (_ONE, _ONE))
             case "atan2" | "acos":
                 return self._inverse_angle(entry.op, *args)
-            case _:  # a branch without a choice is a new unknown
+            case _:  # abs, max, min or select without a choice is a new unknown
                 return {((f"b{at}", 1),): Fraction(1)}, _ONE
 
     @staticmethod
@@ -174,7 +175,7 @@ class Exact:
         return a[1], a[0]
 
     def _root(self, a: Fraction_) -> Fraction_:
-        """Return √(p/q) = √(p q)/q for q > 0; a square factor of the coefficients is taken out of the root."""
+        """Return √(p/q) = √(p q)/q for q > 0; square factors of the coefficients are moved out of the root."""
         if not a[0]:
             return a
         inside = self.mul(a[0], a[1])
@@ -244,7 +245,7 @@ class Exact:
 
 
 def _spelled(a: Sum) -> str:
-    """Return a text that is the same for equal polynomials."""
+    """Return a text form of a polynomial; equal polynomials have equal texts."""
     text = "+".join(f"{x}" + "".join(f"*{k}^{e}" for k, e in t) for t, x in sorted(a.items()))
     if len(text) > _LONGEST:
         raise Rejected(_TOO_LARGE)

@@ -1,14 +1,15 @@
-"""Check of a certificate of kind `interval`: an inequality left ≤ right + slack on a box, by cases and halved boxes.
+"""Check of a certificate of kind `interval`, which claims an inequality left ≤ right + slack on a box.
 
-Besides the common keys it has `cases`. Each case has a `choice` (which of its two expressions each abs, max, min and
-select takes), `numerator`, `denominators` and `multipliers` (margin = numerator / Π denominators + Σ multiplier ·
-constraint), a `tree` (preorder; a capital letter or digit halves the box in that variable, at 0 if 0 lies inside; a
-small letter names the rule that decides the box), and `points` (where the tangents of the rule `c` touch). The cases
-must cover all choices, and an incomplete tree is rejected, so that the domain is covered without trust in the file. The
-statement in words is not checked.
+Besides the common keys, the certificate has the key `cases`; the proof is by cases and by halving boxes. Each case has
+a `choice` (which of its two expressions each abs, max, min and select takes), `numerator`, `denominators` and
+`multipliers` (margin = numerator / Π denominators + Σ multiplier · constraint), a `tree` (preorder; a capital letter or
+digit halves the box in that variable, at 0 if 0 lies inside; a small letter names the rule that decides the box), and
+`points` (points of contact of the tangents that the rule `c` uses). The cases must cover all choices, and an incomplete
+tree is rejected. So the cases and boxes provably cover the whole domain. The checker does not check the claim's
+statement in words.
 
-A number of the claim means its printed decimal. The ends of a box are rounded outward to contain the decimal and its
-double, so that both readings are covered. A variable of zero width is exactly its decimal.
+A number of the claim means its printed decimal. The ends of a box are rounded outward to contain both the decimal and
+its double. A variable of zero width is exactly its decimal.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ _CLAIM = {"name", "statement", "unit", "variables", "left", "right", "constraint
 _CASE = {"choice", "numerator", "denominators", "multipliers", "tree", "points"}
 _DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _MOST_BRANCHES = 12
-_DEEPEST = 10_000  # most boxes that wait to be checked
+_DEEPEST = 10_000  # largest number of boxes that wait to be checked
 _WHOLE = 2**53  # a larger integer may not be a double
 
 Box = list[tuple[float, float]]
@@ -107,7 +108,7 @@ class _Claim:
         return self.expressions.rewritten(roots, change)
 
     def _defined(self, box: Box) -> bool:
-        """Whether both sides and all constraints, as written, are defined on a box."""
+        """Return whether both sides and all constraints, as written in the claim, are defined on a box."""
         try:
             enclose(self.expressions, self.parts, [span(*ends) for ends in box])
         except Undefined:
@@ -178,7 +179,7 @@ class _CaseOf:
         return chosen, [conditions[at] for at in picked]
 
     def check(self) -> None:
-        """Check the signs, the identity and every leaf of the tree."""
+        """Check the case: signs of multipliers and denominators, identity of the margin, and every leaf of the tree."""
         root = [span(*ends) for ends in self.claim.box]
         for jet in enclose(self.expressions, self.denominators, root):
             if not above(jet.value):
@@ -192,7 +193,7 @@ class _CaseOf:
             raise Rejected("the certificate has more tangent points than it needs")
 
     def _identity(self) -> None:
-        """margin = numerator / Π denominators + Σ multiplier · constraint."""
+        """Check margin = numerator / Π denominators + Σ multiplier · constraint."""
         if len(self.multipliers) != len(self.constraints):
             raise Rejected("the numbers of multipliers and constraints differ")
         pairs = [(m, c) for m, c in zip(self.multipliers, self.constraints, strict=True) if not self._is_zero(m)]
@@ -256,7 +257,7 @@ class _CaseOf:
             raise Rejected(f"rule {rule!r} does not decide a box: {_box_text(box)}")
 
     def _excluded(self, constraint: int, wide: list[Interval], box: Box | None) -> bool:
-        """Whether a constraint is positive on the whole box, by its value or by its mean-value form."""
+        """Return whether a constraint is positive on the whole box, by its value or by its mean-value form."""
         try:
             jet = enclose(self.expressions, [constraint], wide, order=0 if box is None else 1)[0]
             if box is None:
@@ -267,7 +268,7 @@ class _CaseOf:
             return False
 
     def _linear(self, at: int, jet: Jet, box: Box, centre: Sequence[float]) -> Interval:
-        """Return the range of a mean-value form: value at the centre plus slopes times offsets."""
+        """Return the range of a mean-value form (value at the centre plus slopes times offsets from the centre)."""
         total = enclose(self.expressions, [at], [exact(c) for c in centre])[0].value
         for slope, (low, high), c in zip(jet.slope or [], box, centre, strict=True):
             if slope is not None:
@@ -275,7 +276,7 @@ class _CaseOf:
         return total
 
     def _small(self, value: Interval, wide: list[Interval]) -> bool:
-        """Whether value ≤ slack · Π denominators."""
+        """Return whether value ≤ slack · Π denominators."""
         bound = decimal(self.claim.slack)
         if self.claim.slack:
             for jet in enclose(self.expressions, self.denominators, wide):
@@ -286,7 +287,7 @@ class _CaseOf:
         return self._small(enclose(self.expressions, [self.numerator], wide)[0].value, wide)
 
     def _face(self, box: Box, wide: list[Interval]) -> tuple[Jet, Box, list[bool]]:
-        """Return slopes on the box, its face with monotone variables at their worse end, and which ones stay free."""
+        """Return the slopes on the box, the face with monotone variables at their worse end, and the free variables."""
         jet = enclose(self.expressions, [self.numerator], wide, order=1)[0]
         face, free = Box(), []
         for slope, (low, high) in zip(jet.slope or [], box, strict=True):
@@ -307,7 +308,7 @@ class _CaseOf:
         return self._small(self._linear(self.numerator, jet, face, centre), wide)
 
     def _tangent(self, box: Box, wide: list[Interval]) -> bool:
-        """Whether the numerator is concave on the face and a tangent at a point of the face is small enough on it."""
+        """Return whether the numerator is concave on the face and one of its tangents is small enough on the face."""
         _, face, free = self._face(box, wide)
         point = [_number(x) for x in _listed(self.points.pop())]
         if len(point) != len(face) or any(not low <= x <= high for x, (low, high) in zip(point, face, strict=True)):
@@ -326,7 +327,7 @@ class _CaseOf:
 
 
 def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
-    """Whether each symmetric matrix in −bend is positive definite on the free variables, apart from zero rows."""
+    """Return whether each symmetric matrix in −bend, without zero rows, is positive definite on the free variables."""
     among = [k for k, is_free in enumerate(free) if is_free]
     keep = [k for k in among if not all(bend[k][j] is None or is_zero(bend[k][j]) for j in among)]
     m = [[None if bend[i][j] is None else libmp.mpi_neg(bend[i][j]) for j in keep] for i in keep]
@@ -382,7 +383,7 @@ def _number(value: object) -> float:
 
 
 def _middle(low: float, high: float) -> float:
-    """Return a number between the ends; if their sum overflows, the sum of their halves is used."""
+    """Return the mean of both ends, computed as the sum of their halves if the sum of the ends overflows."""
     whole = low + high
     return whole / 2 if math.isfinite(whole) else low / 2 + high / 2
 

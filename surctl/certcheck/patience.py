@@ -1,4 +1,4 @@
-"""The time limit of a check, as processor time of its thread: a busy machine does not change a verdict."""
+"""Time limit of a check, measured as processor time of its thread, so that a busy machine does not change a verdict."""
 
 from __future__ import annotations
 

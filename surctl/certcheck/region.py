@@ -1,13 +1,13 @@
-"""Check of a region certificate: every motion that starts in V ≤ 1 decays at the claimed rate to V ≤ floor.
+"""Check of a region certificate, which claims that V decays at a rate from V ≤ 1 to V ≤ floor along every motion.
 
-The claim: for all constant true parameters in their ranges there is a steady cruise ξ*, with x_e* = −ω/k1 and, in a
-current, an offset beside the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*), every motion that is in V ≤ 1 at a control instant
-satisfies V(t) ≤ max(e^(−a t) V(0), floor) from then on. The levels floor = ℓ_0 < ℓ_1 < … < 1 divide the region into
-shells; in each shell, one negative definite matrix for each vertex of the loop proves V̇ < −a V. All numbers are exact
-rational numbers, except the bounds of a current in `region_flow`.
+The claim states that for all constant true parameters in their ranges there is a steady cruise ξ*, with x_e* = −ω/k1
+and, in a current, an offset beside the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*), every motion that is in V ≤ 1 at the
+control instant t = 0 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0. The levels floor = ℓ_0 < ℓ_1 < … < 1
+divide the region into shells; in each shell, one negative definite matrix for each vertex of the loop proves V̇ < −a V.
+All numbers are exact rational numbers, except the bounds of a current in `region_flow`.
 
-With held commands, the same is proved for a functional W ≥ V that equals V at the control instants: see
-`region_inclusion`.
+With held commands, the decay is proved for a functional W ≥ V that equals V at the control instants; `region_inclusion`
+derives it.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def check(document: Mapping[str, Any]) -> None:
 
 
 def _matrix(rows: Any, size: int) -> Matrix:
-    """Return the symmetric matrix of a lower triangle given row by row."""
+    """Return the symmetric matrix whose lower triangle is given row by row."""
     shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
     if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
         raise Rejected(f"proof.P must be a lower triangle with {size} rows")
@@ -94,7 +94,7 @@ def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[list[Fractio
 
 
 def _check_offset(claim: CruiseClaim, p: Matrix, steady: Trim) -> None:
-    """Check that x_e = 0, |y_e| = offset at the target's velocity lies in the region for every ω."""
+    """Check that the points x_e = 0, |y_e| = offset at the target's velocity lie in the region for every ω."""
     for omega in steady.omega:
         for side in (1, -1):
             away = side * (claim.offset + steady.aside)

@@ -1,4 +1,4 @@
-"""Bounds within one shell of the region: secant slopes, share of the thrust, forces of held commands and disturbances.
+"""Bounds within one shell of the region: secant slopes, thrust share, forces of held commands, and disturbances.
 
 Deviations from the steady cruise in the path frame: ξ = (x, y, U_x, U_y) and, with thrust lag, the thrust (F_x, F_y)
 minus the trim force at the current heading. On V = ξᵀPξ ≤ ℓ every linear function C ξ satisfies
@@ -36,15 +36,16 @@ class Shell:
     """Bounds in the shell ℓ_low ≤ V ≤ ℓ_high.
 
     Attributes:
-        steer: least and largest s, the commanded speed along the path [m/s].
-        catch: least and largest κ, the slope of that speed in −x_e [1/s].
+        steer: least and largest value of s, the commanded speed along the path [m/s].
+        catch: least and largest value of κ, the slope of the commanded speed along the path with respect to −x_e [1/s].
         model_drag, drag: least and largest secant slope of the feedforward drag, and of the true drag [N s/m].
-        thrust_share: φ; after the thrust limit, a share in [φ, 1] of a command's deviation is left.
-        held: κ_5 bounds the force that differs from the present command, |w_5| ≤ κ_5 √V [N]; without lag it includes
-            the forces of w_6.
-        disturbance: κ_6 bounds the error of the trim force plus external forces with lag, |w_6| ≤ κ_6 √V [N]; 0 without
-            lag.
-        desired_rate: largest rate of change of the commanded force caused by the position, per |δU| [N s/m/s].
+        thrust_share: φ; the thrust limit reduces the deviation of a command to a share in [φ, 1].
+        held: κ_5 [N], the bound |w_5| ≤ κ_5 √V on the difference of the acting force from the present command; without
+            lag, w_5 includes the forces of w_6.
+        disturbance: κ_6 [N], the bound |w_6| ≤ κ_6 √V on the error of the trim force plus external forces, for thrust
+            with lag; 0 without lag.
+        desired_rate: largest rate of change of the commanded force caused by the change of position, per |δU|
+            [N s/m/s].
     """
 
     steer: tuple[Fraction, Fraction]
@@ -58,7 +59,7 @@ class Shell:
 
 
 def desired_velocity(size: int, claim: CruiseClaim, steer: Fraction, catch: Fraction, aside: Fraction) -> Matrix:
-    """Return C (2, n) with δW = C ξ, the deviation of the commanded velocity, at a steady offset y* = `aside` [m]."""
+    """Return C (2, n) with δW = C ξ, the deviation of the commanded velocity, at a steady offset y* = `aside`."""
     rows = zeros(2, size)
     rows[0][0], rows[1][1] = -catch, -steer / claim.lookahead
     rows[1][0] = catch * aside / claim.lookahead
@@ -82,7 +83,7 @@ def force_state(size: int) -> Matrix:
 def force_rows(
     size: int, claim: CruiseClaim, slope: Fraction, steer: Fraction, catch: Fraction, aside: Fraction
 ) -> Matrix:
-    """Return C (2, n) with C ξ the deviation of the commanded force [N], for this secant slope of feedforward drag."""
+    """Return C (2, n), where C ξ is the deviation of the commanded force [N] for a secant slope of feedforward drag."""
     velocity_gain = claim.mass_model * claim.k_v
     return add(
         scaled(velocity_gain + slope, desired_velocity(size, claim, steer, catch, aside)),
@@ -101,7 +102,7 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
 
     Raises:
         Rejected: the region contains points where the law takes another form (backward command, speed cap, waiting
-            target), or the steady cruise alone needs all the thrust.
+            target), or the steady cruise alone reaches a thrust limit.
     """
     size = len(covariance)
     radius = root_up(high)
@@ -149,7 +150,7 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
 def _commanded(
     claim: CruiseClaim, steady: Trim, x: Fraction, y: Fraction
 ) -> tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction], Fraction]:
-    """Return the ranges of s and κ, and the largest slope of the commanded velocity, for deviations up to x and y."""
+    """Return the ranges of s and κ and the largest slope of the commanded velocity, for deviations up to x and y."""
     k1, ahead = claim.k1, claim.lookahead
     # the cap limits s q/Δ, q = √(y² + Δ²); it must not bring s below the steady command
     wide = y + steady.aside
@@ -169,9 +170,9 @@ def _commanded(
 def _misled(claim: CruiseClaim, steady: Trim, y: Fraction, slope: Fraction) -> Fraction:
     """Return the largest change of the thrust by measurement errors [N], for |y| up to its largest value on V ≤ 1.
 
-    Thrust limits do not enlarge a change. With the position, the commanded velocity changes by at most k1 (1, y_e/Δ)
-    along the path and by less than cap/Δ across it, whether the law is free, at the cap or at rest. The same bound
-    holds for a command of an earlier instant.
+    Thrust limits do not enlarge a change of thrust. A change of position by 1 m changes the commanded velocity by at
+    most k1 (1, y_e/Δ) along the path and by less than cap/Δ across it, whether the law is below its speed cap, at the
+    cap, or commands rest. This bound also holds for a command of an earlier instant.
     """
     wide = (y + steady.aside + claim.place_error) / claim.lookahead
     slant = root_up(claim.k1**2 * (1 + wide**2) + (claim.cap / claim.lookahead) ** 2)
@@ -186,7 +187,7 @@ def _thrust_share(
     model_drag: tuple[Fraction, Fraction],
     radius: Fraction,
 ) -> Fraction:
-    """Return φ: on an axis along n with thrust limit F and trim f, at least the share (F − |f|)/d of |δ| ≤ d is left.
+    """Return φ, the least share (F − |f|)/d of |δ| ≤ d that thrust limit F and trim force f leave on an axis n.
 
     n runs over arcs. An arc lies in the triangle of its two ends and the intersection of their tangents. √(nᵀGn) is
     convex, so that its largest value on the triangle is at a corner.

@@ -1,4 +1,4 @@
-"""The claim of a region certificate, read strictly: every number is a plain decimal, no key is missing or unknown."""
+"""Reader of the claim of a region certificate; it rejects missing or unknown keys and non-decimal numbers."""
 
 from __future__ import annotations
 
@@ -29,24 +29,25 @@ EXCLUDES = (
 
 @dataclass(frozen=True)
 class CruiseClaim:
-    """The claim about the cruise; SI units, pairs are (least, largest).
+    """Claim about the cruise along a straight path; SI units, pairs are (least, largest).
 
     Attributes:
         mass: true m11 = m22 [kg].
         linear, quadratic: range of the true drag of surge and of sway [N s/m, N s²/m²].
-        asymmetry: largest |surge − sway| / mean of either drag coefficient.
+        asymmetry: largest |surge − sway| / mean, for the linear and for the quadratic drag coefficient.
         thrust: least thrust limit of a horizontal axis, of the plant or of the law [N].
         lag: time constant of the thrust [s]; (0, 0) for thrust without lag.
         mass_model, linear_model, quadratic_model: mass and drag in the law's model.
         k1, lookahead, k_v, wait: gains [1/s, m, 1/s, m].
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
-        period: time for which a command is held [s]; 0 for commands that are not held.
+        period: time for which a command is held [s]; 0 for continuous commands.
         yaw_rate: largest |r| [rad/s].
         current: largest speed of a constant current in any direction [m/s].
         force: largest horizontal disturbance force, which may vary arbitrarily [N].
-        place_error, velocity_error: largest error of measured position [m] and velocity [m/s], varying arbitrarily.
+        place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s]; the
+            errors vary arbitrarily.
         rate: decay rate a of V̇ ≤ −a V [1/s].
-        offset: |y_e| [m] that lies in the region at x_e = 0 and the target's velocity.
+        offset: |y_e| [m] such that the point (x_e = 0, y_e) at the target's velocity lies in the region.
         ultimate_bound: largest |x_e|, |y_e| [m] in the set that every motion reaches and does not leave.
     """
 
@@ -77,7 +78,7 @@ class CruiseClaim:
 
 
 def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
-    """Return an object that has exactly these keys; raise Rejected for any other value."""
+    """Return `value` if it is an object with exactly the given keys; raise Rejected otherwise."""
     if not isinstance(value, dict) or set(value) != set(keys):
         actual = sorted(value) if isinstance(value, dict) else type(value).__name__
         raise Rejected(f"{where} must have exactly the keys {', '.join(sorted(keys))}, not {actual}")
@@ -85,7 +86,7 @@ def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
 
 
 def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Fraction:
-    """Return a number as its printed decimal; raise Rejected unless it is ≥ least (> least with `above`)."""
+    """Return a number as its printed decimal; raise Rejected for a number < least (≤ least with `above`)."""
     whole = type(value) is int and abs(value) <= _LARGEST
     if not whole and not (type(value) is float and math.isfinite(value)):
         raise Rejected(f"{where} must be a finite number of at most {_LARGEST}")
@@ -110,7 +111,8 @@ def read_claim(claim: Any) -> CruiseClaim:
     """Return the claim of a certificate.
 
     Raises:
-        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the restrictions differ.
+        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated restrictions are not
+            those of this kind of claim.
     """
     top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle", "sha256_law"), "claim")
     if top["system"] != "cruise":

@@ -1,4 +1,4 @@
-"""Linear algebra in exact rational numbers; a function that rounds states in which direction."""
+"""Linear algebra in exact rational numbers; a function that rounds states in its docstring whether up or down."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def inverse(a: Matrix) -> Matrix:
 
 
 def is_positive_definite(a: Matrix) -> bool:
-    """Whether a symmetric matrix is positive definite: all leading minors > 0, by Bareiss in integers."""
+    """Return whether a symmetric matrix is positive definite: all leading minors > 0, by the Bareiss algorithm."""
     n = len(a)
     if any(a[i][j] != a[j][i] for i in range(n) for j in range(i)):
         return False
@@ -133,7 +133,7 @@ def largest_eigenvalue(g: Matrix) -> Fraction:
 
 
 def rounded_up(g: Matrix) -> Matrix:
-    """Return a symmetric 2 × 2 matrix ⪰ g with few digits: the raised diagonal covers the truncation of all entries."""
+    """Return a symmetric 2 × 2 matrix ⪰ g with few digits: its raised diagonal covers the truncation of all entries."""
     down = [[Fraction(int(entry * _DIGITS), _DIGITS) for entry in row] for row in g]
     # every entry is off by less than 1/_DIGITS, so that the error matrix is ⪰ −2/_DIGITS I
     return [[entry + Fraction(2 * (i == j), _DIGITS) for j, entry in enumerate(row)] for i, row in enumerate(down)]

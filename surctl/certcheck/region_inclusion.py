@@ -8,13 +8,14 @@ instant; w_5, the force that changes with the heading: |w_5| ≤ κ_5 √V; w_6,
 norm (high − low)/2.
 
 M = V̇ + a V + Σ λ_j (bound_j − |w_j|²) as a form in (ξ, w). Where M < 0, V̇ < −a V for every w within its bounds. M is
-affine in 1/m, 1/T, r and convex in (s, κ, κ y*), or convex in each of them, so that the vertices decide.
+affine in 1/m, 1/T and r; it is convex in (s, κ, κ y*) jointly or in each of s, κ, κ y*. So M < 0 at all vertices of the
+parameters implies M < 0 between them.
 
 Held commands: W = V + (h − τ) ρ ∫ |ḟ|² over the τ seconds since the last control instant, where f is δF_c as it would
-be commanded in the held heading (Fridman 2010). W = V at the instants, W ≥ V, and e = f(then) − f(now) satisfies
-|e|² ≤ τ ∫ |ḟ|². So Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|². With ḟ = −m k_v U̇ + (the effect of the
-position alone, ≤ c |δU|) and |w_4| ≤ (1 + r h)|e| + r h |δF_c|, the square of each sum is split by fixed weights. The
-shells are levels of W.
+be commanded in the held heading (Fridman 2010). W = V at the instants, W ≥ V, and e = f(then) − f(now) satisfies |e|² ≤
+τ ∫ |ḟ|². So Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|². With ḟ = −m k_v U̇ + (the effect of the position
+alone, ≤ c |δU|) and |w_4| ≤ (1 + r h)|e| + r h |δF_c|, the square of each sum is bounded by a sum of squares with fixed
+weights. With held commands, the shells are sets between two levels of W.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Vertex:
 
     Attributes:
         A: system matrix (n, n).
-        B: input matrix (n, 2) of each w_j, by the number j.
+        B: input matrices B_j (n, 2) by the number j of the input w_j.
         desired: C (2, n) with δW = C ξ.
         force: C (2, n) with δF_c = C ξ + w_1.
     """
@@ -54,7 +55,7 @@ class Vertex:
 
 
 def vertices(claim: CruiseClaim, at: Shell, size: int, *, aside: Fraction, mirrored: bool) -> Iterator[Vertex]:
-    """Yield the loops at all vertices of a shell; with `mirrored`, only one of each pair of mirror images."""
+    """Yield the loops at all vertices of a shell; with `mirrored`, yield only one of two mirror images."""
     lag = claim.lag[1] > 0
     masses = [1 / m for m in sorted(set(claim.mass))]
     lags = [1 / t for t in sorted(set(claim.lag))] if lag else [Fraction(0)]
@@ -80,7 +81,7 @@ def vertex(
     catch: Fraction,
     aside: Fraction,
 ) -> Vertex:
-    """Return the loop at the given 1/m, 1/T, r, s, κ and y*."""
+    """Return the loop for the given values of 1/m, 1/T, r, s, κ and y*."""
     share = (1 + at.thrust_share) / 2
     force = force_rows(size, claim, middle(at.model_drag), steer, catch, aside)
     speed = velocity(size)

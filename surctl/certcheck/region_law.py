@@ -1,8 +1,8 @@
-"""A second implementation of law and vehicle in rational numbers, compared with the inclusion that the proof uses.
+"""A second implementation of law and vehicle in rational numbers, compared with the proof's linear inclusion.
 
 At sampled positions, parameters and headings (rational points of the unit circle, positions with a rational slant
 √(y_e² + Δ²)/Δ) the true derivative must equal A ξ + Σ B_j w_j exactly, with every w_j within its bound. The comparison
-does not replace the derivation, but it reveals a wrong sign, frame or factor.
+does not replace the derivation of the inclusion, but it reveals a wrong sign, frame or factor.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SAMPLES = 4
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One true vehicle: mass [kg], drag of surge and sway, lag [s] (0 for none), yaw rate r [rad/s], current [m/s]."""
+    """One true vehicle: mass [kg]; drag of surge and sway; lag of the thrust [s]; yaw rate r [rad/s]; current [m/s]."""
 
     mass: Fraction
     linear: Pair
@@ -54,13 +54,13 @@ def _drag(linear: Pair, square: Pair, v: Pair) -> Pair:
 
 
 def commanded_velocity(claim: CruiseClaim, x_e: Fraction, y_e: Fraction, slant: Fraction) -> Pair:
-    """Return (8)–(12) in the path frame, with course for heading, U ≥ 0 and the speed cap; slant = √(y_e² + Δ²)/Δ."""
+    """Return the velocity of (8)–(12) in the path frame, with U ≥ 0 and the speed cap; slant = √(y_e² + Δ²)/Δ."""
     along = min(max(claim.cruise - claim.k1 * x_e, Fraction(0)), claim.cap / slant)
     return along, -along * y_e / claim.lookahead
 
 
 def commanded_thrust(claim: CruiseClaim, desired: Pair, nu: Pair) -> Pair:
-    """Return τ = D(ν_d)ν_d + m k_v (ν_d − ν) in {B}, with each axis limited to its thrust."""
+    """Return τ = D(ν_d)ν_d + m k_v (ν_d − ν) in {B}, with each axis limited to its thrust limit."""
     hat = _drag((claim.linear_model,) * 2, (claim.quadratic_model,) * 2, desired)
     free = (d + claim.mass_model * claim.k_v * (w - v) for d, w, v in zip(hat, desired, nu, strict=True))
     first, second = (min(max(f, -claim.thrust), claim.thrust) for f in free)
@@ -73,7 +73,7 @@ def true_rate(
     """Return d/dt of (x_e, y_e, U_x, U_y[, F_x, F_y]) by (2), (3) in {B}, without held commands, for m11 = m22.
 
     Args:
-        claim: the claim, with the law's numbers.
+        claim: the claim, which holds the law's parameters.
         boat: the true vehicle.
         heading: (cos ψ, sin ψ) of the angle from the path.
         state: full values, not deviations: U is the ground velocity and F the thrust, both in the path frame.
@@ -139,14 +139,14 @@ def _boat(claim: CruiseClaim, draw: random.Random) -> Vehicle:
 
 
 def _norm(vector: Pair) -> Fraction:
-    """Return |vector| to 10^-9; the margin of the bounds covers this error."""
+    """Return |vector| with an error of at most 10^-9; the margin of the bounds covers this error."""
     return root_up(_square(vector))
 
 
 def _place(
     claim: CruiseClaim, p: Matrix, level: Fraction, draw: random.Random, aside: Fraction
 ) -> tuple[list[Fraction], Fraction]:
-    """Return a deviation with V ≤ level for which the slant of y_e = aside + y is rational, and that slant."""
+    """Return a deviation with V ≤ level, and the slant of its y_e = aside + y, which is a rational number."""
     raw = [Fraction(draw.randint(-1000, 1000), 1000) * 1000 / root_up(p[k][k] * 10**6) for k in range(len(p))]
     if draw.random() < 0.5:
         raw = [entry if k == 1 else entry / 50 for k, entry in enumerate(raw)]
@@ -237,7 +237,7 @@ def _compare(
 
 
 def _trim_slope(claim: CruiseClaim, omega: Fraction, heading: Pair) -> Pair:
-    """Return the derivative of the trim force in {B} by the heading [N/rad]."""
+    """Return the derivative of the trim force in {B} with respect to the heading [N/rad]."""
     c, s = heading
     speed = claim.cruise + omega
     a = claim.mass_model * claim.k_v * omega + claim.linear_model * speed

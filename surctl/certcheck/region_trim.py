@@ -1,9 +1,10 @@
-"""The steady cruise of a region claim: its state for constant parameters, and the force error that the heading changes.
+"""Bounds on the steady cruise of a region claim: its command, and the force error that depends on the heading.
 
-In the path frame U* = (v, 0), with the command W* = (v + ω, 0). With ψ the angle between {B} and the path, c = |cos ψ|
-and s = |sin ψ|, the axes of {B} carry the drag of surge at v c and the drag of sway at v s, each a linear plus a
-quadratic term. ω is affine in the true drag; so the remaining force error is affine in it too, up to a term in ω². Its
-norm is convex, so that the vertices of the parameters decide, for each arc of the heading.
+In the path frame the steady velocity is U* = (v, 0), and the steady command is W* = (v + ω, 0). With ψ the angle
+between {B} and the path, c = |cos ψ| and s = |sin ψ|, the axes of {B} carry the drag of surge at v c and the drag of
+sway at v s, and each drag is a linear plus a quadratic term. ω is affine in the true drag. So the remaining force error
+is also affine in the true drag, up to a term in ω². The norm of an affine function is convex; so for each arc of the
+heading, its largest value is at a vertex of the parameters.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ class Trim:
     """Bounds of the steady cruise over all true parameters and headings.
 
     Attributes:
-        omega: least and largest ω [m/s], the commanded speed beyond the cruise speed.
+        omega: least and largest ω [m/s], the difference of commanded speed and cruise speed.
         command: least and largest commanded speed v + ω [m/s].
-        linear, quadratic: coefficients of the commanded trim force linear c + quadratic c² per axis, at the largest ω
-            [N].
-        backward: largest trim force at the least ω if it points backwards, else 0 [N].
+        linear, quadratic: coefficients [N] of the commanded trim force `linear` c + `quadratic` c² per axis, at the
+            largest ω.
+        backward: largest backward trim force [N] at the least ω; 0 if the trim force points forward.
         total: largest |commanded − required| force [N].
         drift: largest |ω_y| [m/s], the commanded speed across the path against a current.
-        aside: largest |y*| [m], the steady offset that produces this command.
-        across: trim force that the drift adds to an axis across the path [N].
+        aside: largest |y*| [m], the steady offset from the path that produces ω_y.
+        across: trim force [N] that the commanded speed ω_y adds to an axis across the path.
         tilt: ratio of |ω_y| to the commanded speed along the path.
     """
 
@@ -53,12 +54,12 @@ class Trim:
     tilt: Fraction = Fraction(0)
 
     def along(self, c: Fraction, s: Fraction) -> Fraction:
-        """Return the largest |trim force| [N] on an axis with direction cosines ≤ c along and ≤ s across the path."""
+        """Return the largest |trim force| [N] on an axis with direction cosines ≤ c to the path, ≤ s to its normal."""
         return max(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
     @property
     def turning(self) -> Fraction:
-        """Largest derivative of the trim force in {B} by the heading [N/rad], from 2 √2 c s ≤ 3/2."""
+        """Return a bound on the derivative of the trim force in {B} by the heading [N/rad], from 2 √2 c s ≤ 3/2."""
         return max(abs(self.linear), self.backward) + self.quadratic * Fraction(3, 2)
 
 
@@ -81,7 +82,7 @@ def axis_pairs(least: Fraction, largest: Fraction, asymmetry: Fraction) -> list[
 
 
 def offset_speed(claim: CruiseClaim, linear: Fraction, quadratic: Fraction) -> Fraction:
-    """Return ω [m/s] for the means of surge's and sway's true drag coefficients."""
+    """Return ω [m/s] for true drag coefficients that are the means of surge and sway."""
     v = claim.cruise
     stiffness = claim.mass_model * claim.k_v + claim.linear_model + 2 * MEAN_SHARE * claim.quadratic_model * v
     missing = (linear - claim.linear_model) * v + MEAN_SHARE * (quadratic - claim.quadratic_model) * v * v
@@ -111,7 +112,7 @@ def _parabola(slope: Fraction, bend: Fraction, low: Fraction, high: Fraction) ->
 
 
 def _largest(axes: Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction]]]) -> Fraction:
-    """Return the largest norm of two axis forces slope x + bend x², with x = cos and x = sin of one angle."""
+    """Return the largest norm of a force with components slope x + bend x², for x = cos and x = sin of one angle."""
     most, points = Fraction(0), quarter(_ARCS)
     for (a1, b1), (a2, b2) in axes:
         for (c_high, s_low), (c_low, s_high) in pairwise(points):

@@ -1,4 +1,4 @@
-"""The controller: gain files, velocity control, and the complete control law as one object."""
+"""The controller: gain files, velocity control, and control laws, each as one object."""
 
 from surctl.control.build import MODES, build_law
 from surctl.control.gains import GAINS, LIBRARY, Gains, load_gains, write_gains

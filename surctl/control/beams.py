@@ -1,4 +1,4 @@
-"""The law's symbolic model of its sonars: beam geometry, expected ranges, and which firings are plausible."""
+"""The law's symbolic model of its sonars: beam geometry, expected ranges, and plausibility of measurements."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SILENT = 0.1
 
 
 class Around(NamedTuple):
-    """Pose, velocity and known moving obstacles of one step, in symbols."""
+    """Pose, velocity and known moving obstacles in one control step, as symbolic expressions."""
 
     eta: ca.SX
     nu: ca.SX
@@ -31,12 +31,12 @@ class Around(NamedTuple):
 
     @property
     def heading(self) -> ca.SX:
-        """The heading as a unit vector (2, 1): cosine and sine of ψ."""
+        """Return the heading as a unit vector (2, 1), with cosine and sine of ψ."""
         return ca.vertcat(ca.cos(self.eta[3]), ca.sin(self.eta[3]))
 
 
 def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
-    """Return axis, apex and half angle of the part of each sonar's cone that the hull does not block."""
+    """Return axis, apex and half angle of each sonar's cone, reduced to the part that the hull does not block."""
     axes, apexes, halves = [], [], []
     for i, azimuth in enumerate(array.azimuths):
         offset, half = array.cones[i][0]
@@ -51,7 +51,7 @@ def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], 
 
 
 def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Return two vectors (n,) of expected ranges [m]: echoes of the walls, and echoes of the moving obstacles."""
+    """Return two vectors (n,) of expected ranges [m]: for echoes of the walls, and for echoes of moving obstacles."""
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
@@ -81,7 +81,7 @@ def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapp
 
 
 def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
-    """Return the samples without the known bias and scale; a sample without an echo does not change."""
+    """Return the samples without the known bias and scale; a sample without an echo is returned unchanged."""
     if array.scale == 1.0 and array.bias == 0.0:
         return samples
     top = array.maximum - 0.5 * array.resolution
@@ -91,11 +91,11 @@ def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
 
 
 def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, repeats: int) -> ca.SX:
-    """Return whether a firing may change the map.
+    """Return for each sonar whether its firing (one measurement) may change the map.
 
-    It may not if its sensor is stuck or late, reads less than its shortest range or more than the distance of a wall,
-    or repeats the samples of another sensor. A firing of a sensor whose readings jump may change the map, because only
-    three readings in a row clear a cell.
+    A firing may not change the map if the sensor is stuck or late, if the sensor reads less than its shortest range or
+    more than the distance of a wall, or if it repeats the samples of another sensor. A firing of a sensor whose
+    readings jump may change the map, because only three successive readings clear a cell.
     """
     state = ranging.state
     reading, least = ranging.reading[sensor], array.lowest / array.scale

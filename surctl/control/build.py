@@ -1,4 +1,4 @@
-"""Assemble a law from its parts: perception, guidance, tasks, priority, velocity control."""
+"""Function `build_law`, which assembles a law from perception, guidance, tasks, priority and velocity control."""
 
 from __future__ import annotations
 
@@ -79,27 +79,30 @@ def build_law(
     depths: bool = False,
     fallback: str = "exact",
 ) -> Law:
-    """Assemble a law, or return it if it was assembled before; the gains remain inputs of the law.
+    """Return a law, assembled in this call or taken from the cache; the gains remain inputs of the law.
 
     Args:
         law: `guarded`, the paper's law `paper`, `closed_form`, or a textbook law: `apf`, `dwa`, `vo`, `cbf`.
         avoidance: form of equation (20); all laws except `paper` accept only `corrected`.
         mode: priority mode: `nsb` ignores limits; `filter`, `projected` and `lexicographic` respect them.
         dt: control period [s].
-        contacts: number of slots for known obstacles; it does not change the result as long as it suffices.
-        sonar: whether the law uses the sonars; without them it needs true obstacle positions.
-        equipment: the sensors that a law with sonars assumes; law `paper` always has the paper's four sonars.
-        moving: whether known obstacles may move; False gives the same result as long as none moves.
-        guidance: path following: `los`, or `ilos` or `alos`, which adapt to a steady disturbance, see
-            `guidance.crosstrack`.
-        barrier: bound of `guarded` on its closing speed: `simple`, from the braking distance s²/(2a) + s t, or
-            `inertia`, the closed form of `guidance.braking` for the worst case of the vehicle's parameter ranges.
-            With sonars and `inertia`, the robot does not get through the pool, where clearances are a few centimetres.
-        movers: how `guarded` avoids moving obstacles: `predict` their path and sidestep, or use the `barrier`.
-        depths: whether `guarded` may leave a dead end at another depth; then it needs the free water above and below
-            as input `column` (see `control.layers`). Other laws always stay at the path's depth.
-        fallback: what modes `filter` and `projected` do if they cannot satisfy all limits and task 1: `exact`, or
-            `bounded`, which gives a safe result within a fixed number of operations and sets `DEGRADED` in the status.
+        contacts: number of slots for known obstacles; the number does not change the result as long as there is a slot
+            for each known obstacle.
+        sonar: whether the law uses the sonars; a law without sonars needs true obstacle positions as input.
+        equipment: the sensors that a law with sonars assumes; the law `paper` always uses the paper's four sonars.
+        moving: whether known obstacles may move; False gives the same result as long as no obstacle moves.
+        guidance: path following: `los`, `ilos` or `alos`; `ilos` and `alos` adapt to a steady disturbance (see
+            `guidance.crosstrack`).
+        barrier: bound of law `guarded` on its closing speed. `simple` uses the braking distance s²/(2a) + s t.
+            `inertia` uses the closed form of `guidance.braking` for the worst case of the vehicle's parameter ranges.
+            With sonars and `inertia`, the robot cannot pass through the pool, where clearances are a few centimetres.
+        movers: how law `guarded` avoids moving obstacles. `predict` predicts their paths and evades sideways; `barrier`
+            uses only the barrier.
+        depths: whether `guarded` may leave a dead end at another depth; then the law needs the free water above and
+            below as input `column` (see `control.layers`). All other laws always stay at the path's depth.
+        fallback: what modes `filter` and `projected` do if they cannot satisfy all limits and task 1: `exact` or
+            `bounded`; `bounded` gives a safe result within a fixed number of operations and sets `DEGRADED` in the
+            status.
 
     Raises:
         InputError: a name is unknown, or the law does not support the chosen option.
@@ -184,7 +187,7 @@ class _Configuration:
 
 @cache
 def _cached_law(chosen: _Configuration) -> Law:
-    """Return the law from the cache on disk if a process with the same source code built it before; else build it."""
+    """Return the law from the cache on disk, or build it if no process with this source code has stored it."""
     try:
         sources = source_digest(*_SOURCES)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached law
@@ -212,16 +215,16 @@ def _built(c: _Configuration) -> Law:
 
 
 def _with_perception(decide: Law, perception: PerceptionStage) -> Law:
-    """Return the complete law: perception, then the decision on its outputs."""
+    """Return the complete law: perception, followed by the decision on the outputs of perception."""
     state = Layout((*decide.state.ports, *perception.state.ports))
     block = sensing(decide.block, decide.state, perception)
     return replace(decide, state=state, inputs=perception.inputs, block=block, perception=perception)
 
 
 def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, moving: bool = True) -> Law:
-    """Return the law without perception; for a law that scans, this is the part after perception.
+    """Return the law without perception; for a law that scans with sonars, this is the part after perception.
 
-    After perception, every contact may move.
+    In a law with perception, the decision assumes that every contact may move.
     """
     law, avoidance, mode, dt, guidance = chosen.law, chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
@@ -304,7 +307,7 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
         inputs=inputs,
         gains=PARAMETERS,
         outputs=outputs,
-        # without the mathematical library, every compiler and processor gives identical results
+        # without libm functions such as sin, every compiler and processor gives identical results
         block=without_libm(
             closed if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), fallback=fallback)
         ),
@@ -319,13 +322,13 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
 
 
 def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
-    """Return the limit rows: first the velocity box, then the barriers."""
+    """Return the limit rows l ≤ a·v ≤ u: first those of the velocity box, then those of the barriers."""
     most = ca.vertcat(p["cap"], p["cap"], CLIMB, yaw_limit(p))
     return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
 
 
 def _step_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
-    """Return J row by row, the references, the limit rows (a, lower, upper, may be relaxed), and the velocity box."""
+    """Return J row by row; references; limit rows (a, lower, upper, whether it may be relaxed); velocity box."""
     flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
     box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
     J = ca.vertcat(*(level.J for level in decision.levels))

@@ -1,10 +1,10 @@
-"""The smallest law that avoids obstacles: the paper's tasks for one known obstacle, in closed form and provable.
+"""The law `closed_form`, the smallest law that avoids obstacles: the paper's tasks for one known obstacle.
 
-It combines guidance (8)-(12), one sensor sub-task, the corrected course (20), depth and heading by the null-space
-projection (16). The position of the obstacle is an input, and the path must avoid the walls. Equation (20) needs no
-angle: with r = sat((v_o·n + κ l) / u) its velocity is u (r n + λ2 √(1 − r²) n⊥). Every denominator has a lower bound
-and every direction component stays within [−1, 1], so interval arithmetic can prove that the C code has no run-time
-errors.
+The law combines guidance (8)-(12), one sensor sub-task, the corrected course (20), the depth task and the heading task
+by the null-space projection (16). The position of the obstacle is an input, and the path must avoid the walls. Equation
+(20) needs no angle: with r = sat((v_o·n + κ l) / u), the velocity of (20) is u (r n + λ2 √(1 − r²) n⊥). Every
+denominator has a lower bound and every direction component stays within [−1, 1], so interval arithmetic can prove that
+the C code has no run-time errors.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ DAMPING = 1e-3
 
 CLOSED_FORM_PORTS = tuple(port for port in DECISION_PORTS if port.name == "side")
 
-_SENSE_RANGE = 1.0  # [m] below which the sub-task may act
-_OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
+_SENSE_RANGE = 1.0  # [m] range below which the sensor sub-task may act
+_OVERTAKE = 0.02  # [m/s] difference of the avoidance speed and the obstacle's speed
 _NEAR = 1e-3  # [m] smallest distance to the obstacle's centre at which its direction is defined
 
 
 def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception:
-    """Return a perception that contains only the obstacle of input `contacts` (1, 6); it has no walls.
+    """Return a perception that contains only the obstacle of input `contacts` (1, 6) and no walls.
 
-    The components of the direction are clamped to [-1, 1], so that rounding cannot exceed these bounds.
+    The components of the direction are clamped to [-1, 1], so that a rounding error cannot take them outside this
+    interval.
 
     Raises:
         InputError: the law does not have exactly one obstacle slot.
@@ -58,12 +59,12 @@ def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception
 def closed_form_law(
     desired: DesiredMotion, perceived: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]
 ) -> Decision:
-    """Return the decision for the damped projection.
+    """Return the decision of the law `closed_form`, for the damped projection.
 
     Args:
         desired: the motion along the path without obstacles.
         perceived: the result of `known_obstacle`.
-        x: state `side`.
+        x: state, with the port `side`.
         eta: (4, 1) pose.
         p: gains `margin`, `kappa`, mission `cruise`, `cap`.
     """

@@ -1,4 +1,4 @@
-"""The last stage of every law: compute thrust, status and telemetry from the priority solver's velocity."""
+"""The last part of every law: it computes thrust, status and telemetry from the priority solver's velocity."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CLIMB = 0.1
 
 
 def _has_degraded(flags: ca.SX) -> ca.SX:
-    """Return whether the bit `DEGRADED` is set; the only higher bit is `TRAPPED`."""
+    """Return whether the bit `DEGRADED` is set in `flags`, where `TRAPPED` is the only higher bit."""
     return flags - TRAPPED * (flags >= TRAPPED) >= DEGRADED
 
 
@@ -28,15 +28,15 @@ def yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
     """Return the steady yaw rate [rad/s] that 85 % of the largest yaw moment sustains against drag."""
     moment, linear, quadratic = YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
     root = ca.sqrt(linear * linear + 4 * quadratic * moment)
-    # this form avoids a difference of nearly equal numbers, and it is defined without quadratic drag
+    # this form of the root avoids a difference of nearly equal numbers, and works without quadratic drag
     return 2 * moment / ca.fmax(linear + root, 1e-6)
 
 
 class Memory(NamedTuple):
-    """The values known before the priority decision.
+    """The values that the law knows before the priority solver runs.
 
-    `carried` is the next state without the new integral, `reported` the telemetry after `nu_reference`, and `flags` the
-    status bits.
+    `carried` is the next state without the new integral, `reported` is the telemetry after `nu_reference`, and `flags`
+    holds the status bits.
     """
 
     carried: ca.SX
@@ -46,7 +46,7 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class Closing:
-    """The last stage: limit the velocity reference, control the velocity, and assemble the outputs."""
+    """The last part of a law: it limits the velocity reference, controls the velocity, and assembles the outputs."""
 
     state: Layout
     outputs: Layout
@@ -57,7 +57,7 @@ class Closing:
     dt: float
 
     def block(self) -> Block:
-        """Return a block (u, p, carried, reported, flags, nu_reference, stage) → (tau, x_next, status, telemetry)."""
+        """Return a block: (u, p, carried, reported, flags, nu_reference, stage) → (tau, x_next, status, telemetry)."""
         sizes = (self.state.size, self.outputs.size - 8, 1)
         memory = Memory(*(ca.SX.sym(name, size) for name, size in zip(Memory._fields, sizes, strict=True)))
         nu_reference, stage = ca.SX.sym("nu_reference", 4), ca.SX.sym("stage")
@@ -67,7 +67,7 @@ class Closing:
     def outputs_of(self, memory: Memory, nu_reference: ca.SX, stage: ca.SX) -> dict[str, ca.SX]:
         """Return tau, x_next, status and telemetry for a velocity reference.
 
-        `stage` is the fallback stage of the priority solver, 0 if it did not run.
+        `stage` is the fallback stage of the priority solver, 0 if the solver did not run.
         """
         carried = self.state.split(memory.carried)
         tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"])

@@ -1,11 +1,11 @@
-"""Dead ends: if the robot makes no progress for too long, the law reports a dead end and holds its place.
+"""Detection of dead ends: without progress for too long, the law reports a dead end and the robot holds its position.
 
 Progress is one of two events: the projection on the path moves further than before, or the box around all positions
-since then grows. A search that goes back and forth between the arms of a U does neither. The law counts the time
-without progress. The count pauses while a moving obstacle is near, at the end of the path, and while the law stops
-because it does not know what is ahead (the output `stopped` reports this). After `patience` the status `TRAPPED` is
-permanent: the robot holds its place and still avoids moving obstacles. If other depths are allowed, the robot tries
-them first (`control.layers`).
+since the last such move grows. A search that goes back and forth between the arms of a U-shaped obstacle causes neither
+event. The law counts the time without progress. The count pauses while a moving obstacle is near, at the end of the
+path, and while the law stops because it does not know what is ahead (the output `stopped` reports this). After
+`patience` the status `TRAPPED` is permanent: the robot holds its position and still avoids moving obstacles. If other
+depths are allowed, the robot tries them first (`control.layers`).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from surctl.ir import Port
 
 __all__ = ["DEAD_END_PORTS", "dead_end_next", "standing"]
 
-NEW = 0.1  # [m] smallest distance that counts as progress; several times the uncertainty of the position
+NEW = 0.1  # [m] smallest distance that counts as progress: several times the position uncertainty
 NEAR = 1.5  # [m] clearance of a moving contact below which the robot waits for it
 MOVES = 0.05  # [m/s] speed above which a contact counts as moving
 ARRIVED = 0.2  # [m] distance to the end of the path below which no further progress is expected
-HOLD = 0.5  # [1/s] gain with which the robot holds its place
+HOLD = 0.5  # [1/s] gain with which the robot holds its position
 
 DEAD_END_PORTS = (
     Port("furthest", (1,), "m", "largest arc length that the robot has reached on its path", -100.0),
@@ -37,13 +37,13 @@ DEAD_END_PORTS = (
 
 
 def standing(desired: DesiredMotion, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> DesiredMotion:
-    """Return the desired motion; it holds the robot's place after the law gave up and during a change of depth.
+    """Return the desired motion, which holds the robot's position after a dead end and during a change of depth.
 
     Args:
         desired: the motion along the path.
         x: state with `DEAD_END_PORTS`, and with `LAYER_PORTS` if other depths are allowed.
         eta: (4, 1) pose in {E}.
-        p: `cruise`.
+        p: parameters; the function uses `cruise`.
     """
     offset = ca.vertcat(x["searched"][0], x["searched"][2]) - eta[:2]
     distance = ca.sqrt(ca.sumsqr(offset))
@@ -69,10 +69,11 @@ def dead_end_next(
     Args:
         desired: the desired motion of this step.
         contacts: known obstacles that may move.
-        x: state.
+        x: state of the law.
         eta: (4, 1) pose in {E}.
         stopped: 1 while the law stops because it does not know what is ahead.
-        p: `patience` (0: never give up) and `waypoints`; for other depths also the inputs of `layers.aimed_depth`.
+        p: `patience` (0: never report a dead end) and `waypoints`; for other depths also the inputs of
+            `layers.aimed_depth`.
         nu: (4, 1) velocity in {B}; required for other depths.
         column: (2, 1) free water above and below the hull [m]; None: only the path's depth is allowed.
         dt: control period [s].
@@ -93,7 +94,7 @@ def dead_end_next(
     stalled = ca.if_else(new, 0, x["stalled"] + ca.if_else(waits, 0, dt))
     was = x["trapped"] > 0.5
     now = ca.logic_or(was, ca.logic_and(p["patience"] > 0, stalled >= p["patience"]))
-    # the box grows in steps of `NEW`, so that a drift of the estimate does not count as progress but slow motion does
+    # the box grows in steps of `NEW`, so that slow motion counts as progress but a drift of the estimate does not
     box = ca.if_else(grown > NEW, here, x["searched"])
     box = ca.if_else(further, here, box)
     box = ca.if_else(ca.logic_and(now, ca.logic_not(was)), here, ca.if_else(was, x["searched"], box))

@@ -1,6 +1,7 @@
 """Reference implementation of dead ends and layers in plain Python.
 
-It gives the same numbers as `control.dead_end` and `control.layers`, but it is written independently, case by case.
+This module gives the same numbers as `control.dead_end` and `control.layers`, but with independent code that handles
+each case separately.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ __all__ = ["Aim", "DeadEnd", "Mission", "Mover", "Place", "aim", "dead_end_step"
 
 @dataclass(frozen=True, kw_only=True)
 class Mission:
-    """Gains, model and mission numbers of the law, with the names of `PARAMETERS`.
+    """Gains, vehicle model and mission numbers of the law, under their names in `PARAMETERS`.
 
     Attributes:
         acceleration: brake · largest heave thrust / heave mass [m/s²].
@@ -36,7 +37,7 @@ class Mission:
 
     @property
     def pitch(self) -> float:
-        """The depth difference between adjacent layers [m]."""
+        """Return the depth difference between adjacent layers [m]."""
         return 2 * self.hull + self.margin
 
 
@@ -45,7 +46,7 @@ class Place:
     """Position and surroundings of the robot in one step.
 
     Attributes:
-        eta, nu: (4,) pose in {E} and velocity in {B}.
+        eta, nu: (4,) pose in {E}, and (4,) velocity in {B}.
         reached: arc length of the robot's projection on the path [m].
         stopped: whether the law stops because it does not know what is ahead.
         column: free water above and below the hull [m]; None: only the path's depth is allowed.
@@ -59,13 +60,13 @@ class Place:
 
     @property
     def fast(self) -> bool:
-        """Whether the robot moves too fast horizontally to change its depth."""
+        """Return whether the robot moves too fast horizontally to change its depth."""
         c, s = cos(self.eta[3]), sin(self.eta[3])
         x, y = c * self.nu[0] - s * self.nu[1], s * self.nu[0] + c * self.nu[1]
         return x * x + y * y > FAST**2
 
     def free(self, rise: float, margin: float) -> bool:
-        """Return whether the water is free for a rise of this height [m]; a negative rise goes down."""
+        """Return whether the water is free for a rise of this height [m]; a negative rise is a descent."""
         assert self.column is not None
         return abs(rise) <= (self.column[0] if rise > 0 else self.column[1]) - margin + SLACK
 
@@ -80,7 +81,7 @@ class Mover:
 
 @dataclass(frozen=True)
 class DeadEnd:
-    """The state of `DEAD_END_PORTS` and `LAYER_PORTS`."""
+    """The values of the state ports `DEAD_END_PORTS` and `LAYER_PORTS`."""
 
     furthest: float = -100.0
     searched: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -93,10 +94,10 @@ class DeadEnd:
 
 @dataclass(frozen=True)
 class Aim:
-    """The commands while the robot holds its place or changes its depth.
+    """The commands while the robot holds its position or changes its depth.
 
     Attributes:
-        velocity: (2,) velocity towards the place to hold [m/s] in {E}; None: the desired velocity does not change.
+        velocity: (2,) velocity towards the position to hold [m/s] in {E}; None: the desired velocity does not change.
         layer: z of the layer [m].
         depth: reference z of the depth task [m].
     """
@@ -107,7 +108,7 @@ class Aim:
 
 
 def aim(dead_end: DeadEnd, place: Place, mission: Mission) -> Aim:
-    """Return the results of `dead_end.standing` and `layers.aimed_depth`."""
+    """Return the commands that `dead_end.standing` and `layers.aimed_depth` compute."""
     velocity = None
     if dead_end.trapped or dead_end.changing > 0.5:
         dx, dy = dead_end.searched[0] - place.eta[0], dead_end.searched[2] - place.eta[1]
@@ -127,7 +128,7 @@ def dead_end_step(dead_end: DeadEnd, place: Place, movers: Iterable[Mover], miss
 
     Args:
         dead_end: present state.
-        place: position and surroundings in this step.
+        place: position and surroundings of the robot in this step.
         movers: known obstacles that may move.
         mission: gains, model and mission numbers of the law.
         dt: control period [s].
@@ -185,7 +186,7 @@ def _searching(
 
 
 def _changing(before: DeadEnd, after: DeadEnd, place: Place, mission: Mission, dead: bool) -> DeadEnd:
-    """Return the next state during a change of depth; `after` already contains the place to hold."""
+    """Return the next state during a change of depth; `after` already contains the position to hold."""
     returns = before.changing > 1.5
     rise = _goal(before, mission) - place.eta[2]
     if abs(rise) <= AT:

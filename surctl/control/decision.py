@@ -1,4 +1,4 @@
-"""The decision of a law: tasks by priority, barriers and next state; and symbols that all laws share."""
+"""The decision of a law (tasks by priority, barriers and next state), and expressions that all laws share."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DECISION_PORTS = (
 
 
 class TaskLevel(NamedTuple):
-    """A priority level in symbols: J ν should equal `reference` (k, 1) [unit]; J has shape (k, 4)."""
+    """A priority level as symbolic expressions: J ν should equal `reference` (k, 1) [unit]; J has shape (k, 4)."""
 
     name: str
     J: ca.SX
@@ -40,8 +40,8 @@ class Decision:
     """The priority problem and the next state that a law decides on.
 
     Attributes:
-        levels: tasks, highest priority first; a zero Jacobian and reference switch a level off.
-        rows: barriers on ν for the modes with inequalities.
+        levels: tasks, highest priority first; a level with zero Jacobian and zero reference has no effect.
+        rows: limit rows of the barriers on ν, for the priority modes with inequalities.
         velocity: commanded horizontal velocity (2, 1) in {E} [m/s].
         avoiding: 1 while a contact changes the desired velocity.
         degraded: 1 if no course satisfies the bounds of all contacts.
@@ -59,7 +59,7 @@ class Decision:
 
 
 class Scan(NamedTuple):
-    """The inputs of a law that scans, other than the contacts; see `ports.scan_inputs`."""
+    """The inputs, other than the contacts, of a law that scans with sonars; see `ports.scan_inputs`."""
 
     unknown: ca.SX
     sonars: ca.SX
@@ -69,10 +69,10 @@ class Scan(NamedTuple):
 def lower_levels(
     eta: ca.SX, desired: DesiredMotion, p: Mapping[str, ca.SX], scan: Scan | None = None
 ) -> tuple[TaskLevel, TaskLevel]:
-    """Return the priority levels below the velocity: depth, then heading.
+    """Return the priority levels below the velocity task: depth, then heading.
 
     A law with sonars turns all the time instead of holding a heading. Its yaw rate is `spin`, or less if the yaw
-    thrusters cannot sustain it. While it does not know its position, it keeps its depth rate at 0.
+    thrusters cannot sustain this rate. While the robot does not know its position, it keeps its depth rate at 0.
     """
     depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
     if scan is None:
@@ -83,5 +83,5 @@ def lower_levels(
 
 
 def weakest_acceleration(p: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the smallest horizontal acceleration [m/s²] at full thrust: smaller thrust over larger mass."""
+    """Return the least horizontal acceleration [m/s²] at full thrust: smaller thrust limit divided by larger mass."""
     return ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])

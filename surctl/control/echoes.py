@@ -1,4 +1,4 @@
-"""Contacts of a law without a map: known obstacles, unexplained sonar echoes, and walls."""
+"""Perception of a law without a map; its contacts are known obstacles, unexplained sonar echoes, and walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FILTER = SensorFilter(array=_ARRAY)
 
 
 def perception_ports(dt: float, *, sonar: bool = True) -> tuple[Port, ...]:
-    """Return the state ports of the sonar filters and echo memory for control period `dt` [s]; none without sonars."""
+    """Return the state ports of sonar filters and echo memory for control period `dt` [s]; no ports without sonars."""
     if not sonar:
         return ()
     return (*_FILTER.ports("sonar_"), *ContactMemory(dt=dt).ports("sonar_"))
@@ -44,7 +44,7 @@ class Perception:
 
     @property
     def all(self) -> list[Contact]:
-        """All contacts in one list."""
+        """Return all contacts in one list."""
         return [*self.known, *self.echoes, *self.walls]
 
 
@@ -54,9 +54,10 @@ def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.
     Without input `contacts` no obstacle is known; without input `samples` the law has no sonars.
 
     Args:
-        x: state by port name (`perception_ports`).
-        u: inputs `eta`, `contacts`, `samples`, `fresh`.
-        p: gains `lambda1`, `lms_step`, `beta_max`, model `hull`, mission `walls`.
+        x: state by port name, with the ports of `perception_ports`.
+        u: input ports of the law; the function uses `eta`, `contacts`, `samples` and `fresh`.
+        p: parameters by port name; the function uses the gains `lambda1`, `lms_step` and `beta_max`, the model's `hull`
+            and the mission's `walls`.
         dt: control period [s].
     """
     position, hull, rows = u["eta"][:2], p["hull"], u.get("contacts", ca.SX.zeros(0, 6))

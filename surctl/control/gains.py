@@ -1,4 +1,4 @@
-"""The gain file: every tunable number of the law by name, with unit and meaning."""
+"""Gain files, which hold every tunable number of a law by name, with unit and meaning."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Gains:
     def with_values(
         self, values: Mapping[str, float], *, provenance: str | None = None, how: str | None = None
     ) -> Gains:
-        """Return a copy with some gains changed; each value is checked, and `how` is appended to the set's name."""
+        """Return a copy with some gains changed and checked; `how` is appended to the name of the gain set."""
         for name, value in values.items():
             check_name(name, self.source)
             check_value(name, float(value), self.source)
@@ -93,7 +93,7 @@ class Gains:
 
 
 def check_name(name: str, source: object) -> None:
-    """Raise InputError, with a similar known name, if `name` is not a gain."""
+    """Raise InputError if `name` is not a gain; the message suggests a similar known name."""
     if name not in GAINS:
         raise InputError("no such gain", file=source or None, key=f"gains.{name}", remedy=nearest(name, GAINS))
 
@@ -115,7 +115,7 @@ def check_value(name: str, value: float, source: object) -> None:
 
 
 def load_gains(name_or_path: str) -> Gains:
-    """Load a built-in gain file by name, or another gain file by path; it must contain every gain without a default.
+    """Load a built-in gain file by name or another gain file by path; a file must contain all gains without default.
 
     Raises:
         InputError: the file is unreadable, a gain is unknown or missing, a unit is wrong, or a value is out of bounds.
@@ -163,7 +163,7 @@ def load_gains(name_or_path: str) -> Gains:
 
 
 def write_gains(gains: Gains, *, warning: str = "") -> str:
-    """Return the text of a gain file that reads back with the same values.
+    """Return the text of a gain file with the values of `gains`; `load_gains` reads the same values from it.
 
     A range that does not contain its value is omitted. `warning` becomes a comment in the first line.
 

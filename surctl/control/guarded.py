@@ -1,8 +1,8 @@
 """The guarded law: follow the path at a velocity that respects the braking barrier of every contact.
 
 Its tasks, in order of priority, are the free velocity nearest to the desired one, the depth, and the heading. In the
-priority modes with inequalities, the same barriers are also limit rows. With sonars, the robot turns all the time
-instead of holding a heading, and it stops before unknown space.
+priority modes with inequalities, the barriers are also limit rows of the priority problem. With sonars, the robot turns
+all the time instead of holding a heading, and it stops before unknown space.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from surctl.vehicle import planar_rotation
 __all__ = ["guarded_law"]
 
 _CRAWL = 0.01  # [m/s] commanded speed below which the robot counts as stopped
-_GROPING = 0.5  # share of the cruise speed that is allowed in the direction of a sonar that is not trusted
+_GROPING = 0.5  # share of the cruise speed allowed in the direction of an untrusted sonar
 _NO_BOUND = 10.0  # [m/s] a speed bound that never binds
-_ONE_ENCOUNTER = 1e3  # [m] so large that two blockers always belong to the same encounter
-_LAUNCHED = 0.3  # [m] from the start, within which the sonars may never have measured an obstacle in their blind range
-_STALLED = 15.0  # [s] without progress that rules out slower courses: creeping in a dead end would look like progress
-_BACK_OFF = 0.05  # [m/s] largest speed away from a mark; about half of the marks near the hull are no real obstacles
-_MOVES = 0.05  # [m/s] speed above which a contact counts as moving; for slower ones the braking distance suffices
+_ONE_ENCOUNTER = 1e3  # [m] so large that two blocking contacts always belong to one encounter
+_LAUNCHED = 0.3  # [m] distance from the start, within which obstacles may be in the sonars' blind range, unmeasured
+_STALLED = 15.0  # [s] without progress, after which slower courses are excluded: creeping would look like progress
+_BACK_OFF = 0.05  # [m/s] largest speed away from a map mark; about half of the marks near the hull are false
+_MOVES = 0.05  # [m/s] speed above which a contact counts as moving; for slower contacts the braking distance suffices
 _PASSING = 0.1  # [m] clearance beyond the margin with which a moving contact is passed
 _HORIZON = 12.0  # [s] prediction time for moving contacts
-_BEHIND = 0.7  # cosine of the angle above which a contact comes from behind; the robot outruns it
-_AFTER = 3.0  # [s] after the robot's arrival, until which moving contacts are predicted
-_URGENT = 4.0  # [s] time until a moving contact is met, below which the robot does not wait for unknown space
-_DEEP = 0.01  # [m/s] depth inside a collision cone, above which the robot does not wait for unknown space
+_BEHIND = 0.7  # cosine above which a contact comes from behind, so that the robot outruns it
+_AFTER = 3.0  # [s] time after the robot's arrival up to which moving contacts are predicted
+_URGENT = 4.0  # [s] time to a moving contact, below which the robot does not wait for unknown space
+_DEEP = 0.01  # [m/s] distance of the velocity inside a collision cone, above which the robot does not wait
 _WAITING = 0.5  # share of the chosen speed below which the robot counts as waiting for unknown space
-_BESIDE = 0.03  # [m] from the path, above which a detour around unknown space must not lead further away
+_BESIDE = 0.03  # [m] distance from the path above which a detour around unknown space must not increase it
 
 
 def guarded_law(
@@ -64,7 +64,7 @@ def guarded_law(
     scan: Scan | None = None,
     moving: bool = True,
 ) -> Decision:
-    """Return the decision of the guarded law: the free course nearest to the desired velocity of the path.
+    """Return the decision of the guarded law: the free velocity nearest to the desired velocity along the path.
 
     The braking distance to each contact limits the closing speed. With sonars, the robot turns all the time, and it
     moves only as fast as it can stop before unknown space.
@@ -90,7 +90,7 @@ def guarded_law(
         blocker=x["blocker"],
         cruise=p["cruise"],
         cap=p["cap"],
-        # the map represents a wall by points and the blocking point jumps: it is one encounter until nothing blocks
+        # the map represents a wall by points, and the blocking point jumps: one encounter lasts until nothing blocks
         same=SAME_CONTACT if scan is None else _ONE_ENCOUNTER,
         cones=cones,
         walls=perceived.walls,
@@ -108,7 +108,7 @@ def guarded_law(
         chased = fold(
             "chased", lambda other, row: ca.logic_or(other, row[2] < 0), ca.SX(0), tabulated(sectors[:marks], 5)
         )
-        # while a contact blocks the desired velocity, a detour around unknown space would leave the latched side
+        # while a contact blocks the desired velocity, a detour around unknown space would leave the chosen side
         past = round_unknown(velocity, caution[: scan.unknown.shape[0]], sectors, cones=cones)
         past = ca.if_else(ca.logic_or(choice.blocked, _strays(desired, past, stop)), velocity, past)
         cautious = slowed(past, caution)
@@ -150,9 +150,10 @@ def guarded_law(
 
 
 def _back_first(desired: DesiredMotion, velocity: ca.SX, caution: Bounds, bounds: Bounds) -> ca.SX:
-    """Slow a velocity down to the caution bounds, but reduce the component that leads back to the path separately.
+    """Return a velocity reduced to the caution bounds; its component back to the path is reduced separately.
 
-    That component need not wait for unknown space ahead. This turns the course, so the other bounds are applied again.
+    The component back to the path need not wait for unknown space ahead. The separate reduction changes the course, so
+    the other bounds are applied again.
     """
     sideways = ca.vertcat(-desired.tangent[1], desired.tangent[0])
     across = ca.dot(sideways, velocity)
@@ -169,7 +170,7 @@ def _strays(desired: DesiredMotion, velocity: ca.SX, stop: Stop) -> ca.SX:
 
 
 def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
-    """Return bounds (normal, largest speed along it): stop before unknown space, be slow where no sonar is trusted."""
+    """Return bounds (normal, largest speed along the normal) for unknown space and for untrusted sonars."""
 
     def before(row: ca.SX) -> tuple[ca.SX]:
         return (ca.vertcat(row[:2], ca.fmax(stop(ca.fmax(row[2], 0), ca.SX(0)), 0)),)
@@ -209,7 +210,7 @@ def _standing(
 ) -> list[Sector]:
     """Return the sectors of contacts at rest, from their braking distance.
 
-    If a contact is closer than the margin, the robot backs off with at most `retreat` [m/s].
+    If a contact is closer than the margin, the robot moves away from it with at most `retreat` [m/s].
     """
 
     def one(row: ca.SX) -> tuple[ca.SX]:
@@ -230,7 +231,7 @@ def _sector(contact: Contact, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop) ->
 def _evaded(contact: Contact, desired: DesiredMotion) -> ca.SX:
     """Return whether a contact moves and does not come from behind.
 
-    The robot evades such a contact sideways; it outruns a contact from behind.
+    The robot evades a moving contact sideways, unless the contact comes from behind; then the robot outruns it.
     """
     speed = ca.sqrt(ca.sumsqr(desired.velocity))
     ahead = ca.dot(desired.velocity, contact.normal) > -_BEHIND * speed
@@ -239,7 +240,7 @@ def _evaded(contact: Contact, desired: DesiredMotion) -> ca.SX:
 
 
 def _cone(contact: Contact, evaded: ca.SX, point: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]) -> Cone:
-    """Return the collision cone: velocities that meet the contact within the horizon and before the mission ends."""
+    """Return the collision cone: velocities that meet the contact within the horizon and before the mission's end."""
     left = ca.sqrt(ca.sumsqr(p["waypoints"][-1, :].T - eta[:2]))
     return collision_cone(
         contact,

@@ -1,9 +1,9 @@
-"""The law: filter, guidance, tasks, priority and velocity control as one object with explicit state.
+"""The law: sonar filters, guidance, tasks, priority and velocity control as one object with explicit state.
 
 The block `closed` solves the priorities by the closed form (16). In the modes that respect limits, the law has three
 parts: the block `pre`, then the priority solver as a routine with bounded loops, then the block `post`. In every mode
 `block` is the complete law that runs and that is exported as C. Python, C, verification and tuning all use the same
-instructions.
+instruction list.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ DEPTH_PORT = Port(
 
 
 def scan_telemetry(sensors: int) -> tuple[Port, ...]:
-    """Return the telemetry ports of a law that scans with this number of sonars."""
+    """Return the telemetry ports of a law that scans with `sensors` sonars."""
     return (
         *(port for port in TELEMETRY if port.name != "ranges"),
         Port("ranges", (sensors,), "m", "filtered sonar ranges"),
@@ -68,7 +68,7 @@ class LawStep(NamedTuple):
         x_next: next state as a flat vector.
         status: 0, or a sum of the bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`; or `NONFINITE`, and then tau
             is 0 and the state does not change.
-        telemetry: flat vector of all ports of `Law.outputs` after tau.
+        telemetry: flat vector of all ports of `Law.outputs` except the first one, tau.
     """
 
     tau: Vector
@@ -78,15 +78,15 @@ class LawStep(NamedTuple):
 
 
 class Stages:
-    """Parts of a law, each built when it is first used; they call the functions of the mathematical library.
+    """Parts of a law, each built when it is first used; they call libm functions such as sin.
 
     Attributes:
         closed: (x, u, p) → (tau, x_next, status, telemetry) by the closed form (16), in every mode of the law.
         pre: (x, u, p) → (J row by row, references, limit rows of the priority problem, velocity box (8,), carried,
-            reported, flags). The last three are the next state without the integral, the telemetry after
-            `nu_reference`, and the status bits.
-        post: (u, p, carried, reported, flags, nu_reference, fallback stage of the priority solver) → the same outputs
-            as `closed`.
+            reported, flags). `carried` is the next state without the integral, `reported` the telemetry after
+            `nu_reference`, and `flags` holds the status bits.
+        post: (u, p, carried, reported, flags, nu_reference, fallback stage of the priority solver) → (tau, x_next,
+            status, telemetry).
     """
 
     def __init__(self, closed: Callable[[], Block], pre: Callable[[], Block], post: Callable[[], Block]) -> None:
@@ -94,38 +94,38 @@ class Stages:
 
     @cached_property
     def closed(self) -> Block:
-        """The law with the closed form (16)."""
+        """Return the law with the closed form (16)."""
         return self._closed()
 
     @cached_property
     def pre(self) -> Block:
-        """The part of the law before the priority solver."""
+        """Return the part of the law before the priority solver."""
         return self._pre()
 
     @cached_property
     def post(self) -> Block:
-        """The part of the law after the priority solver."""
+        """Return the part of the law after the priority solver."""
         return self._post()
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A controller: (state, input, parameters) → (τ, next state, status, telemetry).
+    """A controller, which maps (state, input, parameters) to (τ, next state, status, telemetry).
 
     Attributes:
-        name: C identifier.
+        name: name of the law, a C identifier.
         avoidance: form of equation (20).
         mode: priority mode.
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
-        block: (x, u, p) → (tau, x_next, status, telemetry). In mode nsb it is `closed`; in other modes it combines
-            `pre`, the priority solver and `post`. It needs no mathematical library, because sin, cos and atan2 are
-            replaced by elementary operations.
+        block: (x, u, p) → (tau, x_next, status, telemetry). In mode nsb `block` is `closed`; in other modes `block`
+            combines `pre`, the priority solver and `post`. `block` needs no libm functions, because sin, cos and atan2
+            are replaced by elementary operations.
         stages: the law in closed form, and its parts before and after the priority solver.
-        levels: (name, rows, unit) of each priority level, highest first.
-        rows: names of the limit rows: first the velocity box, then the barriers.
-        perception: the stage that runs before the decision, or None. With it, the x and u of `stages` are the state of
-            the decision and the outputs of perception.
+        levels: (name, number of rows of J, unit) of each priority level, highest first.
+        rows: names of the limit rows: first those of the velocity box, then those of the barriers.
+        perception: the part of the law that runs before the decision, or None. In a law with perception, x and u of
+            `stages` are the state of the decision and the outputs of perception.
         guidance, barrier, movers, fallback: the arguments of `build_law`.
     """
 
@@ -149,7 +149,7 @@ class Law:
 
     @cached_property
     def function(self) -> ca.Function:
-        """The closed form as a CasADi function, for expressions, derivatives and numbers."""
+        """Return the law in closed form as a CasADi function, for expressions, derivatives and numbers."""
         return to_casadi(self.stages.closed)
 
     def initial_state(self) -> Vector:
@@ -159,7 +159,7 @@ class Law:
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
         """Compute one control step.
 
-        A number that is not finite, in an input or in a result, gives zero thrust and the status `NONFINITE`.
+        If an input or a result contains a number that is not finite, the thrust is 0 and the status is `NONFINITE`.
 
         Raises:
             InputError: a vector does not have the size of its layout.
@@ -175,16 +175,16 @@ class Law:
 
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
-        """The law as a function of vectors: CasADi evaluates the closed form; a block with loops runs as compiled C.
+        """Return the law as a function of vectors: CasADi for the closed form, compiled C for a routine with loops.
 
-        Without a compiler the block is replayed in Python, which gives the same numbers more slowly.
+        Without a compiler the routine runs in Python, which gives the same numbers more slowly.
         """
         closed = self.mode == "nsb" and self.perception is None
         return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block)
 
     @cached_property
     def _before(self) -> Callable[..., list[Vector]]:
-        """The stage before the priority solver, evaluated by CasADi."""
+        """Return the part of the law before the priority solver, evaluated by CasADi."""
         return on_vectors(to_casadi(self.stages.pre).expand())
 
     @cached_property
@@ -198,7 +198,7 @@ class Law:
         return slice(where.start - 4, where.stop - 4)
 
     def problem(self, x: Vector, u: Vector, p: Vector) -> PriorityProblem:
-        """Return the priority problem of one control step, with a name for every row.
+        """Return the priority problem of one control step, with a name for every limit row.
 
         Raises:
             InputError: a vector does not have the size of its layout, or the problem contains a non-finite number.
@@ -207,7 +207,7 @@ class Law:
         if self.perception is not None:
             x, u = x[: -self.perception.state.size], self.decision_inputs(x, u, p)
         J, references, rows, *_ = self._before(x, u, p)
-        # a row without a bound has ±inf there, but a NaN is an error
+        # a limit row without a bound has ±inf as bound, but a NaN is an error
         if not np.isfinite(J).all() or not np.isfinite(references).all() or np.isnan(rows).any():
             raise InputError("is not finite", key=f"{self.name}.problem", remedy="check x, u and p")
         levels, at = [], 0
@@ -223,7 +223,7 @@ class Law:
         return PriorityProblem(tuple(levels), tuple(limits))
 
     def decision_inputs(self, x: Vector, u: Vector, p: Vector) -> Vector:
-        """Return the inputs of the decision in one control step, flat, in the layout `perception.outputs`.
+        """Return the inputs of the decision in one control step as a flat vector in the layout `perception.outputs`.
 
         A law without perception returns u.
 
@@ -238,7 +238,7 @@ class Law:
         return np.asarray(outputs, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
-        """Solve the priority problem of one control step again in NumPy; the solution names tasks, rows and causes.
+        """Solve the priority problem of one control step in NumPy; the solution names tasks, limit rows and causes.
 
         Raises:
             InputError: the law has the bounded fallback, whose result can differ from that of `solve`.
@@ -248,7 +248,7 @@ class Law:
         return solve(self.problem(x, u, p), mode=self.mode)
 
     def _vectors(self, *vectors: Vector) -> list[Vector]:
-        """Return x, u and p as flat vectors with the sizes of their layouts."""
+        """Return x, u and p as flat vectors, whose sizes are those of their layouts."""
         flat = []
         for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
             array = np.asarray(vector)

@@ -1,15 +1,17 @@
-"""Escape by depth: from a dead end, the robot tries layers above the path's depth, then layers below it.
+"""Escape by depth: in a dead end, the robot tries layers (depths) above the path's depth, then layers below it.
 
 The paper allows a robot to pass an obstacle "by changing the depth and/or moving horizontally". The robot first tries
-horizontal escapes. Only if `control.dead_end` finds a dead end does it change its depth, by one hull diameter plus a
-margin at a time. It stops, moves up or down in place, deletes its sonar map of the old depth, and searches for a path
-again. It tries all layers that it can reach above, the nearest first, then the layers below. After the last one it
-gives up. The robot returns in the same way once it is past the dead end by one hull diameter plus a margin along its
-path and the water back to the path's depth is free.
+horizontal escapes. If `control.dead_end` finds a dead end, the robot changes its depth by one layer, i.e. by one hull
+diameter plus a margin. The robot stops, moves up or down in place, deletes its sonar map of the old depth, and searches
+for a path again. The robot tries all layers that it can reach above, the nearest first, then the layers below. After
+the last layer the robot gives up. The robot returns to the path's depth in the same way as soon as two conditions hold:
+it has passed the dead end by one hull diameter plus a margin along its path, and the water back to the path's depth is
+free.
 
 The horizontal sonars do not measure the water above or below. The robot moves only through water that its echo sounders
-measure as free (`column`), at a speed from which it can stop within that water, and holds its horizontal position. This
-is safe if the sounders detect everything above or below the hull, and if the mission allows that depth.
+measure as free (`column`), at a speed from which it can stop within that water, and holds its horizontal position. A
+change of depth is safe if the sounders detect everything above or below the hull, and if the mission allows the new
+depth.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from surctl.vehicle import planar_rotation
 __all__ = ["LAYER_PORTS", "aimed_depth", "forgetting", "layers_next"]
 
 AT = 0.03  # [m] distance from a layer's depth below which the robot has reached it
-SLACK = 0.015  # [m] tolerance for too little free water, because depth and sounders are not more precise
+SLACK = 0.015  # [m] tolerance for missing free water: the precision of depth and sounders
 FAST = 0.05  # [m/s] horizontal speed above which the robot stops before it changes its depth
 RISES = 0.01  # [m/s] vertical speed above which a change of depth makes progress
 ANEW, STANDS, MOVES, RETURNS = -1.0, 0.0, 1.0, 2.0
@@ -59,15 +61,15 @@ def _fast(eta: ca.SX, nu: ca.SX) -> ca.SX:
 def aimed_depth(
     x: Mapping[str, ca.SX], eta: ca.SX, nu: ca.SX, column: ca.SX, p: Mapping[str, ca.SX]
 ) -> tuple[ca.SX, ca.SX]:
-    """Return z of the robot's layer, or of the layer that it changes to, and the reference z of the depth task [m].
+    """Return z of the present layer (during a change, of the next layer), and reference z of the depth task [m].
 
-    The reference is limited: at gain `k2`, the robot never moves faster than it can stop within the free water.
+    The reference is limited such that at gain `k2`, the robot can always stop within the free water.
 
     Args:
         x: state with `LAYER_PORTS`.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
         column: (2, 1) free water above and below the hull [m].
-        p: `depth`, `hull`, `margin`, `k2`, `brake`, `reaction`, thrust and mass.
+        p: parameters: `depth`, `hull`, `margin`, `k2`, `brake`, `reaction`, thrust and mass.
     """
     goal, z = _goal(x, p), eta[2]
     deceleration = p["brake"] * p["thrust_limit"][2] / p["mass"][2]
@@ -82,7 +84,7 @@ def aimed_depth(
 
 
 def forgetting(state: Layout) -> Program:
-    """Return a program from the decision's state to `anew`.
+    """Return an instruction list that computes `anew` from the decision's state.
 
     `anew` is 1 in the step after the robot has reached another depth; in this step the map is cleared.
     """
@@ -132,7 +134,7 @@ def layers_next(
     following = ca.if_else(further, layer + ca.if_else(layer < 0, -1, 1), layer)
     following = ca.if_else(unreached, -1, following)
     following = ca.if_else(ca.logic_and(there, returns), 0, following)
-    following = ca.if_else(abandoned, -back / _pitch(p), following)  # the present depth, in layers
+    following = ca.if_else(abandoned, -back / _pitch(p), following)  # the present depth, as a number of layers
     state = ca.if_else(ca.logic_or(further, failed), MOVES, ca.fmax(changing, STANDS))
     state = ca.if_else(home, RETURNS, state)
     state = ca.if_else(abandoned, STANDS, ca.if_else(there, ANEW, state))

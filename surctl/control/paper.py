@@ -1,6 +1,7 @@
-"""The paper's law: one sub-task σ_i = l_dm,i for each sensor in order of urgency, then velocity, depth and heading.
+"""The paper's law: sub-tasks σ_i = l_dm,i of the sensors in order of urgency, then velocity, depth and heading.
 
-The velocity task uses the avoidance velocity (20) or the cruise velocity (III-B to III-D).
+While the robot avoids a contact, the velocity task uses the avoidance velocity (20), otherwise the cruise velocity
+(III-B to III-D).
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from surctl.vehicle import planar_rotation
 
 __all__ = ["paper_law"]
 
-_SENSE_RANGE = 1.0  # [m] below which a sensor sub-task may act
-_OVERTAKE = 0.02  # [m/s] by which the avoidance speed exceeds the obstacle's
+_SENSE_RANGE = 1.0  # [m] range below which a sensor sub-task may act
+_OVERTAKE = 0.02  # [m/s] difference of the avoidance speed and the obstacle's speed
 
 
 def paper_law(
@@ -33,7 +34,7 @@ def paper_law(
     *,
     dt: float,
 ) -> Decision:
-    """Return the decision of the paper's law: sensor sub-tasks by urgency, (20) or cruise velocity, depth, heading."""
+    """Return the decision of the paper's law (sensor sub-tasks by urgency, velocity, depth, heading)."""
     heading = ca.vertcat(ca.cos(eta[3]), ca.sin(eta[3]))
     left = ca.vertcat(-heading[1], heading[0])
     sensed = nearest_in_quadrants(perceived.all, [heading, left, -heading, -left])
@@ -63,7 +64,7 @@ def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
 
 
 def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:
-    """Return the time to contact [s]; it is very large if the robot does not approach the contact."""
+    """Return the time to contact [s]; the time is very large if the robot does not approach the contact."""
     rate = ca.fmax(speed - contact.closing, 1e-3)
     return ca.fmax(contact.clearance, 0) / rate
 
@@ -92,7 +93,7 @@ def _avoidance_velocity(
     *,
     dt: float,
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the velocity of (20) within the window (19), and the next λ2, which is latched during an encounter."""
+    """Return the velocity of (20) within the window (19), and the next λ2; λ2 does not change during an encounter."""
     met = encounter_side(desired.velocity - contact.velocity, contact.normal)
     side = ca.if_else(ca.fabs(x["side"]) > 0.5, x["side"], met)
     speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
@@ -114,7 +115,7 @@ def _avoidance_velocity(
 
 
 def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[str, ca.SX], *, dt: float) -> ca.SX:
-    """Limit a velocity to the window (19): speed within a·t and course within √(a/R_OB)·t (E17) of the last command."""
+    """Return a velocity limited to (19): speed within a·t, course within √(a/R_OB)·t (E17) of the last command."""
     acceleration = weakest_acceleration(p)
     previous = ca.sqrt(ca.sumsqr(last))
     step = acceleration * dt
@@ -133,7 +134,7 @@ def _by_urgency(
 ) -> list[TaskLevel]:
     """Return the sensor sub-tasks sorted by time to contact (ties: front, left, rear, right).
 
-    An inactive sub-task is a zero row.
+    The Jacobian and reference of an inactive sub-task are zero.
     """
     to_body = planar_rotation(eta[3]).T
     entries = []

@@ -1,9 +1,9 @@
-"""Perception: the stage that converts sensor readings to the inputs of the decision, with its own state.
+"""Perception: the part of a law that converts sensor readings to the inputs of the decision, with its own state.
 
-It estimates the robot's own state from delayed position fixes, moving obstacles from delayed messages, the range of
-every sonar with an error bound, and the map of `sensing.mapping`. The nearest marks of the map become contacts, in
-addition to the contacts from the base station. Echoes that walls or known obstacles explain are not marked. The radius
-of every contact includes its uncertainty.
+Perception estimates four things: the robot's own state, from delayed position fixes; moving obstacles, from delayed
+messages; the range of every sonar, with an error bound; and the map of `sensing.mapping`. The nearest marks (occupied
+cells) of the map become contacts, in addition to the contacts from the base station. Echoes that walls or known
+obstacles explain are not marked in the map. The radius of every contact includes its uncertainty.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step be
 PERCEPTION = "perception"
 """Name of the block of a `PerceptionStage`."""
 
-_TOLERANCE = 0.10  # [m] by which an echo may be shorter than the expected range and still come from a known object
+_TOLERANCE = 0.10  # [m] tolerance below the expected range for an echo of a known object
 _READING = 0.03  # [m] largest error of one plausible firing: four standard deviations
-_DIAGONAL = 0.71  # cells: half a cell's diagonal
-_AROUND_A_MARK = 0.8  # cells: radius of the contact for a mark, half a diagonal and an allowance for drift
-_EXPLAINS = 0.5  # cells beyond the reading in which a mark still explains it
+_DIAGONAL = 0.71  # [cells] half a cell's diagonal
+_AROUND_A_MARK = 0.8  # [cells] radius of the contact for a mark: half a diagonal plus an allowance for drift
+_EXPLAINS = 0.5  # [cells] distance beyond a reading within which a mark explains the reading
 _MARGIN_SD = 0.02 / 3  # [m] standard deviation of the robot's position that the law's margin already covers
-_DEAF = 0.3  # [s] without a plausible firing after which a sonar is not trusted
-_PLACED_SD = 0.2  # [m] standard deviation above which the robot does not know its position
-_SILENT_MARGIN = 0.05  # [m] added to every mark while a sonar is silent, because drifting obstacles are measured less
+_DEAF = 0.3  # [s] time without a plausible firing, after which a sonar is not trusted
+_PLACED_SD = 0.2  # [m] standard deviation above which the position counts as unknown
+_SILENT_MARGIN = 0.05  # [m] added to the radius of every mark while a sonar is silent, since obstacles drift
 _FAR = 1e5  # [m²] larger than any squared distance in the map
 
 
 @dataclass(frozen=True, eq=False)
 class PerceptionStage:
-    """The stage of a law that runs before the decision.
+    """The part of a law that runs before the decision.
 
     Attributes:
-        state: layout of its state, with `LAST_THRUST` first.
-        inputs: layout of its inputs.
-        outputs: layout of its outputs, which are the inputs of the decision.
-        block: (state, inputs, parameters) → (next state without the thrust, outputs). If other depths are allowed, a
-            fourth input is 1 in a step in which the map is cleared.
+        state: layout of the perception state, with `LAST_THRUST` first.
+        inputs: layout of the perception inputs.
+        outputs: layout of the perception outputs, which are the inputs of the decision.
+        block: (state, inputs, parameters) → (next state without the thrust, outputs). If other depths are allowed, the
+            block has a fourth input, which is 1 in a step in which the map is cleared.
     """
 
     state: Layout
@@ -65,7 +65,7 @@ class PerceptionStage:
 
 
 def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float) -> PerceptionStage:
-    """Assemble the perception stage of a law.
+    """Assemble the perception of a law.
 
     Args:
         equipment: the sensors that the law assumes.
@@ -154,7 +154,7 @@ class _Builder:
 
     @cached_property
     def _small(self) -> Layout:
-        """The layout of the state without the last thrust and the map."""
+        """Return the layout of the state without the last thrust and the map."""
         own = self._own.ports("own_") if self._own else ()
         movers = self._movers.ports("mover_") if self._movers else ()
         n = self.equipment.array.size
@@ -164,12 +164,12 @@ class _Builder:
 
     @cached_property
     def state(self) -> Layout:
-        """The layout of the whole state."""
+        """Return the layout of the whole perception state."""
         return Layout((LAST_THRUST, *self._small.ports, *self._map.ports("map_")))
 
     @cached_property
     def _perceived(self) -> Layout:
-        """The layout of the values that are known before the map is evaluated."""
+        """Return the layout of the values that are known before the map is evaluated."""
         sonars = self.outputs.port("sonars")
         slots = self._movers.slots if self._movers else 0
         known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles at the present time"),) if slots else ()
@@ -179,14 +179,14 @@ class _Builder:
         return Layout((*pose, uncertainty, self.outputs.port("placed"), *known, sonars, *column))
 
     def _split(self) -> Program:
-        """Return a program that splits the state into the thrust with small states, the map's cells and its corner."""
+        """Return an instruction list that splits the state into three parts: small states, map cells, map corner."""
         x = ca.SX.sym("x", self.state.size)
         parts = {name: x[self.state.slice(f"map_{name}")] for name in ("cells", "corner")}
         small = x[: LAST_THRUST.size + self._small.size]
         return lower_named("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
 
     def _anew(self) -> Program:
-        """Return a program that keeps the map's corner, or moves it far away if the map is to be cleared."""
+        """Return an instruction list that keeps the map's corner, or moves it far away if the map is to be cleared."""
         corner, anew = ca.SX.sym("corner", 2), ca.SX.sym("anew")
         nowhere = self.state.port("map_corner").default
         return lower_named("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
@@ -273,7 +273,7 @@ class _Builder:
                     "launched": ca.logic_or(x["launched"], around.placed),
                 }
             ),
-            # if the robot does not know its position, the place of its hull does not count as free
+            # if the robot does not know its position, the cells under its hull do not count as free
             "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, free, 0), edge),
             "walls": known["walls"],
             "readings": _listed(firings, local_map.slots),
@@ -354,7 +354,7 @@ def _least(values: ca.SX) -> ca.SX:
 
 
 def _listed(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
-    """Return the new firings, one per slot; an empty slot neither clears nor marks cells."""
+    """Return the new firings, one in each slot; an empty slot neither clears nor marks map cells."""
     size = sum(k for _, k, _ in READING)
     empty = ca.vertcat(ca.SX.zeros(size - 2), -1, 0)
     listed, count = [empty] * slots, ca.SX(0)

@@ -1,4 +1,4 @@
-"""The input and parameter ports of the law, with the same names in simulation, verification and exported header."""
+"""Input and parameter ports of the law; simulation, verification and the exported header use equal port names."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DEFAULT_ARRAY = SonarArray()
 YAW_SHARE = 0.85
 """Share of the largest yaw moment that a planned yaw rate may use."""
 
-_WIDER_SIDE = 0.1  # [m] offset of the site's middle from the path's first leg, above which one side counts as wider
+_WIDER_SIDE = 0.1  # [m] offset of the site's middle from the path's first segment that makes a side wider
 
 SECTORS = 16
 """Number of direction sectors; in each, a law that scans knows the nearest marked and the nearest unknown place."""
@@ -54,9 +54,10 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: boo
     """Return the layout of the inputs of a law in each control step.
 
     Args:
-        contacts: number of slots for known obstacles, 0 or more.
+        contacts: number of slots (entries of the input) for known obstacles, 0 or more.
         sonar: whether the law uses the sonars.
-        depths: whether the law may leave a dead end at another depth; then it has echo sounders up and down.
+        depths: whether the law may leave a dead end at another depth; then the robot needs echo sounders that look up
+            and down.
 
     Example:
         >>> from surctl.control import law_inputs
@@ -93,7 +94,7 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths:
 
     Args:
         equipment: the sensors of the robot.
-        contacts: number of moving obstacles that a message of the base station can hold, 0 or more.
+        contacts: largest number of moving obstacles in a message of the base station, 0 or more.
         depths: see `law_inputs`.
     """
     array, own = equipment.array, equipment.own
@@ -124,7 +125,7 @@ def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
     """Return the layout of the outputs of perception, which are the inputs of the decision of a law that scans.
 
     Args:
-        contacts: number of contacts from the base station and from the map together.
+        contacts: total number of contacts, from the base station and from the map.
         sensors: number of sonars.
         depths: see `law_inputs`.
     """
@@ -190,8 +191,9 @@ PARAMETERS = Layout(
 def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:
     """Return the direction in which a law with sonars turns: +1 left, −1 right.
 
-    It is the side on which the site is wider beside the first leg of the path, or left if both are equal. The robot may
-    have to pass an obstacle near the start on the wider side, and there the edges of the beams then scan first.
+    The robot turns towards the side on which the site is wider beside the first segment of the path, or left if both
+    sides are equally wide. The robot may have to pass an obstacle near the start on the wider side; with this direction
+    of turning, the edges of the beams scan the wider side first.
 
     Args:
         path: reference path in {E}.
@@ -219,14 +221,14 @@ def law_parameters(
 
     Args:
         gains: complete gain set.
-        vehicle: the controller's model; the simulated vehicle may differ from it.
+        vehicle: the controller's vehicle model; the simulated vehicle may have other parameters.
         path: reference path in {E}.
         depth: desired z [m], negative below the surface.
         cruise: desired speed U_d along the path [m/s].
         cap: largest commanded horizontal speed [m/s].
-        walls: x_min, x_max, y_min, y_max [m].
+        walls: x_min, x_max, y_min, y_max of the site in {E} [m].
         launch: width of the water around the hull that is known to be free at the start [m].
-        visit: distance to a corner that counts as a visit [m]; 0: corners may be cut.
+        visit: distance to a corner of the path within which the corner counts as visited [m]; 0: corners may be cut.
 
     Example:
         >>> from surctl.control import PARAMETERS, law_parameters, load_gains

@@ -1,4 +1,4 @@
-"""The desired motion: velocity and heading along the path without obstacles."""
+"""The desired motion, i.e. the velocity and heading with which the robot follows the path without obstacles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from surctl.guidance import (
 )
 from surctl.vehicle import planar_rotation
 
-_RETURNS = 0.5  # share of the cross-track speed of LOS guidance, above which the robot counts as returning to the path
+_RETURNS = 0.5  # share of LOS cross-track speed above which the robot counts as returning
 _SEPARATION = 3.0  # ratio of the bandwidths of the velocity loop and the position loop
 
 __all__ = ["DesiredMotion", "learnt", "path_following"]
@@ -31,7 +31,7 @@ __all__ = ["DesiredMotion", "learnt", "path_following"]
 
 @dataclass(frozen=True)
 class DesiredMotion:
-    """The command without obstacles, in symbols.
+    """The desired motion without obstacles, as symbolic expressions.
 
     Attributes:
         velocity: desired velocity (2, 1) [m/s] in {E}.
@@ -62,15 +62,15 @@ def path_following(
     guidance: Guidance = "los",
     memory: ca.SX | None = None,
 ) -> DesiredMotion:
-    """Return the desired motion: tracking law (8)–(12), and a proportional approach to the end and to corners to visit.
+    """Return the desired motion: tracking law (8)–(12), with a proportional approach to the end and corners to visit.
 
     Args:
         eta: (4, 1) measured pose in {E}.
         progress: arc length of the target point on the path [m].
-        p: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`; the model; mission `waypoints`,
-            `visit`, `cruise`, `cap`.
+        p: parameters by name: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`; the vehicle model; mission
+            `waypoints`, `visit`, `cruise`, `cap`.
         dt: control period [s].
-        guidance: see `guidance.crosstrack`.
+        guidance: `los`, `ilos` or `alos`; see `guidance.crosstrack`.
         memory: disturbance estimate of guidance `ilos` or `alos`; None for `los`.
     """
     point, tangent, length = path_target(p["waypoints"], progress)
@@ -80,10 +80,10 @@ def path_following(
     )
     along = along_command(x_e, y_e + shift, speed=p["cruise"], k1=p["k1"], lookahead=p["lookahead"], maximum=p["cap"])
     following = tracking_velocity(along, y_e + shift, tangent, p["lookahead"])
-    # past the end, U_d is 0 and (12) no longer stabilises y_e, so the robot approaches the point itself
+    # past the end, U_d is 0 and (12) no longer stabilises y_e, so the robot approaches the end point
     offset = point - eta[:2]
     distance = ca.sqrt(ca.sumsqr(offset))
-    # without this limit, a robot that is heavy for its thrusters would overshoot the point
+    # without this limit, a robot that is heavy for its thrusters would overshoot the end point
     acceleration = (
         p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
     )
@@ -117,15 +117,15 @@ def learnt(
 
     The estimate does not change while the robot avoids a contact, is far behind the target point, arrives, or returns
     to the path at half the commanded speed or more. In these cases no steady disturbance causes the cross-track error,
-    and learning from it would lead to overshoot.
+    so an update of the estimate would lead to overshoot.
 
     Args:
         guidance: `ilos` or `alos`.
         desired: the desired motion of this step.
-        memory: see `guidance.crosstrack`.
+        memory: present disturbance estimate; see `guidance.crosstrack`.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
         avoiding: 1 while a contact changes the desired velocity.
-        p: see `path_following`.
+        p: parameters by name; see `path_following`.
         dt: control period [s].
     """
     over_ground = planar_rotation(eta[3]) @ nu[:2]

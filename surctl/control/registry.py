@@ -1,4 +1,4 @@
-"""All control laws by name."""
+"""Registry of all control laws by name."""
 
 from __future__ import annotations
 

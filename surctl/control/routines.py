@@ -1,4 +1,4 @@
-"""Combine the parts of a law into one routine: perception, `pre`, the priority solver, `post`."""
+"""Functions that combine the parts of a law (perception, `pre`, priority solver, `post`) into one routine."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def limited(
     fallback: Fallback = "exact",
     real: Real = "float64",
 ) -> Block:
-    """Return the routine of `pre`, the priority solver with the tolerances of the number type `real`, and `post`."""
+    """Return the routine that runs `pre`, the priority solver (tolerances for the number type `real`), and `post`."""
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
-    # the law does not report which rows limit task 1, so `named` is off
+    # the law does not report which limit rows limit task 1, so `named` is off
     step = priority_step(
         mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, fallback=fallback
     )
@@ -47,7 +47,7 @@ def limited(
 
 
 def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routine:
-    """Return the routine of perception followed by the decision; `state` is the layout of the decision's state."""
+    """Return the routine that runs perception and then the decision; `state` is the layout of the decision's state."""
     whole = Layout((*state.ports, *perception.state.ports))
     x = ca.SX.sym("x", whole.size)
     own = state.size
@@ -70,8 +70,8 @@ def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routin
 def in_real(law: Law, real: Real) -> Law:
     """Return the law with the solver tolerances and the polynomials for the number type `real`.
 
-    With the tolerances for double, a search in float would never end, because rounding errors alone exceed them. A law
-    in mode nsb or lexicographic is returned unchanged, because it has no such tolerances.
+    With the tolerances for double, a search in float would never end, because rounding errors in float exceed these
+    tolerances. A law in mode nsb or lexicographic is returned unchanged, because it does not use solver tolerances.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""Bounds of the guarded law on its closing speed (two barriers by name), and braking when a bound is exceeded."""
+"""Bounds of the guarded law on its closing speed (barriers `simple` and `inertia`), and braking above a bound."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def _simple(p: Mapping[str, ca.SX], dt: float) -> Stop:
 
 
 def _inertia(p: Mapping[str, ca.SX], dt: float) -> Stop:
-    """Return the bound by the closed form of `guidance.braking`, for the worst case of the vehicle's ranges."""
+    """Return the bound from the closed form of `guidance.braking`, for the worst case of the parameter ranges."""
     least = p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1])
     lightest, heaviest, most, lag, linear, quadratic = ca.vertsplit(p["stopping"])
     brakes = BrakeSymbols(lightest, heaviest, least, most, lag, linear, quadratic, ca.SX(dt))
 
     def stop(distance: ca.SX, closing: ca.SX) -> ca.SX:
-        # the robot may follow a receding contact, which is not assumed to stop at once
+        # the robot may follow a receding contact, and the bound does not assume that the contact stops at once
         return closing_bound(brakes, distance, obstacle=ca.fmax(-closing, 0)) + ca.fmax(closing, 0)
 
     return stop
@@ -70,15 +70,15 @@ BARRIERS: Mapping[Barrier, Callable[[Mapping[str, ca.SX], float], Stop]] = Mappi
 def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float = 1.0) -> ca.SX:
     """Return a velocity command that brakes harder than the velocity loop alone, if the robot exceeds a speed bound.
 
-    Thrust is clipped on each axis separately, so a sideways command at the same time can halve the braking force. The
-    more the robot exceeds the bound, the closer the sideways command comes to the present sideways velocity, as far as
-    the other bounds allow it.
+    Thrust is clipped on each axis separately, so a simultaneous sideways command can halve the braking force. The more
+    the robot exceeds the bound, the closer the sideways command comes to the present sideways velocity, as far as the
+    other bounds allow it.
 
     Args:
         velocity: desired velocity (2, 1) in {E} [m/s].
         now: velocity over ground (2, 1) in {E} [m/s].
         bounds: bounds on the speed.
-        calm: 0 while the robot must evade a moving contact; then it brakes and keeps the sideways command.
+        calm: 0 while the robot must evade a moving contact; then the robot brakes and keeps the sideways command.
     """
     excess, normal = _worst(now, bounds)
     straight = now + ca.dot(velocity - now, normal) * normal
@@ -88,7 +88,7 @@ def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float =
 
 
 def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:
-    """Return the largest excess of a velocity over a bound [m/s] and that bound's normal; zeros if there is none."""
+    """Return the largest excess of a velocity over a bound [m/s] and the normal of this bound; zeros without excess."""
 
     def further(excess: ca.SX, normal: ca.SX, row: ca.SX) -> list[ca.SX]:
         over = ca.dot(velocity, row[:2]) - row[2]

@@ -1,7 +1,8 @@
-"""Store a built law as bytes, so that another process can load it instead of assembling it again.
+"""Storage of an assembled law as bytes, so that another process can load the law instead of assembling it again.
 
-The first line is JSON: it describes the law and gives the length of the text of each block. The texts follow. The cache
-checks a digest of all bytes, and each block checks a digest of its own text, so a changed file is not loaded.
+The first line is JSON, which describes the law and gives the length of the text of each routine. The texts of the
+routines follow. The cache checks a digest of all bytes, and each routine has a digest of its own text, so a changed
+file is not loaded.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def law_bytes(law: Law) -> bytes:
 
 
 def law_from(stored: bytes) -> Law:
-    """Load a law from the bytes that `law_bytes` wrote; its stages are parsed when they are first used."""
+    """Load a law from the bytes that `law_bytes` wrote; the parts of the law are parsed when they are first used."""
     first, _, rest = stored.decode().partition("\n")
     head = json.loads(first)
     texts = []

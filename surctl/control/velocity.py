@@ -1,9 +1,9 @@
-"""Velocity controller: drag feedforward at the desired velocity, proportional action, thrust limits.
+"""Velocity controller with drag feedforward at the desired velocity, proportional action and thrust limits.
 
 The controller does not cancel Coriolis forces or the true drag. A body that turns while it translates needs no force to
-keep its inertial velocity (cancelling m u r would need 9–14 N of the available 5 N), and the true drag adds damping.
-Equal gains in surge and sway make the loop provable. The feedback uses the velocity over ground, so a constant current
-causes only a small steady error.
+keep its inertial velocity (a force that cancels m u r would be 9–14 N, but only 5 N are available), and the true drag
+adds damping. With equal gains in surge and sway, properties of the closed loop can be proved. The feedback uses the
+velocity over ground, so a constant current causes only a small steady error.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def velocity_control(
         nu_reference: ν_d (4, 1) [m/s, rad/s] in {B}.
         nu: measured velocity over ground (4, 1) in {B}.
         integral: ξ (4, 1) [m/s², rad/s²].
-        model: mass, linear_drag, quadratic_drag, thrust_limit, each (4, 1), in the controller's model.
+        model: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit` of the controller's model, each (4, 1).
         k_v: bandwidth in surge, sway and heave [1/s].
         k_r: bandwidth in yaw [1/s].
         k_i: integral gain [1/s²]; the integral does not change while its axis is saturated (conditional anti-windup).

@@ -1,4 +1,4 @@
-"""Tasks σ(η) of the robot, the stack of tasks ordered by priority, and limits on the velocity."""
+"""Tasks σ(η) of the robot, stacks of tasks ordered by priority, and limits on the velocity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A limit on the difference between the commanded and the present velocity."""
+"""Limit on the difference between the commanded and the present velocity."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ class AccelerationLimit:
     Attributes:
         nu: present velocity ν (4,) [m/s, m/s, m/s, rad/s].
         limit: largest acceleration a (4,), at least 0 [m/s², m/s², m/s², rad/s²].
-        dt: time in which v is to be reached, greater than 0 [s].
+        dt: time in which the vehicle is to reach v, greater than 0 [s].
 
     Raises:
-        InputError: there are not 4 entries, a number is negative or not finite, or dt is not greater than 0.
+        InputError: `nu` or `limit` does not have 4 entries, a number is negative or not finite, or dt is not greater
+            than 0.
     """
 
     nu: Expression
@@ -41,10 +42,10 @@ class AccelerationLimit:
         object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
 
     def box(self) -> VelocityBox:
-        """Return the same limit as a box of velocities with bounds (4,) [m/s, rad/s]."""
+        """Return the acceleration limit as a box of velocities with bounds (4,) [m/s, rad/s]."""
         nu, change = ca.SX(self.nu), ca.SX(self.limit) * ca.SX(self.dt)
         return VelocityBox(nu - change, nu + change, self.name, self.kind)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return four rows, named NAME.u, NAME.v, NAME.w, NAME.r."""
+        """Return four limit rows (one per axis), named NAME.u, NAME.v, NAME.w, NAME.r."""
         return self.box().rows()

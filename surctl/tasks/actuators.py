@@ -1,4 +1,4 @@
-"""Actuator limits that are always consistent: the boxes are widened to include a velocity that the thrust can reach."""
+"""Actuator limits made consistent: velocity and acceleration boxes widened to a velocity that the thrust can reach."""
 
 from __future__ import annotations
 
@@ -17,31 +17,30 @@ __all__ = ["ActuatorLimits"]
 
 @dataclass(frozen=True, eq=False)
 class ActuatorLimits:
-    """Velocity box B, acceleration box A and thrust rows T, with B and A widened so that a velocity is always feasible.
+    """Velocity box B, acceleration box A and thrust limits T; B and A are widened so that a feasible velocity exists.
 
     If a vehicle is far outside B, or if drag and Coriolis forces exceed the thrust, it cannot satisfy B or A, and the
-    rows would contradict each other. The thrust is a physical limit, so T does not change, and B and A are widened to
-    contain one point p of T:
+    limits would contradict each other. The thrust is a physical limit, so T does not change, and B and A are widened to
+    contain a point p of T:
 
         q = the point of A nearest to (the point of B nearest to ν),   p = the point of T toward q,
         B' = hull(B, p),   A' = hull(A, p).
 
-    Proof that B' ∩ A' ∩ T is never empty: p ∈ T, because the thrust needed for p is the thrust needed for q, limited to
-    its bounds; and p is in both hulls.
-    If q ∈ B ∩ T, then p = q and nothing changes; so nothing changes while ν is in B and the thrust can hold ν.
-    For a diagonal M the axes are independent, T is a box, and p is its point nearest to q. Intervals that intersect in
-    pairs have a common point. The point of an interval nearest to x lies in every interval that contains x and
-    intersects the first. Hence B' = B if the three intersect. Otherwise B' is the smallest box that intersects A ∩ T
-    (and A' the smallest box that intersects T, if A does not). For any other M, p is a point of T, but not always the
-    one that widens the boxes least.
+    Proof that B' ∩ A' ∩ T is never empty: p ∈ T, because the thrust for p is the thrust for q, clipped to the thrust
+    bounds. By definition, p is in both hulls. If q ∈ B ∩ T, then p = q, and the boxes do not change. So the boxes do
+    not change while ν is in B and the thrust can hold ν. For a diagonal M the axes are independent, T is a box, and p
+    is the point of T nearest to q. Intervals that intersect in pairs have a common point. The point of an interval I
+    nearest to x lies in every interval that contains x and intersects I. Hence B' = B if A, B and T intersect.
+    Otherwise B' is the smallest box that intersects A ∩ T (and A' the smallest box that intersects T, if A does not).
+    For any other M, p is a point of T, but another point of T may widen the boxes less.
 
     Attributes:
-        box: B.
-        thrust: T; lower ≤ upper.
-        acceleration: A, with the same ν as T; None if there is no such limit.
+        box: the velocity box B.
+        thrust: the thrust limits T, with lower ≤ upper.
+        acceleration: the acceleration box A, with the ν of T; None for no acceleration limit.
 
     Raises:
-        InputError: `acceleration` has another ν or dt than `thrust`, or two of the limits have the same name.
+        InputError: ν or dt of `acceleration` differs from that of `thrust`, or two of the limits have the same name.
     """
 
     box: VelocityBox
@@ -49,7 +48,7 @@ class ActuatorLimits:
     acceleration: AccelerationLimit | None = None
 
     def __post_init__(self) -> None:
-        """Check that the limits belong together."""
+        """Check that the limits have equal ν and dt, and different names."""
         names = [limit.name for limit in (self.box, self.thrust, self.acceleration) if limit is not None]
         for name in names:
             if names.count(name) > 1:
@@ -65,14 +64,14 @@ class ActuatorLimits:
                 )
 
     def reachable(self) -> ca.SX:
-        """Return p (4,) [m/s, rad/s], the velocity that the thrust can reach in the direction of the box."""
+        """Return p (4,) [m/s, rad/s], the velocity reached with the clipped thrust for the point q."""
         target = self.box.nearest(ca.SX(self.thrust.nu))
         if self.acceleration is not None:
             target = self.acceleration.box().nearest(target)
         return self.thrust.toward(target)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return the rows of the widened box, of the widened acceleration limit, and of the thrust."""
+        """Return the limit rows of the widened velocity box, the widened acceleration box, and the thrust limits."""
         point = self.reachable()
         rows = self.box.holding(point).rows()
         if self.acceleration is not None:

@@ -1,4 +1,4 @@
-"""Wrap an angle to one turn without atan2."""
+"""Function that wraps an angle to (−π, π] without atan2."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ __all__ = ["wrap"]
 
 
 def wrap(angle: ca.SX) -> ca.SX:
-    """Return each angle [rad] wrapped to (−π, π]; the result is exact at both ends and needs no trigonometry.
+    """Return each angle [rad] wrapped to (−π, π], without trigonometry; the result is exact at both ends.
 
-    The floor function alone can be wrong by one rounding (an angle just above 3π becomes just above π), so two
-    corrections follow.
+    The floor function alone can leave a result outside the interval by one rounding error (an angle just above 3π
+    becomes just above π). So two corrections by one turn follow.
     """
     turn = 2.0 * math.pi
     once = angle + turn * ca.floor((math.pi - angle) / turn)

@@ -27,24 +27,25 @@ _SAMPLES = np.concatenate([-np.logspace(1, -6, 57), [0.0], np.logspace(-6, 1, 57
 class Barrier:
     """The barrier ḣ + α(h) ≥ 0 for a vehicle that reaches its commanded velocity v at once (Ames et al. 2019).
 
-    Its row is −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t. The robot stays in the set {h ≥ 0}, and approaches it from outside. With
-    v constant over steps dt, α(h) = γh and γ dt ≤ 1, this is exact for a convex h (the distance from a flat wall or a
-    convex obstacle) at a constant heading. A yaw rate r turns v during the step; then h ≥ −|r| ‖v‖ dt / (2γ) if
-    ‖∂h/∂(x, y)‖ ≤ 1. Use `BrakingBarrier` for a vehicle that needs time to slow down.
+    As a limit on v, the barrier is −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t. The robot stays in the set {h ≥ 0}; from outside, it
+    moves towards the set. If v is constant during each step dt, α(h) = γh and γ dt ≤ 1, then h ≥ 0 holds exactly for a
+    convex h (the distance from a flat wall or a convex obstacle) at a constant heading. A yaw rate r turns v during the
+    step; then h ≥ −|r| ‖v‖ dt / (2γ) if ‖∂h/∂(x, y)‖ ≤ 1. Use `BrakingBarrier` for a vehicle that needs time to slow
+    down.
 
     Attributes:
-        name: name of the barrier and its row: identifiers joined by dots.
+        name: name of the barrier and of its limit row: identifiers joined by dots.
         eta: SX symbol (4, 1), pose (x, y, z [m] in {E}, ψ [rad]).
-        h: SX scalar expression of eta; other symbols may appear in it and are constant in its derivative.
+        h: SX scalar expression of eta; h may contain other symbols, which its derivative treats as constant.
         alpha: γ > 0 [1/s], or a function SX → SX, also a ca.Function. Samples in [−10, 10] check that α(0) = 0, that
             α(s) has the sign of s, and that α never decreases (class K, but constant parts are allowed). A function
             that contains other symbols is not checked.
         drift: ∂h/∂t [unit of h per second], for a constraint that moves.
-        kind: see `Kind`.
+        kind: kind of limit; see `Kind`.
 
     Raises:
-        InputError: a name or shape is wrong; ∂h/∂η J(ψ) is structurally zero, so no velocity changes h; or α is not
-            such a function. The message names the barrier.
+        InputError: a name or shape is wrong; ∂h/∂η J(ψ) is structurally zero, so no velocity changes h; or α violates a
+            condition on `alpha`. The message names the barrier.
     """
 
     name: str
@@ -67,14 +68,14 @@ class Barrier:
             object.__setattr__(self, "alpha", checked_positive(self.name, "alpha", self.alpha))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return one row, NAME, without a lower bound; its a·v is the closing speed −ḣ [unit of h per second]."""
+        """Return one limit row, named NAME, without a lower bound; a·v is the closing speed −ḣ [unit of h per s]."""
         allowed = self.alpha(self.h) if callable(self.alpha) else ca.SX(self.alpha) * self.h
         a = closing_row(self.name, self.eta, self.h)
         return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), allowed + ca.SX(self.drift)),)
 
 
 def closing_row(name: str, eta: ca.SX, h: ca.SX) -> ca.SX:
-    """Return −(∂h/∂η) J(ψ), (1, 4), which gives −ḣ for a velocity in {B}; raise InputError if it is always zero."""
+    """Return −(∂h/∂η) J(ψ), (1, 4), which maps a velocity in {B} to −ḣ; raise InputError if it is structurally zero."""
     if not isinstance(eta, ca.SX) or eta.shape != (4, 1) or not eta.is_valid_input():
         raise InputError(
             "is not an SX symbol of shape (4, 1)", key=f"limit {name}: eta", remedy='write eta = ca.SX.sym("eta", 4)'

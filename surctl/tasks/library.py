@@ -1,4 +1,4 @@
-"""Ready-made tasks; each defines one σ(η), and users define their own tasks in the same way."""
+"""Ready-made tasks; each function returns a `Task` with its σ(η), and users can define their own tasks likewise."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def position_task(
 ) -> Task:
     """Return a task on the position σ = (x, y) or (x, y, z) [m] in {E}, depending on the size of `target`.
 
-    `rate` is in m/s and `gain` in 1/s.
+    `rate` is the desired velocity [m/s], and `gain` is the task's gain [1/s].
 
     Example:
         >>> import casadi as ca
@@ -60,7 +60,7 @@ def depth_task(
 def heading_task(
     eta: ca.SX, psi_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "heading"
 ) -> Task:
-    """Return a task on the heading σ = ψ [rad], counter-clockwise from x; the robot turns by the smaller angle.
+    """Return a task on the heading σ = ψ [rad], counter-clockwise from x; the robot turns through the smaller angle.
 
     Example:
         >>> import casadi as ca
@@ -75,7 +75,7 @@ def heading_task(
 
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
-    """Return a task on σ = (x, y) that only prescribes its rate `v_world` (2,) [m/s] in {E}: the error σ̃ is 0.
+    """Return a task on σ = (x, y) that prescribes only the rate `v_world` (2,) [m/s] of σ in {E}; the error σ̃ is 0.
 
     Example:
         >>> import casadi as ca
@@ -133,7 +133,7 @@ def distance_task(
 def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight") -> Task:
     """Return a task that turns the bow towards `point` (2,) [m] in {E}: σ → 0 is its bearing from the bow [rad].
 
-    At the point itself the bearing is undefined; then it is the direction of x.
+    At the point itself the bearing is undefined; there the task uses the direction of x.
 
     Example:
         >>> import casadi as ca

@@ -1,4 +1,4 @@
-"""Limits on the commanded velocity: a box and a half-plane."""
+"""Limits on the commanded velocity: `VelocityBox` and `HalfPlane`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ class VelocityBox:
     The bounds are numbers or SX expressions.
 
     Raises:
-        InputError: there are not 4 entries, or a number is NaN, or lower > upper on an axis that the message names.
+        InputError: a bound does not have 4 entries, a number is NaN, or lower > upper on an axis. The message names the
+            axis.
     """
 
     lower: Expression
@@ -37,7 +38,7 @@ class VelocityBox:
             checked_order(f"{self.name}.{axis}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return four rows, named NAME.u, NAME.v, NAME.w, NAME.r."""
+        """Return four limit rows (one per axis), named NAME.u, NAME.v, NAME.w, NAME.r."""
         eye = ca.SX.eye(4)
         return tuple(
             LimitRow(
@@ -57,7 +58,7 @@ class VelocityBox:
 
 @dataclass(frozen=True, eq=False)
 class HalfPlane:
-    """The limit normal · v ≤ bound in the body frame, with normal (4,) and a scalar bound, numbers or SX.
+    """The limit normal · v ≤ bound in the body frame, with normal (4,) and a scalar bound, as numbers or SX.
 
     For example, a barrier ḣ + α(h) ≥ 0 is the half-plane −∇h·v ≤ α(h).
 
@@ -78,5 +79,5 @@ class HalfPlane:
         checked_order(self.name, ca.SX(-math.inf), ca.SX(self.bound))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return one row without a lower bound."""
+        """Return one limit row without a lower bound."""
         return (LimitRow(self.name, self.kind, ca.SX(self.normal).T, ca.SX(-math.inf), ca.SX(self.bound)),)

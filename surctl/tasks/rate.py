@@ -1,4 +1,4 @@
-"""A limit on the rate of change of a task's quantity."""
+"""Limit on the rate of change of a task's quantity σ."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["RateLimit"]
 
 @dataclass(frozen=True, eq=False)
 class RateLimit:
-    """The limit |σ̇_i| ≤ limit_i on every entry of a task's σ, as rows on the velocity.
+    """The limit |σ̇_i| ≤ limit_i on every entry of a task's σ, as limit rows for the velocity.
 
     Attributes:
-        task: the task with σ and its Jacobian J of (13).
+        task: the task, which provides σ and its Jacobian J (13).
         limit: (k,) or one number for all entries, at least 0 [unit of σ per second].
-        kind: see `Kind`.
+        kind: kind of limit; see `Kind`.
 
     Raises:
         InputError: a shape is wrong, a number is negative or not finite, or the kind is unknown; the message names the
@@ -40,7 +40,7 @@ class RateLimit:
         object.__setattr__(self, "limit", checked_positive(name, "limit", column, k, zero=True))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return one row per entry of σ: TASK.rate for one entry, otherwise TASK.rate0, TASK.rate1, …"""
+        """Return one limit row per entry of σ, named TASK.rate for one entry, otherwise TASK.rate0, TASK.rate1, …"""
         J, limit = self.task.jacobian(), ca.SX(self.limit)
         return tuple(
             LimitRow(name, self.kind, J[i, :], -limit[i], limit[i])

@@ -1,4 +1,4 @@
-"""Named rows l ≤ a·v ≤ u, the common form of all limits, and checks of their values."""
+"""Limit rows (named constraints l ≤ a·v ≤ u), which are the common form of all limits, and checks of their values."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_0-9]+)*")
 
 @dataclass(frozen=True, eq=False)
 class LimitRow:
-    """One row lower ≤ a·v ≤ upper for v = (u, v, w, r) in {B} [m/s, rad/s].
+    """One linear constraint lower ≤ a·v ≤ upper on v = (u, v, w, r) in {B} [m/s, rad/s].
 
     Attributes:
         name: dotted name such as "velocity.u"; it appears in explanations.
-        kind: see `Kind`.
-        a: SX (1, 4).
+        kind: kind of limit; see `Kind`.
+        a: SX (1, 4), the coefficients of v.
         lower, upper: SX scalars; −inf or inf if there is no bound.
     """
 
@@ -55,10 +55,10 @@ class LimitRow:
 
 
 class Limit(Protocol):
-    """An object that has limit rows."""
+    """Protocol of an object that has limit rows."""
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return the rows in a fixed order."""
+        """Return the limit rows in a fixed order."""
         ...
 
 
@@ -72,7 +72,7 @@ def checked_name(name: object) -> str:
 
 
 def checked_kind(name: str, kind: str) -> None:
-    """Raise InputError, with a similar known kind, if the kind is unknown."""
+    """Raise InputError if the kind is unknown; the message suggests a similar known kind."""
     if kind not in get_args(Kind):
         remedy = nearest(str(kind), get_args(Kind))
         raise InputError("unknown kind of limit", key=f"limit {name}", value=kind, remedy=remedy)
@@ -93,7 +93,7 @@ def checked_column(name: str, field: str, value: Expression, size: int, *, finit
 
 
 def checked_positive(name: str, field: str, value: Expression, size: int = 1, *, zero: bool = False) -> ca.SX:
-    """Return the value as `checked_column` does; its numbers must be finite and greater than 0.
+    """Return the value as an SX column of length `size`; raise InputError unless its numbers are finite and > 0.
 
     With `zero`, the number 0 is allowed too.
     """

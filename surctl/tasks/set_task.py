@@ -1,4 +1,4 @@
-"""A set-based task: a quantity that may have any value between two bounds."""
+"""Set-based task: a quantity that may have any value between two bounds."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _TURN = 2.0 * math.pi
 class SetTask:
     """The set lower ≤ σ(η) ≤ upper, enforced by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
 
-    These two bounds on σ̇ are the slab. Inside the set, the slab contains 0 and values of both signs. At a bound, σ
-    cannot leave the set. Outside, σ returns like a task with gain K. The slab changes continuously with σ, so the task
-    needs no switching.
+    The set of σ̇ between these two bounds is called the slab. Inside the set, the slab contains 0 and values of both
+    signs. At a bound, σ cannot leave the set. Outside the set, σ returns to it as the σ of a task with gain K does. The
+    slab changes continuously with σ, so the task needs no switching.
 
     Attributes:
-        name, eta, sigma, gain, unit: as in `Task`.
+        name, eta, sigma, gain, unit: these attributes have the meaning that `Task` states.
         lower, upper: (k,) or one number for all entries [unit of σ]; −inf or inf if there is no bound.
         rate: rate σ̇_set at which the set moves, (k,) or one number [unit of σ per second].
         angular: σ is an angle [rad]. The set is the arc from lower to upper, shorter than a turn. Outside the arc, σ
             returns by the smaller angle, so the slab jumps opposite the middle of the arc.
 
     Raises:
-        InputError: an error of `Task`; a bound is NaN, or lower > upper; an arc has no end or is a whole turn. The
+        InputError: `Task` rejects a value, a bound is NaN, lower > upper, or an arc has no end or is a whole turn. The
             message names the task.
     """
 
@@ -71,12 +71,12 @@ class SetTask:
 
     @property
     def size(self) -> int:
-        """k, the number of rows."""
+        """Return k, the number of entries of σ."""
         return self._middle.size
 
     @property
     def rate_unit(self) -> str:
-        """The unit of σ̇; see `Task.rate_unit`."""
+        """Return the unit of σ̇; see `Task.rate_unit`."""
         return self._middle.rate_unit
 
     def jacobian(self) -> ca.SX:
@@ -84,23 +84,23 @@ class SetTask:
         return self._middle.jacobian()
 
     def slab(self) -> tuple[ca.SX, ca.SX]:
-        """Return lower and upper bound of J ν, (k, 1) each [unit of σ per second]; ±inf if the set has no bound."""
+        """Return the lower and the upper bound of J ν, (k, 1) each [unit of σ per second]; ±inf for an absent bound."""
         below, above = self._distances()
         lower = [self._rate_of(i, below[i], -math.inf) for i in range(self.size)]
         upper = [self._rate_of(i, above[i], math.inf) for i in range(self.size)]
         return ca.densify(ca.vertcat(*lower)), ca.densify(ca.vertcat(*upper))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return the slab as rows of kind "set": NAME.set for one row, otherwise NAME.set0, NAME.set1, …"""
+        """Return the slab as limit rows of kind "set", named NAME.set (one row) or NAME.set0, NAME.set1, …"""
         J, (lower, upper) = self.jacobian(), self.slab()
         return tuple(LimitRow(name, "set", J[i, :], lower[i], upper[i]) for i, name in enumerate(self.row_names("set")))
 
     def row_names(self, what: str) -> tuple[str, ...]:
-        """Return the names of the rows: NAME.WHAT for one row, otherwise NAME.WHAT0, NAME.WHAT1, …"""
+        """Return the names of the limit rows: NAME.WHAT for one row, otherwise NAME.WHAT0, NAME.WHAT1, …"""
         return self._middle.row_names(what)
 
     def split(self) -> tuple[SetTask, ...]:
-        """Return the same set as k tasks of one row each, named NAME0, NAME1, …; the task itself if k is 1."""
+        """Return k set-based tasks of one entry of σ each, named NAME0, NAME1, …; the task itself if k is 1."""
         if self.size == 1:
             return (self,)
         return tuple(
@@ -127,7 +127,7 @@ class SetTask:
         return error - half, error + half
 
     def _rate_of(self, i: int, distance: ca.SX, absent: float) -> ca.SX:
-        """Return one bound of the slab, or `absent` if the set has no bound there."""
+        """Return one bound of the slab, or `absent` if the set does not have this bound."""
         if distance.is_constant() and math.isinf(float(distance)):
             return ca.SX(absent)
         return ca.SX(self.rate)[i] + ca.SX(self.gain)[i] * distance

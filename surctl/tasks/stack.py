@@ -1,4 +1,4 @@
-"""The stack of tasks in order of priority."""
+"""Stack of tasks in order of priority."""
 
 from __future__ import annotations
 
@@ -47,26 +47,26 @@ class Stack:
 
     @property
     def eta(self) -> ca.SX:
-        """The pose symbol (4, 1) that all tasks share."""
+        """Return the pose symbol (4, 1) that all tasks share."""
         return self.tasks[0].eta
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the tasks, highest priority first."""
+        """Return the names of the tasks, highest priority first."""
         return tuple(task.name for task in self.tasks)
 
     def levels(self) -> list[tuple[ca.SX, ca.SX]]:
         """Return (J (k, 4), x (k, 1)) of each task, highest priority first: σ̇ = J ν should equal x (13)–(14).
 
         Raises:
-            InputError: a task is set-based, so it has no x; use `slabs`.
+            InputError: a task is set-based and has no reference rate x; use `slabs`.
         """
         return [(task.jacobian(), _equality(task).reference()) for task in self.tasks]
 
     def slabs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
         """Return (J (k, 4), lower (k, 1), upper (k, 1)) of each task, highest priority first.
 
-        For a `Task`, both bounds are x.
+        Of a `Task`, both bounds are the reference rate x (14).
         """
         return [(task.jacobian(), *_slab(task)) for task in self.tasks]
 

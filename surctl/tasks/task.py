@@ -1,4 +1,4 @@
-"""A task (13)–(15): a quantity σ(η), its desired value, and the gain with which it converges."""
+"""Task (13)–(15): a quantity σ(η), its desired value, and the gain with which σ converges to this value."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Task:
     Attributes:
         name: identifier of the task in every message and solution.
         eta: SX symbol (4, 1): x, y, z [m] in {E} (ENU) and ψ [rad], counter-clockwise.
-        sigma: SX (k, 1), σ(η). Other symbols (an echo, a waypoint) may appear in it and are constant in its
-            derivative; `rate` describes the motion of a target.
+        sigma: SX (k, 1), the expression of σ(η). It may contain other symbols (an echo, a waypoint), which its
+            derivative treats as constant; `rate` describes the motion of a target.
         target: desired value σ_d, (k, 1) or one number for all entries; default 0.
         rate: desired rate σ̇_d, (k, 1) or one number [unit of σ per second]; default 0.
         gain: diagonal of K, (k,) or one number [1/s]; numbers must be greater than 0; default 1.
@@ -36,7 +36,7 @@ class Task:
 
     Raises:
         InputError: a name is wrong, sizes disagree, a number is not finite, a gain is not positive, σ does not depend
-            on η, or the unit is not a text. The message names the task.
+            on η, or the unit is not a string. The message names the task.
     """
 
     name: str
@@ -65,16 +65,16 @@ class Task:
 
     @property
     def size(self) -> int:
-        """k, the number of rows."""
+        """Return k, the number of entries of σ."""
         return int(self.sigma.shape[0])
 
     @property
     def rate_unit(self) -> str:
-        """The unit of σ̇, such as "m/s"; "" if the unit of σ is unknown."""
+        """Return the unit of σ̇, such as "m/s"; "" if the unit of σ is unknown."""
         return f"{self.unit}/s" if self.unit else ""
 
     def row_names(self, what: str) -> tuple[str, ...]:
-        """Return the names of the rows: NAME.WHAT for one row, otherwise NAME.WHAT0, NAME.WHAT1, …"""
+        """Return the names of the rows of J: NAME.WHAT for one row, otherwise NAME.WHAT0, NAME.WHAT1, …"""
         return (f"{self.name}.{what}",) if self.size == 1 else tuple(f"{self.name}.{what}{i}" for i in range(self.size))
 
     def jacobian(self) -> ca.SX:
@@ -125,7 +125,7 @@ def as_column(value: Expression) -> ca.SX:
 
 
 def sized_column(value: Expression, sizes: tuple[int, ...], *, key: str) -> ca.SX:
-    """Return the value as a column with one of these sizes; otherwise raise InputError with the key."""
+    """Return the value as a column with one of the given sizes; otherwise raise InputError with the key."""
     try:
         column = as_column(value)
     except ValueError:
@@ -151,7 +151,7 @@ def _wrong(task: Task, field: str, problem: str, remedy: str, value: object = No
 
 
 def _column_of(task: Task, field: str, size: int) -> ca.SX:
-    """Return the field as a column (size, 1); one number is used for all entries."""
+    """Return the field as a column (size, 1); a single number is used for all entries."""
     try:
         column = as_column(getattr(task, field))
     except ValueError:
@@ -173,5 +173,5 @@ def _check_gain(task: Task) -> None:
 
 
 def _numbers(column: ca.SX) -> list[float]:
-    """Return the entries that are plain numbers."""
+    """Return the entries of a column that are plain numbers."""
     return [float(column[i]) for i in range(column.numel()) if column[i].is_constant()]

@@ -1,4 +1,4 @@
-"""A limit to the velocities that the thrusters can reach within one step."""
+"""Limit on the velocities that the thrusters can reach within one step."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
 
 @dataclass(frozen=True, eq=False)
 class ThrustLimit:
-    """The limit lower ≤ M (v − ν)/dt + load ≤ upper on each axis: (3) over one step, solved for the thrust.
+    """The limit lower ≤ M (v − ν)/dt + load ≤ upper on the thrust of each axis, from (3) over one step.
 
-    The load is evaluated at ν, so with the thrust on a bound the vehicle reaches the predicted v up to an error of
+    The load is evaluated at ν, so if the thrust is at a bound, the vehicle reaches the predicted v with an error of
     O(dt²). The thrust is the force that acts in the water; if it lags behind its command, give bounds on its average
     over the step.
 
@@ -41,11 +41,11 @@ class ThrustLimit:
         mass: M, diagonal (4,) or symmetric positive definite (4, 4) [kg, kg m²].
         load: (4,) thrust that holds ν: C(ν)ν + D(ν)ν minus other forces [N, N m].
         lower, upper: (4,) bounds of the thrust [N, N m].
-        dt: time in which v is to be reached [s].
+        dt: time in which the vehicle is to reach v [s].
 
     Raises:
         InputError: a shape is wrong, a number is not finite, a mass is not positive, lower > upper, or dt is not
-            greater than 0. The message names the field or row.
+            greater than 0. The message names the field or the limit row.
     """
 
     nu: Expression
@@ -83,8 +83,8 @@ class ThrustLimit:
 
         Args:
             nu: (4,) velocity over ground in {B} [m/s, rad/s].
-            parameters: mass, linear_drag, quadratic_drag, thrust_limit, (4,) each, numbers or SX, as the ports of
-                `PLANT_PARAMETERS`; other parameters are ignored.
+            parameters: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit`, each (4,), as numbers or SX; see
+                `PLANT_PARAMETERS`. Other parameters are ignored.
             dt: time of one step [s].
             water: (3,) velocity of the water in {B} [m/s], which is R(ψ)ᵀ times the current. As in the plant, forces
                 depend on ν − water, and the water's velocity turns in {B} at −r.
@@ -92,7 +92,7 @@ class ThrustLimit:
             name: name of the limit.
 
         Raises:
-            InputError: a parameter is missing, or an error of the class occurs.
+            InputError: a parameter is missing, or the class rejects a value.
         """
         for key in _NEEDED:
             if key not in parameters:
@@ -112,17 +112,17 @@ class ThrustLimit:
         return ca.SX(self.mass) @ (v - ca.SX(self.nu)) / ca.SX(self.dt) + ca.SX(self.load)
 
     def toward(self, target: ca.SX) -> ca.SX:
-        """Return the velocity (4,) that results from the thrust needed for `target` (4,), limited to its bounds.
+        """Return the velocity (4,) that results from the thrust needed for `target` (4,), clipped to the thrust bounds.
 
-        It is `target` itself if its thrust is within the bounds. For a diagonal M the reachable set is a box, and the
-        result is the point of this box nearest to `target`.
+        The result is `target` itself if the needed thrust is within the bounds. For a diagonal M the reachable set is a
+        box, and the result is the point of this box nearest to `target`.
         """
         required = self.needed(target)
         missing = ca.fmin(ca.fmax(required, ca.SX(self.lower)), ca.SX(self.upper)) - required
         return target + ca.SX(self.dt) * self._divided(missing)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return four rows, named NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr; a·v and its bounds are in N and N m."""
+        """Return four limit rows, named NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr; a·v and its bounds are in N and N m."""
         slope = ca.densify(ca.SX(self.mass) / ca.SX(self.dt))
         offset = ca.SX(self.load) - slope @ ca.SX(self.nu)
         lower, upper = ca.SX(self.lower) - offset, ca.SX(self.upper) - offset

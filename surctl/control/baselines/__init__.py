@@ -1,7 +1,8 @@
-"""Textbook laws for comparison: same desired velocity, contacts and velocity loop, but another avoidance method.
+"""Textbook laws for comparison with the guarded law; they use other methods of obstacle avoidance.
 
-Their parameters are the module constants; analysis/13_baselines describes how they were tuned. With sonars, these laws
-turn like the guarded law and use the marks of its map as contacts, but they do not slow down before unknown space.
+They share the desired velocity, the contacts and the velocity loop with the guarded law. The parameters of the textbook
+laws are the module constants; analysis/13_baselines describes how they were tuned. With sonars, these laws turn like
+the guarded law and use the marks of its map as contacts, but they do not slow down before unknown space.
 """
 
 from surctl.control.baselines.apf import apf_law

@@ -2,10 +2,11 @@
 based quadratic programs for safety critical systems", IEEE TAC 2017), on the kinematics.
 
 Every contact has the barrier h_i = clearance − margin with ḣ_i ≥ −α h_i; with the contact's own velocity v_i this is
-n_i·v ≤ α h_i + n_i·v_i. The velocity nearest to the desired velocity that satisfies every row and the speed limit is
-computed exactly, row by row: if a row is violated, the next optimum lies on its line (Seidel 1991; de Berg et al.,
-*Computational Geometry*, 4.4). The barriers do not consider the braking distance: they bound the velocity command, not
-the velocity that the limited thrust can achieve.
+the constraint n_i·v ≤ α h_i + n_i·v_i. The law computes the velocity that is nearest to the desired velocity and
+satisfies every constraint and the speed limit. The computation is exact and adds one constraint after the other: if the
+present optimum violates the added constraint, the new optimum lies on the line n_i·v = α h_i + n_i·v_i (Seidel 1991; de
+Berg et al., *Computational Geometry*, 4.4). The barriers do not consider the braking distance: they bound the velocity
+command, not the velocity that the limited thrust can achieve.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ EXTRA = 0.02
 FAN = 24
 """Number of courses at full speed that are tried, in addition to zero velocity, if no velocity satisfies all rows."""
 
-_ROUNDING = 1e-9  # [m/s] tolerance of a row for rounding
+_ROUNDING = 1e-9  # [m/s] tolerance of a constraint for rounding errors
 
 
 def cbf_law(s: Situation) -> Decision:
     """Return the decision: the velocity nearest to the desired velocity that satisfies every barrier.
 
-    The barriers are also limit rows for the priority modes with inequalities.
+    In the priority modes with inequalities, the barriers are also limit rows of the priority problem.
     """
     rows = [
         (c.normal, ALPHA * (c.clearance - s.p["margin"] - EXTRA) + ca.dot(c.velocity, c.normal))
@@ -54,16 +55,16 @@ def cbf_law(s: Situation) -> Decision:
 
 
 def nearest_velocity(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Minimise |v − desired| subject to n·v ≤ bound for every row and |v| ≤ cap.
+    """Return v that minimises |v − desired| subject to n·v ≤ bound for every constraint in `rows`, and |v| ≤ cap.
 
     Args:
         desired: desired velocity (2, 1) [m/s].
-        rows: pairs of a unit vector n (2, 1) and a bound [m/s].
+        rows: constraints n·v ≤ bound, as pairs of a unit vector n (2, 1) and a bound [m/s].
         cap: largest speed [m/s].
 
     Returns:
-        The minimiser v (2, 1) and 1. If no v is feasible: the velocity from a fixed fan of courses with the smallest
-        worst violation, and 0.
+        If a feasible v exists: the minimiser v (2, 1), and 1. Otherwise: from a fixed fan of courses, the velocity with
+        the smallest worst violation, and 0.
     """
     v, feasible = limited(desired, cap), ca.SX(1)
     for i, (normal, bound) in enumerate(rows):

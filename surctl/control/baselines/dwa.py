@@ -1,10 +1,10 @@
 """Dynamic window (Fox, Burgard and Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997).
 
 The robot is holonomic, so the window lies in the plane of its two velocities and the arcs are straight lines. Contacts
-move at their own velocity. A velocity is admissible if the robot can brake before the first contact that it meets:
-|v| ≤ √(2 b s) with the distance s = |v| t_c until then, which means |v| ≤ 2 b t_c. The law chooses the admissible
-velocity with the largest α·heading + β·clearance + γ·velocity, where each term is between 0 and 1. If no velocity is
-admissible, the robot brakes.
+move at their own velocity. A velocity is admissible if the robot can brake before the first contact that it meets: |v|
+≤ √(2 b s) with the distance s = |v| t_c travelled until the time of contact t_c, which means |v| ≤ 2 b t_c. The law
+chooses the admissible velocity with the largest α·heading + β·clearance + γ·velocity, where each term is between 0 and
+1. If no velocity is admissible, the robot brakes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
 def dwa_law(s: Situation) -> Decision:
     """Return the decision: the best admissible velocity in the window around the present velocity.
 
-    The candidates include the desired velocity, or the nearest velocity to it in the window.
+    The candidates include the velocity of the window that is nearest to the desired velocity.
     """
     now, brake = over_ground(s), s.p["brake"] * weakest_acceleration(s.p)
     extent = weakest_acceleration(s.p) * HORIZON

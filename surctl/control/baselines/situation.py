@@ -1,4 +1,4 @@
-"""The inputs from which a law is built, and functions shared by the baselines: lower levels and time to contact."""
+"""The inputs from which a law is built, and functions that the textbook laws share (lower levels, time to contact)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different f
 
 
 class Situation(NamedTuple):
-    """The symbolic inputs of a law's decision: desired motion, contacts, state, pose, velocity, gains and mission.
+    """Symbolic inputs of a law's decision: desired motion, contacts, state, pose, velocity, gains and mission.
 
     `form`, `dt`, `barrier` and `movers` are arguments of `build_law` (`form` is its argument `avoidance`). `scan` is
     None for a law without sonars. `moving` is True if contacts may move.
@@ -75,7 +75,7 @@ def length(vector: ca.SX) -> ca.SX:
 
 
 def limited(vector: ca.SX, most: ca.SX) -> ca.SX:
-    """Return the vector, shortened to length `most` if it is longer."""
+    """Return the vector; a vector longer than `most` is shortened to this length."""
     return vector * ca.fmin(1, most / ca.fmax(length(vector), 1e-9))
 
 
@@ -87,8 +87,9 @@ def over_ground(s: Situation) -> ca.SX:
 def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: bool = False) -> ca.SX:
     """Return the time [s] until a robot at constant `velocity` (2, 1) [m/s] comes within `margin` of a moving contact.
 
-    The contact keeps its velocity. It is a disc of radius `combined_radius` + margin around its centre, or a straight
-    wall if `flat`. The result is 0 if the robot is within the margin and approaches; it is `NEVER` if they do not meet.
+    The contact keeps its velocity. The contact is a disc of radius `combined_radius` + margin around its centre, or a
+    straight wall if `flat`. The result is 0 if the robot is within the margin and approaches; it is `NEVER` if robot
+    and contact do not meet.
     """
     gap = contact.clearance - margin
     relative = velocity - contact.velocity

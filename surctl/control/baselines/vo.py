@@ -2,9 +2,9 @@
 1998), in the sampled form of van den Berg, Lin and Manocha 2008 (RVO library) without reciprocity.
 
 A velocity is forbidden if a robot at this constant velocity would come within the margin of a contact at constant
-velocity within the horizon. Of a fixed fan of candidates around the desired velocity v_d, the law chooses the allowed
-one nearest to v_d. If all are forbidden, it chooses the one with the smallest w / t_c + |v − v_d|, the penalty of the
-RVO library.
+velocity within the horizon. From a fixed fan of candidates around the desired velocity v_d, the law chooses the allowed
+candidate nearest to v_d. If all candidates are forbidden, it chooses the candidate with the smallest w / t_c + |v −
+v_d|, the penalty of the RVO library.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The claim about braking with inertia: the vehicle, the obstacle, the quality of the measurements, and the law."""
+"""Claim about braking with inertia: it states vehicle, obstacle, quality of the measurements, and law."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ class LawNumbers:
 
     Attributes:
         barrier: name of the barrier.
-        own: braking capability in the law's model, at the share of the thrust that the law relies on.
-        margin, reaction, brake, k_v, k_i: gains [m, s, 1, 1/s, 1/s²].
+        own: braking capability of the law's model, at the share of the thrust limit that the law relies on.
+        margin, reaction, brake, k_v, k_i: the law's gains of these names, in m, s, 1, 1/s and 1/s².
         limit: least thrust limit of surge and sway [N].
-        mass, linear, quadratic: mass [kg] and drag [N s/m, N s²/m²] of surge and sway in the law's model.
+        mass, linear, quadratic: mass [kg], linear drag [N s/m] and quadratic drag [N s²/m²] of surge and sway in the
+            law's model.
     """
 
     barrier: Barrier
@@ -66,7 +67,7 @@ class LawNumbers:
 
 
 def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
-    """Return the numbers of the guarded law whose model is this vehicle.
+    """Return the numbers of the guarded law with `vehicle` as its model.
 
     Raises:
         NotApplicable: surge and sway differ, or integral action is on.
@@ -95,16 +96,17 @@ class BrakingClaim:
     Attributes:
         name: name of the claim.
         brakes: braking capability of the true vehicle over its ranges.
-        watch: control period, age of a range, and errors of range and own speed.
-        drag: `along` for drag along the velocity, `axes` for drag axis by axis at any heading.
-        obstacles: approach speeds v_o of the obstacles [m/s], rising.
+        watch: control period, largest age of a measured range, largest error of the range, and largest error of the
+            measured own speed.
+        drag: `along` for drag along the velocity, `axes` for drag of each axis separately, at any heading.
+        obstacles: approach speeds v_o of the obstacles [m/s], in rising order.
         fastest: largest own speed [m/s].
-        sideways: largest speed across the direction of the obstacle [m/s].
+        sideways: largest own speed perpendicular to the direction of the obstacle [m/s].
         turn: largest yaw rate while the vehicle brakes [rad/s].
-        side: largest thrust across the direction of the obstacle [N].
-        law: numbers of the law; None for the bare rule, which brakes unless the range needed is available.
-        speeds: own speeds of the table [m/s], at most `fastest`.
-        digests: SHA-256 of the vehicle's parameters and of the law's instructions.
+        side: largest thrust perpendicular to the direction of the obstacle [N].
+        law: numbers of the law; None for the rule alone (brake unless the range needed is available).
+        speeds: own speeds for which the table has entries [m/s], at most `fastest`.
+        digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
     """
 
     name: str
@@ -121,7 +123,7 @@ class BrakingClaim:
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
 
     def document(self, table: dict[str, Any], limit: float) -> dict[str, Any]:
-        """Return the claim as data of a certificate, with its table of distances and the limit speed [m/s]."""
+        """Return the claim as data of a certificate, with a table of distances and a limit speed of obstacles [m/s]."""
         b, w = self.brakes, self.watch
         return {
             "system": "braking",

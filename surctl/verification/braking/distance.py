@@ -1,4 +1,4 @@
-"""A short convex table of the braking distance that the checker accepts, and the distances that follow from it."""
+"""Tables of the braking distance that the checker accepts, and the ranges needed that follow from them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ __all__ = ["DistanceTable", "Encounter", "distance_table", "encounter", "figures
 
 _CELLS = 40
 _DIGITS = 9  # decimals of a knot or slope
-_LIFT = 1e-4  # share by which a slope is raised until its cell holds
-_FIGURES = 1e4  # a figure is rounded up to 0.1 mm
+_LIFT = 1e-4  # relative step by which a slope is raised until its cell is valid
+_FIGURES = 1e4  # a distance is rounded up to 0.1 mm
 _NEGLECTED = 1e-9
 _SPARE = -1e-13
 
@@ -25,9 +25,10 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Encounter:
-    """One obstacle: approach speed [m/s], speed astern through the water at closing speed 0 [m/s], f [N], q [N s].
+    """One obstacle: approach speed [m/s]; own speed astern through the water at closing speed 0 [m/s]; f [N]; q [N s].
 
-    f is the largest disturbance force towards the obstacle, and q the impulse that the lag still delivers.
+    f is the largest disturbance force towards the obstacle, and q is the impulse that the thrust still delivers because
+    of its lag.
     """
 
     obstacle: float
@@ -37,7 +38,7 @@ class Encounter:
 
 
 def encounter(claim: BrakingClaim, obstacle: float) -> Encounter:
-    """Return the speeds and forces for an obstacle of that approach speed [m/s]."""
+    """Return the speeds and forces of the encounter with an obstacle that approaches at `obstacle` [m/s]."""
     b, through = claim.brakes, obstacle + claim.brakes.current
     swing = b.lag * (b.most + b.least) + claim.turn * b.lag**2 * claim.side
     return Encounter(obstacle, through, _disturbance(claim, through), swing)
@@ -54,7 +55,7 @@ def _disturbance(claim: BrakingClaim, through: float) -> float:
 
 
 def largest_obstacle(claim: BrakingClaim) -> float:
-    """Return the largest obstacle speed [m/s] that leaves braking force, rounded down to 0.1 mm/s; 0 if none does."""
+    """Return the largest obstacle speed [m/s] that leaves some braking force, rounded down to 0.1 mm/s; else 0."""
     low, high = 0.0, 100.0
     for _ in range(60):
         middle = (low + high) / 2
@@ -69,14 +70,14 @@ def _left(claim: BrakingClaim, obstacle: float) -> float:
 
 @dataclass(frozen=True)
 class DistanceTable:
-    """The convex function G, given by knots z [m/s] and slopes G' at the knots; G' is linear between them."""
+    """The convex function G: knots z [m/s], and slopes G' at the knots; G' is linear between two knots."""
 
     at: Encounter
     knots: Vector
     slopes: Vector
 
     def worst(self, claim: BrakingClaim, closing: float) -> float:
-        """Return m G(s + q/m) [m] at the worse end of the mass range, for the closing speed s [m/s]."""
+        """Return the larger of m G(s + q/m) [m] at both ends of the mass range, for the closing speed s [m/s]."""
         return max(m * self.value(closing + self.at.swing / m) for m in claim.brakes.masses)
 
     def value(self, z: float) -> float:
@@ -93,13 +94,13 @@ class DistanceTable:
 
 
 def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
-    """Return the table for an obstacle of that approach speed [m/s], up to the highest z that the claim needs."""
+    """Return the table for an obstacle that approaches at `obstacle` [m/s], up to the highest z in the claim."""
     b, at = claim.brakes, encounter(claim, obstacle)
     fastest = claim.fastest + claim.watch.speed_error
     gain = (b.most + at.disturbance + b.largest_drag(max(at.through, fastest))) / b.masses[0]
     top = fastest + obstacle + gain * claim.watch.period + at.swing / b.masses[0] + 0.01
     knots = np.linspace(0.0, top, _CELLS + 1)
-    if 0 < at.through < top:  # drag changes its sign there
+    if 0 < at.through < top:  # drag changes its sign at `through`
         knots = np.unique(np.append(knots[abs(knots - at.through) > top / (4 * _CELLS)], at.through))
     knots = np.round(knots, _DIGITS)
     slopes = np.maximum.accumulate(knots / _force(claim, at, knots))
@@ -115,7 +116,7 @@ def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
     """Return an upper bound on z − G'·force over a cell, by Bernstein coefficients; a cell is valid if it is ≤ 0."""
     h = float(z[1] - z[0])
     middle = np.polynomial.Polynomial.fit(z, g, 1, domain=[z[0], z[1]], window=[0.0, h])
-    inner = z[0] + h * np.array([0.1, 0.5, 0.9])  # the force is one quadratic on a cell
+    inner = z[0] + h * np.array([0.1, 0.5, 0.9])  # on a cell the force is a quadratic polynomial
     force = np.polynomial.Polynomial.fit(inner, _force(claim, at, inner), 2, domain=[z[0], z[1]], window=[0.0, h])
     c = np.zeros(4)
     product = np.polynomial.polynomial.polymul(middle.coef, force.coef)
@@ -126,7 +127,7 @@ def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
 
 
 def _force(claim: BrakingClaim, at: Encounter, z: Vector) -> Vector:
-    """Return the braking force at closing speed z [N], with drag at its least help."""
+    """Return the braking force [N] at closing speed z [m/s], with the drag that supports braking least."""
     b, v = claim.brakes, z - at.through
     share = 1.0 if claim.drag == "along" else 1 / sqrt(2)
     ahead = b.linear[0] * v + share * b.quadratic[0] * v**2
@@ -153,7 +154,8 @@ def _figures(claim: BrakingClaim, table: DistanceTable, speed: float) -> tuple[f
 def figures_needed(claim: BrakingClaim, table: DistanceTable, speed: float, *, since: float) -> float:
     """Return the range needed [m] at a measured own speed; `since` is the largest own speed since the echo [m/s].
 
-    `guidance.braking.range_needed` differs only in that it ignores the gain of a retreat.
+    `guidance.braking.range_needed` differs from this function only in that it ignores the speed gained during a
+    retreat.
     """
     b, at, w = claim.brakes, table.at, claim.watch
     closing, astern = speed + w.speed_error + at.obstacle, max(at.through, b.current + w.speed_error - speed)

@@ -1,8 +1,9 @@
-"""Many simulated worst-case runs within a claim's assumptions: no run may have a contact.
+"""Simulation of many worst-case runs within a claim's assumptions; the claim requires that no run has a contact.
 
 The runs are in two dimensions. Whenever the rule allows it, the vehicle thrusts towards the obstacle with full force,
-or in any other direction; it brakes along the direction of the last decision that did not brake. Half of the runs are
-head-on with every quantity at its worst end; the others use random mass, lag, drag, braking force, errors and motion.
+or in any other direction; it brakes along the direction of the last decision that did not brake. In half of the runs
+the obstacle is met head-on and every uncertain quantity is at its worst limit; the others use random mass, lag, drag,
+braking force, errors and motion.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ __all__ = ["Episodes", "Rule", "rule_of", "run_episodes"]
 
 _STEP = 0.005  # [s]
 _NEAR = 0.1  # [m]
-_AGAINST = 40.0  # [N s/m] gain against a sideways speed near the claim's largest
+_AGAINST = 40.0  # [N s/m] gain that reduces a sideways speed near the claim's largest
 _RANGES = 4.0  # [m] largest range at which a law's bound is tabulated
 
 Vector = NDArray[np.float64]
@@ -31,7 +32,7 @@ Rule = Callable[[Vector, Vector, Vector], NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class Episodes:
-    """The result of many runs.
+    """Summary of many simulated runs.
 
     Attributes:
         runs: number of runs.
@@ -49,11 +50,11 @@ class Episodes:
 
 
 def rule_of(claim: BrakingClaim, *, obstacle: float, table: DistanceTable | None = None) -> Rule:
-    """Return the rule by which the claim's vehicle brakes before an obstacle of that approach speed [m/s].
+    """Return the rule by which the claim's vehicle brakes before an obstacle that approaches at `obstacle` [m/s].
 
-    The bare rule brakes unless the range needed is available; it uses the braking distance in `table`, by default that
-    of the proof. The law brakes when its own speed exceeds the bound so far that its velocity loop commands the
-    guaranteed braking force.
+    Without a law, the vehicle brakes unless the range needed is available; the rule uses the braking distance in
+    `table`, by default the table of the proof. A law brakes when the vehicle's own speed exceeds the bound so far that
+    its velocity loop commands the guaranteed braking force.
     """
     if claim.law is not None:
         return _law_rule(claim, claim.law, obstacle)
@@ -77,7 +78,7 @@ def _law_rule(claim: BrakingClaim, law: LawNumbers, obstacle: float) -> Rule:
         del since
         allowed = np.interp(read, ranges, bound)
         forward, w = np.maximum(allowed, 0.0), claim.sideways
-        # drag is fed forward axis by axis, so that a command across the direction adds force along it
+        # drag feedforward acts on each axis, so a command perpendicular to the direction adds force along it
         drag = law.linear * forward + law.quadratic * (forward**2 + 0.385 * forward * w + 0.7072 * w**2)
         return np.asarray(speed > allowed + (claim.brakes.least + drag) / loop)
 
@@ -109,7 +110,7 @@ def run_episodes(
         runs: number of runs.
         seconds: duration of a run [s].
         seed: seed of all random numbers.
-        rule: another rule in place of the claim's own, for example one that should fail.
+        rule: rule that replaces the claim's own rule, for example a rule that should fail.
     """
     world = _World(claim, obstacle, runs, np.random.default_rng(seed))
     decide = rule_of(claim, obstacle=obstacle) if rule is None else rule
@@ -142,7 +143,7 @@ class _World:
         self.turn = claim.turn * rng.choice((-1.0, 0.0, 1.0), runs)
         bearing = rng.uniform(-np.pi, np.pi, runs)
         self.latched = _unit(bearing)
-        # three quarters are discs; a very large disc stands for a wall
+        # three quarters of the obstacles are discs; a very large disc represents a wall
         self.radius = np.where(rng.uniform(size=runs) < 0.25, 1e4, rng.uniform(0.02, 1.0, runs))
         away = rng.uniform(1.0, 2.5, runs) + 4.0 * obstacle
         self.gap = self.latched * (away + self.radius)[:, None]  # vehicle → centre of the obstacle
@@ -180,7 +181,7 @@ class _World:
         return self.braking
 
     def _free(self, across: Vector) -> Vector:
-        """Return the thrust of vehicles that need not brake: mostly ahead, and sideways up to the claim's speed."""
+        """Return the thrust of vehicles that need not brake: mostly ahead, sideways up to `claim.sideways`."""
         b, claim, mood = self.claim.brakes, self.claim, self.mood
         towards = np.sum(self.velocity * self.normal, axis=1)
         aside = np.sum(self.velocity * across, axis=1)
@@ -203,7 +204,7 @@ class _World:
         return np.where(mood < 0.5, on, np.where(mood < 0.7, slant, np.where(mood < 0.85, across, -on)))
 
     def step(self) -> None:
-        """Simulate one step of the plant: lagged thrust turns with the hull; drag is worst along the direction."""
+        """Simulate one step of the plant: the lagged thrust turns with the hull, and drag is at its worst limit."""
         b, h = self.claim.brakes, _STEP
         force = self.thrust + (b.disturbance * self.latched if b.disturbance else 0.0) - self._drag()
         rate = force / self.mass[:, None]

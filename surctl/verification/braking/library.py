@@ -1,4 +1,4 @@
-"""The library of claims about braking: the bare rule with its tables, and the two barriers of the guarded law."""
+"""The library of claims about braking: for the braking rule alone, and for both barriers of the guarded law."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from surctl.verification.setting import OVERSHOOT
 __all__ = ["BRAKING_CLAIMS", "BrakingEntry", "braking_claim_named"]
 
 _SPREAD = 0.2
-_FASTEST, _CAP = 0.25, 0.22  # [m/s] largest own speed, under this speed cap
+_FASTEST, _CAP = 0.25, 0.22  # [m/s] largest own speed, and the speed cap that it belongs to
 _SPEEDS = (0.10, 0.15, 0.22)  # [m/s] own speeds of the table
 _SENSED = Watch(age=0.2, range_error=0.05, speed_error=0.01)
-_COLUMNS = (0.0, 0.05, 0.10, 0.15)  # [m/s] obstacles of the rule's table
+_COLUMNS = (0.0, 0.05, 0.10, 0.15)  # [m/s] approach speeds of obstacles in the rule's table
 
 
 class BrakingEntry(NamedTuple):
@@ -34,7 +34,7 @@ class BrakingEntry(NamedTuple):
 
 
 def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
-    """Return the vehicle with all parameters ±20 %, or, if `wide`, with the file's ranges and linear drag ±20 %."""
+    """Return the vehicle with all parameters ±20 %; if `wide`, with the file's ranges and linear drag ±20 %."""
     near = brakes_of(vehicle, share=share, spread=_SPREAD)
     return replace(brakes_of(vehicle, share=share), linear=near.linear) if wide else near
 
@@ -65,7 +65,7 @@ def _guarded(
     def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
         check_alike(vehicle, ranges=wide)
         numbers = law_numbers(barrier, vehicle, gains)
-        # the inertia bound relies on the share `brake` of the thrust; the simple one needs all guaranteed thrust
+        # the inertia bound relies on the share `brake` of the thrust; the simple bound needs all guaranteed thrust
         brakes = _true(vehicle, LEAST_THRUST if barrier == "simple" else gains["brake"], wide=wide)
         if drag == "axes":  # each axis has its own limit, so a diagonal thrust is larger
             brakes = replace(brakes, most=brakes.most * sqrt(2))
@@ -89,7 +89,7 @@ def _guarded(
 
 
 def _fastest(cap: float) -> float:
-    """Return the largest own speed [m/s] under a cap: 0.25 m/s up to a cap of 0.22 m/s, else `OVERSHOOT` times it."""
+    """Return the largest own speed [m/s] under a cap: 0.25 m/s for a cap ≤ 0.22 m/s, else `OVERSHOOT` times the cap."""
     return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
 
 
@@ -134,10 +134,10 @@ BRAKING_CLAIMS: Mapping[str, BrakingEntry] = {
 
 
 def braking_claim_named(name: str, vehicle: Vehicle, gains: Gains, *, cap: float = _CAP) -> BrakingClaim:
-    """Return the claim about braking of that name for a vehicle, its gains and its speed cap [m/s].
+    """Return the claim about braking with a given name, for a vehicle, its gains and its speed cap [m/s].
 
     Raises:
-        InputError: there is no such claim; the message names the nearest known one.
+        InputError: no claim has this name; the message gives the most similar known name.
         NotApplicable: the vehicle or the gains violate an assumption of the claim.
     """
     if name not in BRAKING_CLAIMS:

@@ -20,9 +20,9 @@ class BrakingProof(Certified):
 
     Attributes:
         claim: the claim.
-        range_needed: range needed at the highest own speed of the table before the fastest obstacle [m].
+        range_needed: range needed [m] at the highest own speed of the table, for the fastest obstacle.
         seconds: total time of the attempt [s].
-        check_seconds: time of the checker [s].
+        check_seconds: duration of the check by the independent checker [s].
     """
 
     claim: BrakingClaim
@@ -32,7 +32,7 @@ class BrakingProof(Certified):
 
     @property
     def sentence(self) -> str:
-        """The verdict in one line."""
+        """Return the verdict in one line."""
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
         claim, quickest = self.claim, max(self.claim.obstacles)

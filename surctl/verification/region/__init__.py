@@ -1,4 +1,4 @@
-"""Regions of attraction with a decay rate, robust over the vehicle's parameter ranges, proved by certificates."""
+"""Proofs of regions of attraction with a decay rate, robust over the vehicle's parameter ranges, as certificates."""
 
 from surctl.verification.region.claim import RegionClaim, region_claim
 from surctl.verification.region.heading import HeadingClaim, heading_claim

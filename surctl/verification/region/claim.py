@@ -16,29 +16,32 @@ __all__ = ["RegionClaim", "region_claim"]
 
 Range = tuple[float, float]
 
-_AXES = {"mass_kg": "m11", "linear_drag": "Xu", "quadratic_drag": "Xuu"}  # sway must be equal
+_AXES = {"mass_kg": "m11", "linear_drag": "Xu", "quadratic_drag": "Xuu"}  # surge; sway must have equal values
 
 
 @dataclass(frozen=True)
 class RegionClaim:
-    """The claim about the exported law's cruise, robust over a vehicle's ranges; SI units, pairs are (least, largest).
+    """Claim about the cruise under the exported law, for a vehicle's ranges; SI units, pairs are (least, largest).
 
     Attributes:
         name: name of the claim.
-        mass, linear, quadratic: true mass and drag of surge and sway [kg, N s/m, N s²/m²].
-        asymmetry: largest |surge − sway| / mean of a drag coefficient; 2 makes the two coefficients independent.
+        mass, linear, quadratic: true mass [kg], linear drag [N s/m] and quadratic drag [N s²/m²] of surge and sway.
+        asymmetry: largest |surge − sway| / mean, for each drag coefficient; 2 makes the coefficients of surge and sway
+            independent.
         thrust: least thrust limit of a horizontal axis, of the plant or of the law [N].
         lag: time constant of the thrust [s]; (0, 0) for a loop without lag.
-        yaw_rate: largest |r| [rad/s]; below it the heading may move arbitrarily.
-        current: largest speed of a constant current [m/s]; only for a loop without lag and held commands.
+        yaw_rate: largest |r| [rad/s]; within this limit the heading may move arbitrarily.
+        current: largest speed of a constant current [m/s]; only for a loop without thrust lag and without held
+            commands.
         force: largest horizontal disturbance force, varying arbitrarily [N].
-        place_error, velocity_error: largest error of measured position [m] and velocity [m/s], varying arbitrarily.
+        place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s]; the
+            errors vary arbitrarily.
         model: mass, linear and quadratic drag in the law's model.
         gains: the gains k1, lookahead, k_v, k_i and wait.
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
         period: control period [s]; 0 for a loop without held commands.
         rate: decay rate a of V̇ ≤ −a V [1/s].
-        digests: SHA-256 of the vehicle's parameters and of the law's instructions.
+        digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
     """
 
     name: str
@@ -86,11 +89,11 @@ class RegionClaim:
 
     @property
     def size(self) -> int:
-        """Number of states: position and velocity in the path frame, and with lag the thrust."""
+        """Return the number of states: position and velocity in the path frame, and also the thrust if it has a lag."""
         return 6 if self.lag[1] > 0 else 4
 
     def document(self, *, offset: float, ultimate_bound: tuple[float, float]) -> dict[str, Any]:
-        """Return the claim as data of a certificate, with the offset [m] and the ultimate bound [m] that it states."""
+        """Return the claim as data of a certificate, with a given offset [m] and a given ultimate bound [m]."""
         mass, linear, quadratic = self.model
         return {
             "system": "cruise",
@@ -142,11 +145,11 @@ def region_claim(
     place_error: float = 0.0,
     velocity_error: float = 0.0,
 ) -> RegionClaim:
-    """Return the claim about the cruise of a vehicle under the exported law with these gains.
+    """Return the claim about the cruise of a vehicle under the exported law with the given gains.
 
     Args:
         name: name of the claim.
-        vehicle: the vehicle in the law's model; its surge and sway must be equal.
+        vehicle: the vehicle that the law's model describes; its parameters of surge and sway must be equal.
         gains: gains of the law.
         share: relative error of mass and drag; None takes the ranges of the vehicle file.
         thrust_share: share by which the thrust limit may be lower.
@@ -157,7 +160,7 @@ def region_claim(
         rate: decay rate of V [1/s].
         current: largest speed of a constant current [m/s].
         force: largest force of waves and thrust errors [N].
-        place_error, velocity_error: largest error of measured position [m] and velocity [m/s].
+        place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s].
 
     Raises:
         NotApplicable: surge and sway differ, integral action is on, or the cruise speed is not below the cap.

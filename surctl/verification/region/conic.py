@@ -1,4 +1,4 @@
-"""Linear matrix inequalities F0 + Σ x_i F_i ⪰ 0, solved by Clarabel; inequalities of the same size form one array."""
+"""Linear matrix inequalities F0 + Σ x_i F_i ⪰ 0, solved by Clarabel; matrices of equal size are stored in one array."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Inequality = tuple[Array, Array]
 
 
 def symmetric_basis(size: int) -> Array:
-    """Return the symmetric matrices (size (size + 1)/2, size, size) with one entry and its mirror, row by row."""
+    """Return the basis of symmetric matrices (size (size + 1)/2, size, size), ordered row by row."""
     rows, columns = np.tril_indices(size)
     basis = np.zeros((len(rows), size, size))
     basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1

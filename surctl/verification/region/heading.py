@@ -1,6 +1,6 @@
-"""The heading-steered loop of eight states: its claim, and its matrices in floating point for the synthesis.
+"""The heading-steered loop of eight states: the claim about it, and its matrices in floating point for the synthesis.
 
-The checker does not use these matrices: `surctl.certcheck.heading_loop` derives the rows again. In the path frame
+The checker does not use these matrices: `surctl.certcheck.heading_loop` computes them independently. In the path frame
 ξ = (x − x*, y, ψ, U_x − v, U_y, r); heave (z, w) is decoupled.
 """
 
@@ -38,7 +38,7 @@ _THRUST = {"surge_n": "Fu_max", "sway_n": "Fv_max", "heave_n": "Fw_max", "yaw_nm
 
 @dataclass(frozen=True)
 class HeadingClaim:
-    """The claim about the heading-steered loop, robust over a vehicle's ranges; SI units, pairs are (least, largest).
+    """Claim about the heading-steered loop, over a vehicle's parameter ranges; SI units, pairs are (least, largest).
 
     Attributes:
         name: name of the claim.
@@ -58,19 +58,19 @@ class HeadingClaim:
 
     @property
     def velocity_gain(self) -> float:
-        """Velocity gain m k of the law [N s/m]."""
+        """Return the velocity gain m k of the law [N s/m]."""
         return self.law["mass_kg"] * self.law["k"]
 
     @property
     def trim(self) -> Range:
-        """Least and largest surge drag at the cruise speed [N]."""
+        """Return the least and the largest surge drag at the cruise speed [N]."""
         v = self.law["cruise"]
         low, high = (self.ranges["surge_linear"][i] * v + self.ranges["surge_quadratic"][i] * v * v for i in (0, 1))
         return low, high
 
     @property
     def command(self) -> Range:
-        """Least and largest surge command at rest in the moving frame [m/s]."""
+        """Return the least and the largest surge command [m/s] of a vehicle at rest relative to the target."""
         v = self.law["cruise"]
         fed = self.law["linear_drag"] * v + self.law["quadratic_drag"] * v * v
         low, high = (v + (trim - fed) / self.velocity_gain for trim in self.trim)
@@ -106,7 +106,7 @@ def heading_claim(
 
     Args:
         name: name of the claim.
-        vehicle: the vehicle in the law's model; its surge and sway must have the same mass.
+        vehicle: the vehicle that the law's model describes; its masses in surge and sway must be equal.
         share: relative error of every parameter; None takes the ranges of the vehicle file.
         thrust_share: share by which the thrust limits may be lower.
         rate: decay rate of V [1/s].
@@ -138,7 +138,7 @@ def heading_claim(
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds at points (n,): largest |u − v|, |v| and |r|, and least thrust shares φ of surge, sway and yaw."""
+    """Bounds at n points: largest |u − v|, largest |v|, largest |r|; least thrust share φ of surge, sway and yaw."""
 
     surge: Array
     sway: Array
@@ -147,7 +147,7 @@ class Limits:
 
 
 def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[Array, Array, Array, Array]:
-    """Return the rows (n, 6) of u − v, v, the surge force f_u [N] and the yaw moment f_r [N m] at points (ψ, y)."""
+    """Return the coefficients of ξ (n, 6) in u − v, v, surge force f_u [N], yaw moment f_r [N m] at points (ψ, y)."""
     law, n = claim.law, len(psi)
     v, ahead = law["cruise"], law["lookahead"]
     c, s = np.cos(psi), np.sin(psi)
@@ -166,7 +166,7 @@ def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[
 
 
 def loops_at(claim: HeadingClaim, psi: Array, y: Array, limits: Limits) -> Array:
-    """Return A (k, 6, 6) of all vertices at all points (ψ, y), in a fixed order; some matrices may be equal."""
+    """Return the state matrices A (k, 6, 6) of all vertices at all (ψ, y), in a fixed order; some may be equal."""
     ranges, v, velocity_gain = claim.ranges, claim.law["cruise"], claim.velocity_gain
     one = np.ones(len(psi))
     drag = (

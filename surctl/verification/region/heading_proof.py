@@ -1,4 +1,4 @@
-"""Proof of a claim about the heading-steered loop: search a region, round it, and let the checker decide."""
+"""Proof of a claim about the heading-steered loop: search a region, round its numbers, let the checker decide."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["prove_heading"]
 
 Array = NDArray[np.float64]
 
-_SHARES = (1.0, 0.985, 0.97, 0.94, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5)  # of a proposed region's semi-axes
+_SHARES = (1.0, 0.985, 0.97, 0.94, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5)  # factors on a proposed region's semi-axes
 
 
 def prove_heading(claim: HeadingClaim, *, rounds: int, cells: int) -> RegionProof:
@@ -29,7 +29,7 @@ def prove_heading(claim: HeadingClaim, *, rounds: int, cells: int) -> RegionProo
 
     Args:
         claim: the claim.
-        rounds: how often the region is enlarged.
+        rounds: number of enlargements of the region.
         cells: largest number of cells in the check, which processes about 400 cells a second.
     """
     began = time.perf_counter()
@@ -69,7 +69,7 @@ def _down(value: float) -> float:
 
 
 def _certificate(claim: HeadingClaim, P: Array, heave: Array) -> dict[str, Any]:
-    """Return the certificate, with its stated figures rounded to the safe side."""
+    """Return the certificate, with its stated numbers rounded to the safe side."""
     covariance = np.linalg.inv(P)
     away = max(abs(claim.law["cruise"] - command) / claim.law["k1"] for command in claim.command)
     inner = 1 - P[0, 0] * away**2

@@ -1,6 +1,7 @@
 """Search for V of the heading-steered loop by linear matrix inequalities on a grid of (ψ, y).
 
-Cutting planes: from the many vertices, only those that the last V violates are added to the next program.
+The search uses cutting planes: of the many vertices, only those where the last V violates its inequality are added to
+the next semidefinite program.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ Array = NDArray[np.float64]
 
 _UNITS = np.array([0.5, 0.4, 0.4, 0.1, 0.1, 0.3])  # scale of each entry of ξ
 _SIGNS = np.array([1.0, -1, -1, 1, -1, -1])
-_START = np.array([2.0, 1.2, 1.2, 0.3, 0.3, 1.2])  # semi-axes of the first region, to be scaled
-_SPREAD = 0.02  # weight of the other axes relative to y
+_START = np.array([2.0, 1.2, 1.2, 0.3, 0.3, 1.2])  # semi-axes of the first region, before it is scaled
+_SPREAD = 0.02  # weight of the semi-axes other than y, relative to that of y
 _CUTS, _ROUNDS = 40, 10
-_RADII, _ANGLES = (0.0, 0.55, 1.0), 10  # of the grid in the ellipse of (ψ, y)
+_RADII, _ANGLES = (0.0, 0.55, 1.0), 10  # radii and number of angles of the grid in the ellipse of (ψ, y)
 
 
 def _basis() -> Array:
@@ -32,7 +33,7 @@ def _basis() -> Array:
 
 
 def _places(covariance: Array) -> tuple[Array, Array]:
-    """Return a grid of (ψ, y) over the half y ≥ 0 of the region."""
+    """Return a grid of points (ψ, y) over the half y ≥ 0 of the region."""
     root = np.linalg.cholesky(covariance[np.ix_((1, 2), (1, 2))])  # y = root_00 cos, so that y ≥ 0 is half a circle
     angle = np.linspace(-np.pi / 2, np.pi / 2, _ANGLES + 1)
     unit = np.concatenate([r * np.stack([np.cos(angle), np.sin(angle)]) for r in _RADII[1:]], axis=1)
@@ -64,17 +65,17 @@ def _limits(claim: HeadingClaim, covariance: Array, psi: Array, y: Array) -> Lim
 
 
 def _improve(claim: HeadingClaim, within: Array, active: set[int]) -> Array | None:
-    """Return P ⪰ `within` with the least P_yy, so that its region lies in that of `within`; None if there is none.
+    """Return P ⪰ `within` with the least P_yy, so that its region lies in the region of `within`; None if none exists.
 
-    Bounds on the larger region hold on the smaller one: bounds and thrust shares are those of `within`.
-    `active` holds the indices of the vertices that mattered in the last call; this call updates it.
+    The bounds and thrust shares are computed for the region of `within`; they hold on the smaller region too. `active`
+    holds the indices of the vertices whose inequalities the last call used; this call updates `active`.
     """
     covariance = np.asarray(np.linalg.inv(within), dtype=np.float64)
     units = _UNITS[:, None] * _UNITS
     places = _places(covariance)
     inner = loops_at(claim, *places, _limits(claim, covariance, *places)) * _UNITS / _UNITS[:, None]
     basis, outer = _basis(), within * units
-    margin = min(0.01, claim.rate / 2)  # reserve for points between the grid and for coarse cells
+    margin = min(0.01, claim.rate / 2)  # reserve for points between the grid points, and for coarse cells
     rate = claim.rate + margin
     active |= set() if active else set(np.random.default_rng(0).choice(len(inner), 60).tolist())
     weight = _SPREAD * np.eye(6)
@@ -102,7 +103,7 @@ def _improve(claim: HeadingClaim, within: Array, active: set[int]) -> Array | No
 
 
 def shapes(claim: HeadingClaim, *, rounds: int) -> Iterator[Array]:
-    """Yield P (6, 6) of V ≤ 1, not yet checked and growing in y; each lies within an enlarged copy of the last."""
+    """Yield unchecked P (6, 6) whose regions V ≤ 1 grow in y; each lies in an enlarged copy of the previous region."""
     growth, P, active = 1.4, None, set[int]()
     for size in (0.5, 0.3, 0.2, 0.1):
         active.clear()
@@ -125,7 +126,7 @@ def shapes(claim: HeadingClaim, *, rounds: int) -> Iterator[Array]:
 
 
 def heave_shape(claim: HeadingClaim) -> Array | None:
-    """Return P_z (2, 2) of V_z ≤ 1 with the heave thrust within its limit; None if there is none."""
+    """Return P_z (2, 2) such that the heave thrust is within its limit on V_z ≤ 1; None if no such P_z exists."""
     law, ranges = claim.law, claim.ranges
     velocity_gain, k_z = law["heave_mass_kg"] * law["k"], law["k_z"]
     basis = symmetric_basis(2)

@@ -1,4 +1,4 @@
-"""The library of region claims, from the ideal loop to lag, current, disturbances and measurement errors."""
+"""The library of region claims: for the ideal loop, and for lag, current, disturbances and measurement errors."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
 
 
 def region_statement(name: str) -> RegionStatement:
-    """Return the region claim of that name.
+    """Return the region claim with a given name.
 
     Raises:
-        InputError: there is no such claim; the message names the nearest known one.
+        InputError: no claim has this name; the message gives the most similar known name.
     """
     if name not in REGION_CLAIMS:
         raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, REGION_CLAIMS))
@@ -107,7 +107,7 @@ def prove_statement(
     """Prove a region claim for a vehicle and gains, with the search effort that the statement sets.
 
     Raises:
-        InputError, NotApplicable: for the same reasons as `RegionStatement.claim`.
+        InputError, NotApplicable: `RegionStatement.claim` raises the error.
     """
     claim: RegionClaim | HeadingClaim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
     if isinstance(claim, HeadingClaim):

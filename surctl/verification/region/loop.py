@@ -1,8 +1,8 @@
-"""The cruise as a linear inclusion in floating point, used by the synthesis; the checker has its own inclusion.
+"""The cruise as a linear inclusion in floating point, for the synthesis; the checker computes its own inclusion.
 
 Deviations from the steady cruise in the path frame: ξ = (x, y, U_x, U_y[, F_x, F_y]). Each shell ℓ_low ≤ V ≤ ℓ_high has
-its own bounds: thrust saturation matters in the outer shells only, and forces that change with the heading in the inner
-shells only.
+its own bounds: thrust saturation matters only in the outer shells, and forces that change with the heading matter only
+in the inner shells.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["Bounds", "Gains", "Loop", "Steady", "bounds", "force_gain", "gains_o
 
 Array = NDArray[np.float64]
 
-_SHARE = 0.85  # mean over the heading of the share of quadratic drag along the path
+_SHARE = 0.85  # share of quadratic drag along the path, averaged over the heading
 _SLACK = 1.005  # factor on bounds that are sampled here and proved by the checker
 _HEADINGS = np.linspace(0, np.pi / 2, 181)
 _DIRECTIONS = np.linspace(0, np.pi, 33)[:-1]
@@ -30,9 +30,10 @@ _DIRECTIONS = np.linspace(0, np.pi, 33)[:-1]
 
 @dataclass(frozen=True)
 class Steady:
-    """Bounds of the steady cruise: ω, largest error of the trim force [N], trim force per axis linear c + quadratic c².
+    """Bounds of the steady cruise: range of ω, largest error of the trim force [N], trim force linear c + quadratic c².
 
-    In a current there are also the largest |ω_y| and |y*|, and the force that they add.
+    c is the direction cosine of an axis. In a current, `drift` is the largest |ω_y|, `aside` the largest |y*|, and
+    `across` the force that they add.
     """
 
     omega: tuple[float, float]
@@ -46,7 +47,7 @@ class Steady:
     tilt: float = 0.0
 
     def along(self, c: Array, s: Array) -> Array:
-        """Return the largest trim force [N] on an axis with direction cosines c along and s across the path."""
+        """Return the largest trim force [N] on an axis with direction cosine c to the path and s to its normal."""
         return np.maximum(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
 
@@ -57,7 +58,7 @@ def _pairs(low: float, high: float, asymmetry: float) -> list[tuple[float, float
 
 
 def steady_cruise(claim: RegionClaim) -> Steady:
-    """Return bounds of the steady cruise over all true parameters and headings; in a current, the checker's bounds."""
+    """Return bounds of the steady cruise over all true parameters and headings; a current uses the checker's bounds."""
     if claim.current:
         trim = steady_trim(read_claim(claim.document(offset=1.0, ultimate_bound=(1.0, 1.0))))
         return Steady(
@@ -95,7 +96,7 @@ def steady_cruise(claim: RegionClaim) -> Steady:
 
 @dataclass(frozen=True)
 class Gains:
-    """Largest |C ξ| on V ≤ 1 for position, velocity, commanded velocity, commanded and delivered force; least φ."""
+    """Largest norms on V ≤ 1 of position, velocity, commanded velocity, commanded force, delivered force; least φ."""
 
     x: float
     y: float
@@ -108,7 +109,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds in one shell, with the names of the linear inclusion."""
+    """Bounds in one shell, by their names in the linear inclusion (see `certcheck.region_bounds.Shell`)."""
 
     steer: tuple[float, float]
     catch: tuple[float, float]
@@ -122,7 +123,7 @@ class Bounds:
 
 
 def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: float) -> Bounds | None:
-    """Return the bounds in the shell low ≤ V ≤ high; None if the law takes another form there."""
+    """Return the bounds in the shell low ≤ V ≤ high; None if the law takes another form in the shell."""
     mass, linear, quadratic = claim.model
     k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
     radius, floor = _SLACK * np.sqrt(high), np.sqrt(low)
@@ -163,7 +164,7 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
 
 
 def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float, aside: float = 0.0) -> tuple[Array, Array]:
-    """Return the matrices (2, n) that map ξ to δW and to the deviation of the commanded force."""
+    """Return two matrices (2, n): one maps ξ to δW, the other maps ξ to the deviation of the commanded force."""
     desired, velocity_gain = np.zeros((2, claim.size)), claim.model[0] * claim.gains["k_v"]
     desired[0, 0], desired[1, 1] = -catch, -steer / claim.gains["lookahead"]
     desired[1, 0] = catch * aside / claim.gains["lookahead"]
@@ -171,7 +172,7 @@ def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float, asi
 
 
 def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
-    """Return the gains of the region V ≤ 1 of P, with the secant slopes of its outermost shell."""
+    """Return the largest norms on the region V ≤ 1 of P, with the secant slopes of its outermost shell."""
     covariance, eye = np.linalg.inv(P), np.eye(claim.size)
 
     def largest(rows: Array) -> float:
@@ -199,10 +200,12 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
 
 @dataclass(frozen=True)
 class Loop:
-    """One vertex: A (n, n), inputs B (n, q k) in the order of `wind`; δW, commanded force and δU (q, n); U̇.
+    """The loop at one vertex of the parameters: state matrix A, input matrices B, and output matrices.
 
-    If P has no entry between x and y, the two axes decouple and each loop holds one axis (q = 1), except if the thrust
-    lags and the vehicle turns, or if a current displaces the vehicle (q = 2).
+    A (n, n) is the state matrix. B (n, q k) holds the input matrices side by side, in the order of `wind`. Three
+    matrices (q, n) map ξ to δW, to the deviation of the commanded force, and to δU; a further matrix gives U̇. If P has
+    no entry between x and y, the two axes decouple and each loop holds one axis (q = 1), except if the thrust lags and
+    the vehicle turns, or if a current displaces the vehicle (q = 2).
     """
 
     A: Array
@@ -226,7 +229,7 @@ def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
     for m, s, k, r, t in product(
         sorted(set(claim.mass)), at.steer, sorted(set(at.catch)),
         (claim.yaw_rate if lag else 0.0,), sorted(set(claim.lag)),
-    ):  # fmt: skip  # the opposite turn is the mirror image
+    ):  # fmt: skip  # the loop for the opposite turn is the mirror image
         desired, force = force_gain(claim, sum(at.model_drag) / 2, s, k, at.aside)
         A = np.zeros((size, size))
         A[:2, 2:4] = np.eye(2)

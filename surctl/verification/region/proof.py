@@ -36,13 +36,14 @@ class RegionProof(Certified):
 
     Attributes:
         claim: the claim.
-        offset: largest certified |y_e| [m] at x_e = 0 and the target's velocity; 0 if the verdict is unknown.
+        offset: largest |y_e| [m] in the certified region at x_e = 0 and the target's velocity; 0 if the verdict is
+            unknown.
         ultimate_bound: |x_e|, |y_e| [m] within which every motion from the region ends.
         seconds: total time of the attempt [s].
-        check_seconds: time of the checker [s].
+        check_seconds: duration of the check by the independent checker [s].
         extent: largest |y_e| [m] of any point of the region.
-        ratios: ratios of the certified level to the levels with a counterexample and with saturated thrust; None if the
-            falsifier has no model of the claim.
+        ratios: ratio of the certified level to the least level with a counterexample, and ratio of the certified level
+            to the level of thrust saturation; None if the falsifier has no model of the claim.
     """
 
     claim: RegionClaim | HeadingClaim
@@ -55,7 +56,7 @@ class RegionProof(Certified):
 
     @property
     def sentence(self) -> str:
-        """The verdict in one line."""
+        """Return the verdict in one line."""
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
         x, y = self.ultimate_bound
@@ -82,12 +83,12 @@ class RegionProof(Certified):
 def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> RegionProof:
     """Search the largest region for the claim and let the checker decide.
 
-    The search result is stored in the cache of laws, under a key of the claim and the source code; the checker checks
-    it in each call.
+    The search result is stored in the cache of laws, with a key computed from the claim and the source code. The
+    checker checks a stored result again in each call.
 
     Args:
         claim: the claim.
-        attempts: number of starts of the search, about eight a second.
+        attempts: number of start values of the search; about eight take one second.
         seed: seed of the search.
     """
     began = time.perf_counter()
@@ -117,7 +118,7 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
 
     try:
         sources = source_digest("surctl.verification.region", "surctl.certcheck")
-    except SurctlError:  # without a digest of the sources nothing is cached, as for laws
+    except SurctlError:  # without a digest of the sources nothing is cached
         return json.loads(build()), checks[0]
     stated = replace(claim, name="", digests=("", ""))
     parts = (sources, version("clarabel"), repr(stated), str(attempts), str(seed))
@@ -127,7 +128,7 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
 
 
 def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any], Checked | None]:
-    """Return the first candidate that the checker accepts, with its figures, or the reason why there is none."""
+    """Return the first candidate that the checker accepts, with its numbers, or the reason why it accepts none."""
     steady = steady_cruise(claim)
     reason = "the search found no quadratic V with this decay rate"
     for candidate in search(claim, steady, attempts=attempts, seed=seed):
@@ -159,7 +160,7 @@ def _document(claim: RegionClaim, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> dict[str, Any]:
-    """Return the certificate of a candidate: few decimals, with the stated figures rounded to the safe side."""
+    """Return the certificate of a candidate: few decimals, and the stated numbers rounded to the safe side."""
     scale = np.max(np.abs(candidate.P))
     P = np.round(candidate.P / scale, _DIGITS + 2) * scale
     P = np.array([[_short(entry) for entry in row] for row in P])
@@ -188,10 +189,10 @@ def _short(value: float, digits: int = _DIGITS + 1) -> float:
 
 
 def _offset(P: NDArray[np.float64], steady: Steady, claim: RegionClaim) -> float:
-    """Return the largest y with V ≤ 1 at x_e = 0 and the target's velocity for every ω, rounded down."""
+    """Return the largest y such that V ≤ 1 at x_e = 0 and the target's velocity for every ω; it is rounded down."""
     offsets = []
     for omega in steady.omega:
         x = omega / claim.gains["k1"]
-        a, b, c = P[1, 1], -abs(P[0, 1] * x), P[0, 0] * x * x - 1  # the worse side
+        a, b, c = P[1, 1], -abs(P[0, 1] * x), P[0, 0] * x * x - 1  # the worse sign of y
         offsets.append((b + np.sqrt(b * b - a * c)) / a if c < 0 else 0.0)
     return float(np.floor(1e4 * max(min(offsets) - steady.aside, 0.0) * 0.9999) / 1e4)

@@ -1,4 +1,4 @@
-"""The true loops of the region claims in floating point, for the falsifier; no proof depends on them.
+"""State derivatives of the true loops of region claims in floating point, for the falsifier; no proof uses them.
 
 Each loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which choose the
 true vehicle, the heading and the other uncertain quantities. It returns ξ̇ (n, k) and the largest ratio of a commanded
@@ -28,7 +28,7 @@ def _between(pair: tuple[float, float], share: Array) -> Array:
 
 
 def heading_loop(claim: HeadingClaim) -> Loop:
-    """Return the heading-steered loop with its thrust limits."""
+    """Return the function that computes ξ̇ of the heading-steered loop with thrust limits."""
     law, limits = claim.law, claim.limits
     v, velocity_gain, ahead = law["cruise"], claim.velocity_gain, law["lookahead"]
     fed = law["linear_drag"] * v + law["quadratic_drag"] * v * v
@@ -62,7 +62,7 @@ def heading_loop(claim: HeadingClaim) -> Loop:
 
 
 def cruise_loop(claim: RegionClaim) -> Loop:
-    """Return the cruise loop without lag and held commands, at any heading, with its thrust limits."""
+    """Return the function that computes ξ̇ of the cruise loop with thrust limits, without lag and held commands."""
     mass, hat, hat2 = claim.model
     gains, v = claim.gains, claim.cruise
     ratio = np.inf if claim.asymmetry >= 2 else (2 + claim.asymmetry) / (2 - claim.asymmetry)

@@ -15,19 +15,19 @@ __all__ = ["LevelRatios", "level_ratios"]
 Array = NDArray[np.float64]
 
 _LEVELS = np.geomspace(0.01, 100, 120)
-_TOGETHER = 4_000  # points per call: they fit the processor's cache, and the overhead of a call stays small
+_TOGETHER = 4_000  # points per call: they fit the processor's cache, and a call has little overhead
 _SAMPLES, _BEST, _STEPS, _HALVINGS = 10_000, 300, 40, 10
 
 
 class LevelRatios(NamedTuple):
-    """Certified level over the least level at which V̇ > −a V was found, and over the level of thrust saturation."""
+    """Certified level divided by the least level where V̇ > −a V was found, and by the level of thrust saturation."""
 
     falsifier: float
     thrust: float
 
     @property
     def sentence(self) -> str:
-        """Both ratios in words."""
+        """Return a sentence that states both ratios."""
         return (
             f"certified level: {self.falsifier:.0%} of the smallest level with a counterexample, {self.thrust:.0%} of "
             "the level at which thrust saturates"
@@ -37,7 +37,8 @@ class LevelRatios(NamedTuple):
 def level_ratios(loop: Loop, P: Array, rate: float, *, seed: int = 0) -> LevelRatios:
     """Return the ratios of the region V ≤ 1 for V = ξᵀPξ and the decay rate a = `rate`, found by random search.
 
-    The search can miss counterexamples, so that the true ratio to their smallest level may be larger.
+    The search can miss counterexamples, so the true ratio of the certified level to the smallest level with a
+    counterexample may be larger.
     """
 
     def lost(at: Array, draws: Array, level: Array) -> Array:
@@ -51,12 +52,12 @@ def level_ratios(loop: Loop, P: Array, rate: float, *, seed: int = 0) -> LevelRa
 
 
 def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, seed: int) -> float:
-    """Return the least level above `low` at which the test holds: random directions and vehicles, then local search."""
+    """Return the least level found above `low` where `test` is true, by random samples and then local search."""
     draw, size = np.random.default_rng(seed), len(P)
     root, levels = np.linalg.inv(np.linalg.cholesky(P)), np.array([level for level in _LEVELS if level >= low])
 
     def least(unit: Array, draws: Array, most: Array) -> Array:
-        """Return for each sample the least level up to `most` at which the test holds; inf if there is none."""
+        """Return for each sample the least level ≤ `most` at which `test` is true; inf if there is no such level."""
         xi, lowest = unit / np.linalg.norm(unit, axis=1, keepdims=True) @ root, np.full(len(unit), np.inf)
         left, k = np.arange(len(unit)), 0
         while k < len(levels) and left.size:
@@ -89,7 +90,7 @@ def _least(test: Callable[[Array, Array, Array], Array], P: Array, low: float, s
         return np.inf
     unit, draws, level = (each[np.isfinite(level)] for each in (unit, draws, level))
     below = level * _LEVELS[0] / _LEVELS[1]
-    for _ in range(_HALVINGS):  # the grid is too coarse for a ratio to two digits
+    for _ in range(_HALVINGS):  # bisection, because the grid of levels is too coarse for two digits of a ratio
         middle = np.sqrt(np.maximum(below, low) * level)
         met = test(unit / np.linalg.norm(unit, axis=1, keepdims=True) @ root * np.sqrt(middle)[:, None], draws, middle)
         below, level = np.where(met, below, middle), np.where(met, middle, level)

@@ -1,4 +1,4 @@
-"""Search over start values of the synthesis: limits of the region, floor, part of the decay rate for disturbances."""
+"""Search over start values of the synthesis: limits of the region, floor, share of the decay rate for disturbances."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from surctl.verification.region.synthesis import (
 __all__ = ["search"]
 
 _STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3, 0.7)))
-_COARSE, _FINE = 2, 6  # number of shells
-_INVARIANT_FLOOR = 0.95  # floor of a region that is invariant and little more
+_COARSE, _FINE = 2, 6  # number of shells in a coarse and in a fine proof
+_INVARIANT_FLOOR = 0.95  # floor of a region that is invariant but has almost no decay
 
 
 def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> Iterator[Candidate]:
-    """Yield the candidates of that many attempts, the largest first; the same seed gives the same candidates.
+    """Yield candidates from `attempts` start values, the largest region first; equal seeds give equal candidates.
 
     In a current, the candidate that ends closest to the path comes first; `attempts` and `seed` have no effect then.
     """
@@ -50,7 +50,7 @@ def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> I
         if proposal is None:
             return
         if refining and best is not None and proposal.offset <= best[0]:
-            passed_over.append(proposal)  # it cannot be the best one: find its multipliers only if needed
+            passed_over.append(proposal)  # it cannot be the best candidate: find its multipliers only if needed
             return
         candidate = finished(claim, steady, proposal)
         if candidate is None:
@@ -95,10 +95,10 @@ def _largest(claim: RegionClaim, steady: Steady, candidates: list[Candidate | Pr
 
 
 def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:
-    """Yield regions that hold the vehicle close to the path in a current, the closest first.
+    """Yield regions that keep the vehicle close to the path in a current, in order of rising distance.
 
-    P comes from the smallest invariant region, a few times as large as the static deflection by the force error. Then
-    levels further out are tried with the same P.
+    P is that of the smallest invariant region, which is a few times as large as the static deflection by the force
+    error. Then the function tries larger levels with this P.
     """
     velocity_gain = claim.model[0] * claim.gains["k_v"]
     x, y = (
@@ -114,7 +114,7 @@ def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:
             continue
         along, across = np.sqrt(np.diag(np.linalg.inv(close.P))[:2] * _INVARIANT_FLOOR)
         away = max(map(abs, steady.omega)) / claim.gains["k1"]
-        extent = np.ceil(100 * max(along + away, across + steady.aside))  # among equal centimetres the widest region
+        extent = np.ceil(100 * max(along + away, across + steady.aside))  # of extents in the same cm, the widest region
         for level in (2.0, 3.0, 4.0, 6.0, 9.0):
             wider = widened(claim, steady, close.P / level, levels_of(_INVARIANT_FLOOR / level, _FINE))
             if wider is None:

@@ -1,4 +1,4 @@
-"""Region claims as TOML: the loop, its uncertainty and its decay rate; a proof adds the vehicle and the gains."""
+"""Region claims as TOML files: loop, uncertainty and decay rate; the proof adds the vehicle and the gains."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ class RegionStatement(Strict):
     """A region claim without its vehicle and gains; SI units.
 
     Attributes:
-        kind: kind of the file.
+        kind: kind of the TOML file.
         name: name of the claim.
         statement: the claim in words.
         loop: `cruise` for the exported law, `heading` for the heading-steered loop of 8 states with its own gains.
         share: relative error of mass and drag (`heading`: of every parameter).
         ranges: whether the ranges of the vehicle file replace `share`.
-        thrust_share: share by which the thrust limits may be lower.
+        thrust_share: largest relative reduction of the thrust limits.
         asymmetry: largest |surge − sway| / mean of the true drag coefficients.
         sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
         yaw_rate_rad_per_s: largest yaw rate.
-        spinning: whether the gain `spin` replaces `yaw_rate_rad_per_s`.
+        spinning: whether the value of the gain `spin` replaces `yaw_rate_rad_per_s`.
         cruise_m_per_s, cap_m_per_s: speed of the path's target, and largest commanded speed.
         rate_per_s: decay rate a of V̇ ≤ −a V.
         current_m_per_s: largest constant current.
         force_n: largest force of waves and thrust errors, varying arbitrarily.
         place_error_m, velocity_error_m_per_s: largest errors of measured position and velocity, varying arbitrarily.
         gains: gains that replace those of the gain file.
-        attempts: effort of the search: number of starts (`heading`: of rounds).
+        attempts: number of start values of the search (`heading`: number of enlargements).
         cells: largest number of cells of a proof (`heading` only).
     """
 
@@ -73,13 +73,13 @@ class RegionStatement(Strict):
     def claim(
         self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None
     ) -> RegionClaim | HeadingClaim:
-        """Return the claim about this vehicle and these gains; `cruise` and `cap` [m/s] replace the default speeds.
+        """Return the claim for a vehicle and its gains; `cruise` and `cap` [m/s] replace the default speeds.
 
         If the claim file sets one of the two speeds, both remain as the file states them.
 
         Raises:
-            InputError: a gain is unknown, the cruise speed is not below the cap, or the heading-steered loop does not
-                use one of the keys.
+            InputError: a gain is unknown, the cruise speed is not below the cap, or the file sets a key that the
+                heading-steered loop does not use.
             NotApplicable: the vehicle or the gains violate an assumption of the claim.
         """
         share = None if self.ranges else self.share
@@ -142,7 +142,7 @@ def load_region(path: Path) -> RegionStatement:
 
 
 def write_region(statement: RegionStatement) -> str:
-    """Return the statement as TOML text with every key; `load_region` reads the same statement from it."""
+    """Return the statement as TOML text with every key; `load_region` reads this text back without change."""
 
     def literal(value: object) -> str:
         if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""Search for V = ξᵀPξ: linear matrix inequalities in P for fixed bounds, then multipliers for fixed P, in turn."""
+"""Search for V = ξᵀPξ, alternating between linear matrix inequalities for P and for the multipliers at fixed P."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ Array = NDArray[np.float64]
 _WINDS = (1, 2, 3, 5, 6)
 _SPLIT, _TURN_SPLIT = 1 / 3, 1 / 5  # the checker's weights for squares of sums
 _GROWTH = 0.4  # [1/s] largest part of the decay rate that disturbances use up
-_SPREAD = 1e-3  # weight of the other entries of P beside P_yy
+_SPREAD = 1e-3  # weight of the entries of P other than P_yy
 _FREE = 3  # number of free multipliers, those of w_1, w_2, w_3; those of w_5, w_6 follow from P
 
 
 @dataclass(frozen=True)
 class Start:
-    """Start of the search: largest |x|, |y| on V ≤ 1 [m], least φ, floor, part of the decay rate that w_5 uses up."""
+    """Start values: largest |x|, |y| on V ≤ 1 [m]; least φ; floor; share of the decay rate that w_5 uses up."""
 
     x: float
     y: float
@@ -56,7 +56,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """P (n, n), levels (k + 1,) from the floor to 1, multipliers (k, 5), weight ρ of held commands; not yet checked."""
+    """Unchecked proof: P (n, n); levels (k + 1,) from floor to 1; multipliers (k, 5); weight ρ of held commands."""
 
     P: Array
     levels: tuple[float, ...]
@@ -65,13 +65,13 @@ class Candidate:
 
     @property
     def offset(self) -> float:
-        """|y_e| [m] on V ≤ 1 with every other deviation 0."""
+        """Return the largest |y_e| [m] on V ≤ 1 with every other deviation 0."""
         return float(1 / np.sqrt(self.P[1, 1]))
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """P (n, n) and ρ that satisfy the inequalities of the first round; the multipliers of the shells are still open."""
+    """P (n, n) and ρ that satisfy the first matrix inequalities; the multipliers of the shells are not yet known."""
 
     P: Array
     hold: float
@@ -80,12 +80,12 @@ class Proposal:
 
     @property
     def offset(self) -> float:
-        """|y_e| [m] on V ≤ 1 with every other deviation 0, as for a candidate."""
+        """Return the largest |y_e| [m] on V ≤ 1 with every other deviation 0, as `Candidate` does."""
         return float(1 / np.sqrt(self.P[1, 1]))
 
 
 def levels_of(floor: float, count: int) -> tuple[float, ...]:
-    """Return levels from the floor to 1 in equal ratios."""
+    """Return levels from the floor to 1 in a geometric sequence."""
     return tuple(float(f"{level:.6g}") for level in np.geomspace(floor, 1.0, count + 1))
 
 
@@ -112,7 +112,7 @@ def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
 
 
 def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
-    """Return ∂M/∂ρ (N, N), the terms of a held command: its cost and its bound on |w_4|²."""
+    """Return ∂M/∂ρ (N, N), the terms of a held command: h |ḟ|², and the bound on |w_4|²."""
     size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.desired)
     slope = np.zeros((total, total))
     if 4 not in loop.wind:
@@ -142,9 +142,9 @@ def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
 
 
 def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tuple[Array, float] | None:
-    """Return the multipliers λ (5,) of a shell that leave the largest decay rate in reserve, and that reserve [1/s].
+    """Return the multipliers λ (5,) of a shell with the largest reserve in the decay rate, and this reserve [1/s].
 
-    The inequalities are scaled so that P becomes the identity; None if the solver finds no solution.
+    The inequalities are scaled so that P becomes the identity. The result is None if the solver finds no solution.
     """
     matrices: dict[int, tuple[list[Array], list[Array]]] = {}
     for loop in loops(claim, at):
@@ -169,9 +169,9 @@ def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tup
 def shape(
     claim: RegionClaim, steady: Steady, gains: Gains, shells: list[Bounds], growth: Array, *, spread: float
 ) -> tuple[Array, float] | None:
-    """Return P with the least P_yy for these bounds, and ρ; growth (k, 2) is the rate that w_5, w_6 use in a shell."""
+    """Return P with the least P_yy, and ρ; growth (k, 2): decay rates that w_5 and w_6 use up in each shell."""
     basis = symmetric_basis(claim.size)
-    # the average of a region with its mirror image is as good: entries between x and y are not needed
+    # averaging P with its mirror image loses nothing, so entries between x and y are not needed
     basis = basis[[not np.any(one[::2, 1::2]) for one in basis]]
     count = len(basis)
     unknowns = count + _FREE * len(shells) + 1
@@ -209,7 +209,7 @@ def shape(
 
 
 def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[Array]:
-    """Return rows c with |c ξ| ≤ 1 on V ≤ 1, for the position and for the thrust in every direction."""
+    """Return row vectors c with |c ξ| ≤ 1 on V ≤ 1, which bound the position and the thrust in every direction."""
     eye, rows = np.eye(claim.size), []
     rows += [eye[0] / gains.x, eye[1] / gains.y]
     for angle in np.linspace(0, np.pi / 2, 9):
@@ -223,7 +223,7 @@ def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[
 
 
 def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
-    """Return rows C (2, n) with |C ξ| ≤ 1 on V ≤ 1, for velocity, commanded velocity and force."""
+    """Return matrices C (2, n) with |C ξ| ≤ 1 on V ≤ 1, which bound velocity, commanded velocity and force."""
     eye, middle = np.eye(claim.size), sum(at.model_drag) / 2
     rows = [eye[2:4] / gains.velocity]
     for s in at.steer:
@@ -238,7 +238,7 @@ def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
 def synthesise(
     claim: RegionClaim, steady: Steady, start: Start, *, shells: int = 5, rounds: int = 3, spread: float = _SPREAD
 ) -> Candidate | None:
-    """Return a candidate that the checker should accept; None if the search from this start finds none."""
+    """Return a candidate that the checker should accept; None if the search from `start` fails."""
     levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
     growth = np.full((shells, 2), start.growth)
     best: Candidate | None = None
@@ -260,14 +260,14 @@ def synthesise(
 
 
 def proposed(claim: RegionClaim, steady: Steady, start: Start, *, shells: int) -> Proposal | None:
-    """Return the proposal of the first half of one `synthesise` round; it has the offset at a third of the cost."""
+    """Return P and ρ from the first half of a `synthesise` round; this gives the offset at a third of the cost."""
     levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
     shaped = _shaped(claim, steady, gains, levels, np.full((shells, 2), start.growth), _SPREAD)
     return None if shaped is None else Proposal(*shaped, gains, levels)
 
 
 def finished(claim: RegionClaim, steady: Steady, proposal: Proposal) -> Candidate | None:
-    """Return the candidate of a proposal (second half of a round); None if a shell has no multipliers."""
+    """Return the candidate for a proposal (second half of a round); None if a shell has no valid multipliers."""
     return _finished(claim, steady, proposal.P, proposal.hold, proposal.gains, proposal.levels)[0]
 
 
@@ -287,7 +287,7 @@ def _shaped(
 
 
 def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:
-    """Return the candidate of P and levels without held commands; None if a shell has no multipliers."""
+    """Return the candidate for P and levels without held commands; None if a shell has no valid multipliers."""
     extent = np.sqrt(np.diag(np.linalg.inv(P)))
     velocity_gain = claim.model[0] * claim.gains["k_v"]
     gains = Gains(
@@ -301,7 +301,7 @@ def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, .
 def _finished(
     claim: RegionClaim, steady: Steady, P: Array, hold: float, gains: Gains, levels: tuple[float, ...]
 ) -> tuple[Candidate | None, Gains, Array | None]:
-    """Return the candidate (None if a shell has no multipliers), its gains, and the rates that w_5 and w_6 use up."""
+    """Return the candidate (None without multipliers), its largest norms, and the decay rates that w_5, w_6 use up."""
     outer = bounds(claim, steady, gains, levels[-2], levels[-1])
     assert outer is not None
     fitted = gains_of(claim, steady, P, outer)

@@ -4,19 +4,22 @@ With σ̃ the stacked errors, the law gives dσ̃/dt = −M K σ̃, M_ij = J_i N
 printed). The conditions extend those on orthogonality and independence by Antonelli (2009, Stability analysis for
 prioritized closed-loop inverse kinematic algorithms):
 
-- M_ij with j > i is the disturbance of a higher task by a lower one. It is zero if the projectors of the levels
-  commute, as those of orthogonal tasks do. Then M is lower block triangular: a cascade, which is stable for any
+- M_ij with j > i is the disturbance of a higher task by a lower one. M_ij with j > i is zero if the projectors of the
+  levels commute, as those of orthogonal tasks do. Then M is lower block triangular: a cascade, which is stable for any
   positive gains.
-- M_ii = J_i N_1 ⋯ N_{i−1} J_i⁺ is the share of its own motion that a task keeps. If the projectors commute, its
-  eigenvalues are sin² of the angles to the rows above. They are positive if the task is independent of all tasks above
-  it together (rank [J_1; …; J_i] is the sum of the ranks), and 1 if it is orthogonal to them.
-- If lower tasks do disturb higher ones, the comparison matrix decides. Its diagonal holds the least eigenvalues of the
-  symmetric parts of M_ii, the other entries are −max‖M_ij‖. If it is a non-singular M-matrix, all errors converge for
-  all scalar gains (vector Lyapunov function Σ p_i‖σ̃_i‖; a gain scales a column, which preserves the property).
+- M_ii = J_i N_1 ⋯ N_{i−1} J_i⁺ is the share of its own motion that a task keeps. If the projectors commute, the
+  eigenvalues of M_ii are sin² of the angles between the task's Jacobian rows and those of the tasks above. The
+  eigenvalues are positive if the task is independent of all tasks above it together (rank [J_1; …; J_i] is the sum of
+  the ranks), and 1 if the task is orthogonal to all tasks above.
+- If lower tasks do disturb higher ones, the comparison matrix decides. The diagonal of this matrix holds the least
+  eigenvalues of the symmetric parts of M_ii; its other entries are −max‖M_ij‖. If the comparison matrix is a
+  non-singular M-matrix, all errors converge for all scalar gains (vector Lyapunov function Σ p_i‖σ̃_i‖; a gain scales
+  one column, and the scaled matrix is still an M-matrix).
 
 Orthogonality is decided by an identity of the expressions. Independence is proved by interval branch and bound on
-det[J_a; J_b][J_a; J_b]ᵀ ≥ s² det(J_aJ_aᵀ) det(J_bJ_bᵀ), where s bounds the product of the sines from below, and
-checked by the independent checker. If this proof fails, the verdict rests on samples and local searches, and says so.
+det[J_a; J_b][J_a; J_b]ᵀ ≥ s² det(J_aJ_aᵀ) det(J_bJ_bᵀ), where s is a lower bound on the product of the sines. The
+independent checker checks this proof. If the proof fails, the verdict relies on samples and local searches, and its
+text says so.
 """
 
 from __future__ import annotations
@@ -48,16 +51,17 @@ _PROVED_SHARE = 0.9  # share of the least sampled sine that the prover tries to 
 
 @dataclass(frozen=True)
 class PairCondition:
-    """The relation of two tasks over the region.
+    """The relation of two tasks over a region of states.
 
     Attributes:
         first, second: names of the tasks, the higher priority first.
         kind: orthogonal: neither task disturbs the other; independent: both tasks can be achieved at once; dependent:
-            in some state they cannot.
-        shown: how the kind is shown: by an identity of the expressions, a proof, samples alone, or a witness state.
-        sine: sine of the smallest angle between the tasks: the proved bound, else the least sampled value; 0 for
-            `dependent`.
-        where: for `dependent` the witness state, otherwise the state of the least sampled sine; empty for an identity.
+            in some state both tasks cannot be achieved at once.
+        shown: evidence for the kind: an identity of the expressions, a proof, samples alone, or a witness state.
+        sine: lower bound on the sine of the angle between the tasks: the proved bound or, without a proof, the least
+            sampled value; 0 for `dependent`.
+        where: the witness state for `dependent`, otherwise the state with the least sampled sine; empty for an
+            identity.
     """
 
     first: str
@@ -69,7 +73,7 @@ class PairCondition:
 
     @property
     def sentence(self) -> str:
-        """The verdict in one line."""
+        """Return the verdict in one line."""
         by = {"identity": "everywhere, by identity", "proved": "proved on the region", "samples": "on all samples"}
         both = f"{self.first} and {self.second}"
         if self.kind == "dependent":
@@ -80,17 +84,18 @@ class PairCondition:
 
 @dataclass(frozen=True)
 class LevelCondition:
-    """The convergence of one task under the law.
+    """The convergence of one task under the null-space law.
 
     Attributes:
         task: name of the task.
-        outcome: convergence for a target at rest, while the state stays in the region.
+        outcome: whether the task converges for a target at rest, while the state stays in the region.
         shown: the weakest kind of evidence that the outcome depends on.
-        tracks: whether a moving target is tracked exactly too, because no other task acts on this one.
-        keeps: lower bound on the share of its own gain that the task keeps; 0 if it may lose a direction.
-        disturbed_by: largest sampled ‖M_ij‖ of each lower task that disturbs it, by name.
+        tracks: whether the task also tracks a moving target exactly, because no other task disturbs it.
+        keeps: lower bound on the share of its own gain that the task keeps; 0 if higher tasks may remove one of its
+            directions.
+        disturbed_by: largest sampled ‖M_ij‖ of each lower task that disturbs this task, by name.
         reason: reason for the outcome, in words.
-        where: a state in which the task loses a direction; empty if there is none.
+        where: a state in which higher tasks remove one of the task's directions; empty if no such state is known.
     """
 
     task: str
@@ -104,7 +109,7 @@ class LevelCondition:
 
     @property
     def sentence(self) -> str:
-        """The verdict in one line."""
+        """Return the verdict in one line."""
         at = f" at {pose_text(self.where)}" if self.where else ""
         moving = "" if self.tracks or self.outcome == "need not converge" else ", for targets at rest"
         return f"{self.task}: {self.outcome}{moving}; {self.reason}{at}"
@@ -120,7 +125,7 @@ class StackConditions:
         levels: one condition for each task.
         triangular: whether no lower task disturbs a higher one, so that any positive gains are allowed.
         small_gain: whether the comparison matrix of the samples is a non-singular M-matrix.
-        samples: number of samples behind the sampled numbers.
+        samples: number of samples from which the sampled numbers come.
     """
 
     tasks: tuple[str, ...]
@@ -132,7 +137,7 @@ class StackConditions:
 
     @property
     def converges(self) -> bool:
-        """Whether every task converges, by proof or on the samples."""
+        """Return whether every task converges, by proof or in all samples."""
         return all(level.outcome != "need not converge" for level in self.levels)
 
     def to_dict(self) -> dict[str, Any]:
@@ -156,18 +161,18 @@ def stack_conditions(
     seed: int = 0,
     time_limit: float = 5.0,
 ) -> StackConditions:
-    """Decide for each pair and for each task of a stack whether it converges over a region of states.
+    """Return the relation of each pair of tasks and the convergence of each task over a region of states.
 
     Args:
         stack: tasks with one reference each.
-        region: lower and upper corner of η, (4,) each [m, m, m, rad] in {E}.
+        region: lower corner and upper corner of η, two vectors (4,) [m, m, m, rad] in {E}.
         parameters: (symbol, lower, upper) of every other symbol in the tasks.
         samples: number of samples.
         seed: seed of the samples.
         time_limit: time limit of each proof of independence [s].
 
     Raises:
-        InputError: for the same reasons as `surctl.priority.diagnosis.diagnose`.
+        InputError: `surctl.priority.diagnosis.diagnose` raises the error.
     """
     diagnosis = diagnose(stack, region, parameters=parameters, samples=samples, seed=seed)
     box = build_region(stack, region, parameters)
@@ -203,7 +208,7 @@ def stack_conditions(
 
 
 def _only(condition: Any, names: set[str]) -> Any:
-    """Return the condition with its state reduced to the variables on which its tasks depend."""
+    """Return a copy of the condition whose state contains only the variables on which the tasks depend."""
     return replace(condition, where={name: value for name, value in condition.where.items() if name in names})
 
 

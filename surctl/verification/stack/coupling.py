@@ -1,4 +1,4 @@
-"""The blocks M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ of a stack's error dynamics over a region, from samples."""
+"""The submatrices M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ of a stack's error dynamics, computed at samples of a region."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Coupling:
 
     Attributes:
         own: (n,) least eigenvalue of the symmetric part of M_ii over the samples.
-        sine: (n,) least product of sines between a task and all tasks above it together.
-        worst: state of the least product for each task.
-        most: (n, n) largest ‖M_ij‖ off the diagonal.
-        commuting: whether the projector of each level commutes with the others as an expression.
-        orthogonal: pairs (i, j), i < j, that are orthogonal as expressions.
+        sine: (n,) least product of the sines of the angles between a task and the joint space of all tasks above it.
+        worst: for each task, the state with the least product of sines.
+        most: (n, n) largest ‖M_ij‖ for i ≠ j.
+        commuting: whether the projectors of all levels commute, as an identity of the expressions.
+        orthogonal: pairs (i, j), i < j, of tasks that are orthogonal by an identity of the expressions.
     """
 
     own: tuple[float, ...]
@@ -43,17 +43,17 @@ class Coupling:
 
     @property
     def exact(self) -> bool:
-        """Whether it is an identity that no lower task disturbs a higher one."""
+        """Return whether it follows from an identity that no lower task disturbs a higher task."""
         return all(self.commuting)
 
     @property
     def triangular(self) -> bool:
-        """Whether no lower task disturbs a higher one on the samples."""
+        """Return whether no lower task disturbs a higher task in any sample."""
         return not any(self.from_below(i) for i in range(len(self.own)))
 
     @property
     def small_gain(self) -> bool:
-        """Whether the comparison matrix is a non-singular M-matrix."""
+        """Return whether the comparison matrix is a non-singular M-matrix."""
         return comparison_converges(np.array(self.own), self.most)
 
     def from_below(self, i: int) -> dict[int, float]:
@@ -63,26 +63,27 @@ class Coupling:
         return {j: float(self.most[i, j]) for j in range(i + 1, len(self.own)) if self.most[i, j] > _ZERO}
 
     def untouched_below(self, i: int) -> bool:
-        """Whether it is an identity that no lower task disturbs task i.
+        """Return whether it follows from an identity that no lower task disturbs task i.
 
-        This holds for the first task, if all projectors commute, or if each lower task is orthogonal to all before it.
+        The result is true for the first task, for any task if all projectors commute, and for a task below which each
+        task is orthogonal to all tasks before it.
         """
         apart = ((a, b) in self.orthogonal for b in range(i + 1, len(self.own)) for a in range(b))
         return self.exact or i == 0 or all(apart)
 
     def commuting_above(self, i: int) -> bool:
-        """Whether N_1 ⋯ N_{i−1} is a projector by identity, so that the eigenvalues of M_ii are squared sines."""
+        """Return whether N_1 ⋯ N_{i−1} is a projector by identity; then the eigenvalues of M_ii are squared sines."""
         return all(self.commuting[:i])
 
 
 def comparison_converges(own: Array, most: Array) -> bool:
-    """Whether diag(own) − most (off the diagonal) is a non-singular M-matrix: all leading minors positive."""
+    """Return whether diag(own) − most (off-diagonal part) is a non-singular M-matrix (all leading minors > 0)."""
     matrix = np.diag(own) - most * (1 - np.eye(len(own)))
     return all(np.linalg.det(matrix[:k, :k]) > 1e-12 for k in range(1, len(own) + 1))
 
 
 def couplings(stack: Stack, region: Region, *, samples: int, seed: int) -> Coupling:
-    """Return the coupling of a stack over a region.
+    """Return the effects of a stack's tasks on each other's errors over a region.
 
     Args:
         stack: tasks with one reference each.

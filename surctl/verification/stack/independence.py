@@ -1,4 +1,4 @@
-"""Proof that a task is independent of other tasks on a whole region: a lower bound on the sine of their angle."""
+"""Proof that a task is independent of other tasks on a whole region, by a lower bound on the sine of their angle."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEAST_STRENGTH = 1e-6  # least det J Jᵀ of a task whose Jacobian counts as re
 
 
 def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float, time_limit: float) -> float:
-    """Return `sine` if it is a proved lower bound on the product of the sines between task i and those above, else 0.
+    """Return `sine` if it is a proved lower bound on the product of sines between task i and tasks above, else 0.
 
     The proof is by interval branch and bound, and the independent checker must accept it.
     """
@@ -32,7 +32,7 @@ def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, si
 
 
 def prove_strength(stack: Stack, region: Region, i: int, *, time_limit: float) -> bool:
-    """Whether it is proved that the task's own Jacobian is regular on the whole region: det J Jᵀ ≥ 1e-6."""
+    """Return whether a proof shows that task i has a regular Jacobian on the whole region (det J Jᵀ ≥ 1e-6)."""
     strength = _gram(_jacobian(stack, region, i))
     if strength.is_constant():
         return bool(float(strength) >= _LEAST_STRENGTH)
@@ -45,11 +45,12 @@ def independence_claims(
 ) -> tuple[Claim, ...]:
     """Return the claims det[A; B][A; B]ᵀ ≥ s² det(AAᵀ) det(BBᵀ), det AAᵀ > 0 and det BBᵀ > 0.
 
-    A holds the Jacobians of the tasks above, and B that of task i, both in {E}, where they do not depend on ψ.
+    A holds the Jacobians of the tasks above, and B is the Jacobian of task i. Both are expressed in {E}, where they do
+    not depend on ψ.
     """
     A, B = ca.vertcat(*[_jacobian(stack, region, k) for k in above]), _jacobian(stack, region, i)
     if A.shape[0] + B.shape[0] > A.shape[1]:
-        return (_claim(region, "dimension", ca.SX(1), ca.SX(0)),)  # false: more rows than velocities
+        return (_claim(region, "dimension", ca.SX(1), ca.SX(0)),)  # a false claim: more Jacobian rows than velocities
     both, first, second = (_gram(part) for part in (ca.vertcat(A, B), A, B))
     floor = ca.SX(_LEAST_STRENGTH)
     return (
@@ -60,7 +61,7 @@ def independence_claims(
 
 
 def _jacobian(stack: Stack, region: Region, k: int) -> ca.SX:
-    """Return ∂σ/∂η of task k, without the branches that are decided on the region."""
+    """Return ∂σ/∂η of task k, without the branches (min, max, abs, select) that intervals decide on the region."""
     sigma = stack.tasks[k].sigma
     try:
         smooth = simplified(sigma, region, tuple(map(_name, region.names)))

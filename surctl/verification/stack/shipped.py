@@ -30,7 +30,7 @@ _ECHOES = {
 
 @dataclass(frozen=True, eq=False)
 class ShippedStack:
-    """A stack with the region of η and of the parameters over which its conditions are decided."""
+    """A stack, and the region of η and of the parameters over which the convergence conditions are decided."""
 
     stack: Stack
     region: Bounds
@@ -40,9 +40,9 @@ class ShippedStack:
 def shipped_stack(name: str) -> ShippedStack:
     """Return the stack of a shipped law, by the law's name.
 
-    Gains and targets do not affect the Jacobians; they are 1 and within the region. The robot is near the origin, with
-    one echo in each quadrant. Urgency may put the sensor sub-tasks in any order; the conditions of pairs do not depend
-    on the order.
+    Gains and targets do not affect the Jacobians; all gains are 1, and the targets lie in the region. The robot is near
+    the origin, with one echo in each quadrant. Urgency may put the sensor sub-tasks in any order; the conditions of
+    pairs do not depend on the order.
 
     Raises:
         InputError: the name is unknown.

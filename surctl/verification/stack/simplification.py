@@ -1,4 +1,4 @@
-"""Expressions without the branches that are decided on a box: a max becomes the operand that is always the larger."""
+"""Simplification of expressions on a box: a max becomes its larger operand if this operand is the same everywhere."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ __all__ = ["simplified"]
 
 
 def simplified(expression: ca.SX, region: Region, names: tuple[str, ...]) -> ca.SX:
-    """Return a column that is equal on the region, without each min, max, abs and select that intervals decide there.
+    """Return a column that is equal to `expression` on the region, without the branches that intervals decide there.
 
-    Without these branches, derivatives of the column contain no comparisons.
+    Branches are min, max, abs and select. Without them, derivatives of the column contain no comparisons.
 
     Raises:
         UnsupportedOperation: the expression has an operation that the claim grammar does not have.
@@ -22,7 +22,7 @@ def simplified(expression: ca.SX, region: Region, names: tuple[str, ...]) -> ca.
     box = region.lower[:, None], region.upper[:, None]
 
     def above(a: Node, b: Node) -> int:
-        """Return 1 if a ≥ b on the whole box, −1 if a ≤ b on it, and 0 if neither is certain."""
+        """Return 1 if a ≥ b on the whole box, −1 if a ≤ b on the whole box, and 0 if neither inequality is certain."""
         read = build_tape(names, [a - b]).run(box)
         low, high = (float(end[0]) for end in read.jets[0].value)
         if not read.defined[0][0]:

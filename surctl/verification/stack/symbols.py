@@ -17,13 +17,13 @@ def names_in(region: Region, task: Task | SetTask) -> set[str]:
 
 
 def gram_is_constant(stack: Stack, i: int) -> bool:
-    """Whether J_i J_iᵀ is constant or 1 × 1, so that V = σ̃ᵀ(JJᵀ)⁻¹σ̃ falls if the eigenvalues of M_ii are positive."""
+    """Return whether J_i J_iᵀ is constant or 1 × 1; then V = σ̃ᵀ(JJᵀ)⁻¹σ̃ falls if M_ii has positive eigenvalues."""
     A = world_jacobians(stack)[i]
     return bool(A.shape[0] == 1 or ca.simplify(A @ A.T).is_constant())
 
 
 def gains_are_equal(stack: Stack, i: int) -> bool:
-    """Whether the gains of all rows of the task are equal and do not depend on the state."""
+    """Return whether the gains of all entries of the task are equal and do not depend on the state."""
     task = stack.tasks[i]
     if not isinstance(task, Task):
         return False
