@@ -14,6 +14,7 @@ from surctl.control import build_law, load_gains
 from surctl.errors import InputError
 from surctl.simulation import load_scenario, simulate
 from surctl.vehicle import load_vehicle
+from surctl.verification import check_held
 from tests.cli.process import surctl
 
 GAINS = load_gains("default")
@@ -46,10 +47,10 @@ def test_speeds_are_those_given_else_the_scenario_s() -> None:
 
 def test_a_cruise_beyond_the_thrust_is_refused_if_asked_for_and_else_not_applicable() -> None:
     about = {"cruise": 3.0, "dt": 0.05, "uncertainty": 0.0}
-    found = linear_side_of(WU, GAINS.values, **about, requested=False)
+    found = linear_side_of(WU, GAINS.values, **about)
     assert found.stable is None and "not applicable to this vehicle, because a cruise at 3 m/s" in found.lines[0]
-    with pytest.raises(InputError, match="needs thrust"):
-        linear_side_of(WU, GAINS.values, **about, requested=True)
+    with pytest.raises(InputError, match=r"--cruise = 3\.0: .*thrust"):
+        check_held((3.0,), WU, cap=5.0, key="--cruise")
 
 
 def test_no_export_is_proposed_whose_mission_the_vehicle_cannot_start(tmp_path: Path) -> None:
@@ -91,7 +92,7 @@ def test_lint_tells_a_name_that_is_no_file_s_and_a_region_whose_cruise_is_its_ca
     (tmp_path / "v.toml").write_text(text)
     (tmp_path / "r.toml").write_text('kind = "region"\nname = "mine"\ncruise_m_per_s = 0.3\n')
     for file, key, part in (
-        ("v.toml", "name", "leave / and"),
+        ("v.toml", "name", "remove / and"),
         ("r.toml", "cruise_m_per_s", "not below the cap of 0.22"),
     ):
         done = surctl("lint", file, "--json", cwd=tmp_path)

@@ -168,6 +168,8 @@ def test_whole_problems_come_out_as_with_a_fresh_solver(kept, warm, seed):
         want = solve_least_distance(target, **rows, backend="daqp")
         if got.status == want.status == "optimal":
             assert np.abs(got.x - want.x).max() < 1e-7
+        elif got.status == "failed":  # a first-order method may reach its limit of iterations; it must say so
+            assert kept is PersistentOsqp and got.x is None and got.iterations == 20000
         else:
             assert got.x is None and want.x is None
 

@@ -120,5 +120,5 @@ def test_the_figures_are_those_of_the_formulas() -> None:
     assert numbers["E4"]["step_mm"] == pytest.approx(4500 / 255)
     assert numbers["E7"]["heading_m"] == pytest.approx(0.5 / 3, abs=1e-6)
     assert numbers["E12"]["settles_m"] == pytest.approx(-0.5 * (15 / 22) / (1 - (15 / 22) ** 2) ** 0.5, abs=1e-6)
-    assert numbers["E15"] == pytest.approx({"inside_wall_m": 0.02, "off_obstacle_m": 0.044})
+    assert numbers["E15"] == pytest.approx({"inside_wall_m": 0.02, "off_obstacle_m": 0.0440055}, abs=1e-7)
     assert numbers["E16"]["above_m"] == pytest.approx(0.12)

@@ -121,7 +121,7 @@ def matched(own, seeds, ticks, blind):
             c, s = math.cos(psi), math.sin(psi)
             push = np.array([c * push[0] - s * push[1], s * push[0] + c * push[1], push[2]])
             if k:
-                root = np.linalg.cholesky(noise + (push @ push) * own.doubt)
+                root = np.linalg.cholesky(noise + (push @ push) * own.model_covariance)
                 x = phi @ x + np.outer([0.5 * DT**2, DT, 0.0], push) + root @ rng.standard_normal((3, 3))
                 past = [*past, x][-own.late - 1 :]
             fresh = k % 2 == 0 and k >= own.late and not blind[0] <= k < blind[1]

@@ -52,7 +52,7 @@ def _flown(sensors: Sensors, name: str = "pool-static", *, turns: bool = True) -
 
 def test_a_halt_without_a_break_ends_the_run_and_a_shorter_one_does_not() -> None:
     run = _flown(DEAF_TWICE)
-    assert run.metrics.stopped_because == "stopped" and not run.metrics.reached
+    assert run.metrics.stopped_because == "standstill" and not run.metrics.reached
     assert STOPPED_LIMIT - 5 + STOPPED_LIMIT < run.metrics.time_s < STOPPED_LIMIT - 5 + STOPPED_LIMIT + 1
     halted, ticks = run.telemetry("stopped")[:, 0], round(STOPPED_LIMIT / run.law.dt)
     assert np.all(halted[-ticks:] == 1) and halted[-ticks - 1] == 0
@@ -61,7 +61,7 @@ def test_a_halt_without_a_break_ends_the_run_and_a_shorter_one_does_not() -> Non
 
 def test_the_compiled_loop_halts_as_the_reference_does() -> None:
     found = simulate_batch(_case(DEAF_TWICE), seeds=[0, 1, 2])
-    assert np.all(found.column("stopped") == STOPS.index("stopped"))
+    assert np.all(found.column("stopped") == STOPS.index("standstill"))
     wanted = _flown(DEAF_TWICE).metrics.row()
     for name, a, b in zip(METRICS, found.table[1], wanted, strict=True):
         assert a == b or abs(a - b) <= 1e-9 or (np.isnan(a) and np.isnan(b)), (name, a, b)
@@ -85,5 +85,5 @@ def test_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_run_that_ended_otherwise_has_no_such_reason() -> None:
     run = _flown(DEAF_TWICE)
     other = replace(run, metrics=replace(run.metrics, stopped_because="time limit"))
-    with pytest.raises(InputError, match="stopped"):
+    with pytest.raises(InputError, match="ended neither at a standstill nor in a dead end"):
         stop_reason(other)
