@@ -23,13 +23,13 @@ from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, on_vectors, runnable, to_casadi
 from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
+from surctl.system import NONFINITE
 
 __all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep", "Stages"]
 
 Vector: TypeAlias = NDArray[np.float64]
 
 SATURATED, SWITCHED, DEGRADED, TRAPPED = 1, 2, 4, 8
-NONFINITE = -2
 
 TELEMETRY = (
     Port("tau", (4,), "N, N m", "thrust command F_u, F_v, F_w, F_r in {B}"),

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Block, Layout, Port, identifier
+from surctl.ir import Layout, Port, identifier
+from surctl.system import SampledController
 
-__all__ = ["STATUS", "Around", "Exportable", "Step", "checked_name", "telemetry_ports", "thrust"]
-
-Vector = NDArray[np.float64]
+__all__ = ["STATUS", "Around", "Exportable", "checked_name", "telemetry_ports", "thrust"]
 
 STATUS: tuple[tuple[str, int, str], ...] = (
     ("OK", 0, "thrust is valid"),
@@ -44,62 +42,8 @@ _HEADERS_OF_FMI = "fmi2functions fmi2functiontypes fmi2typesplatform"
 _HEADERS = frozenset(f"{_HEADERS_OF_C} {_HEADERS_OF_POSIX} {_HEADERS_OF_FMI}".split())
 
 
-class Step(Protocol):
-    """Result of one step of a control law."""
-
-    @property
-    def tau(self) -> Vector:
-        """Return the thrust (4,) in the body frame: F_u, F_v, F_w [N] and F_r [N m]."""
-
-    @property
-    def x_next(self) -> Vector:
-        """Return the controller state after the step (nx,)."""
-
-    @property
-    def status(self) -> int:
-        """Return the status code of the step, a code of `STATUS`."""
-
-    @property
-    def telemetry(self) -> Vector:
-        """Return the telemetry of the step (k,)."""
-
-
-class Exportable(Protocol):
-    """A control law as one object: (state, input, gains) → (thrust, next state, status, telemetry)."""
-
-    @property
-    def name(self) -> str:
-        """Return the name of the law, a C identifier."""
-
-    @property
-    def dt(self) -> float:
-        """Return the control period [s]."""
-
-    @property
-    def state(self) -> Layout:
-        """Return the layout of the controller state x (nx,)."""
-
-    @property
-    def inputs(self) -> Layout:
-        """Return the layout of the inputs u (nu,)."""
-
-    @property
-    def gains(self) -> Layout:
-        """Return the layout of the gains p (np,)."""
-
-    @property
-    def outputs(self) -> Layout:
-        """Return the layout of the outputs: the thrust tau (4,), then the telemetry (k,)."""
-
-    @property
-    def block(self) -> Block:
-        """Return the law as a program or routine of flat vectors: (x, u, p) → (tau, x_next, status (1,), telemetry)."""
-
-    def initial_state(self) -> Vector:
-        """Return the controller state before the first step (nx,)."""
-
-    def step(self, x: Vector, u: Vector, p: Vector) -> Step:
-        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
+Exportable: TypeAlias = SampledController
+"""A law that can be exported; its first output is the thrust tau."""
 
 
 @dataclass(frozen=True, eq=False)

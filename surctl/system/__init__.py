@@ -1,6 +1,6 @@
 """Closed loops of any plant and any sampled controller, for simulation, parameter sweeps and linearisation."""
 
-from surctl.system.controller import Action, Controller, ControllerStep, SampledController
+from surctl.system.controller import NONFINITE, Action, Controller, ControllerStep, SampledController, Step
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise
 from surctl.system.loop import Cost, Signals, System
 from surctl.system.plant import Parts, Plant
@@ -8,6 +8,7 @@ from surctl.system.record import Record, run_system
 from surctl.system.runs import Runs, simulate_system
 
 __all__ = [
+    "NONFINITE",
     "Action",
     "Controller",
     "ControllerStep",
@@ -20,6 +21,7 @@ __all__ = [
     "Runs",
     "SampledController",
     "Signals",
+    "Step",
     "System",
     "find_equilibrium",
     "linearise",

@@ -15,7 +15,7 @@ from surctl.errors import InputError
 from surctl.ir import Block, Layout, Port, Recording, identifier, runnable, without_libm
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 
-__all__ = ["NONFINITE", "Action", "Controller", "ControllerStep", "SampledController"]
+__all__ = ["NONFINITE", "Action", "Controller", "ControllerStep", "SampledController", "Step"]
 
 Vector = NDArray[np.float64]
 
@@ -50,8 +50,31 @@ class ControllerStep(NamedTuple):
     telemetry: Vector
 
 
+class Step(Protocol):
+    """Result of one step of a controller."""
+
+    @property
+    def tau(self) -> Vector:
+        """Return the command (m,); of a law of the robot the thrust (4,), F_u, F_v, F_w [N] and F_r [N m] in {B}."""
+
+    @property
+    def x_next(self) -> Vector:
+        """Return the controller state after the step (nx,)."""
+
+    @property
+    def status(self) -> int:
+        """Return the status of the step: 0, a sum of bits, or a negative code."""
+
+    @property
+    def telemetry(self) -> Vector:
+        """Return the telemetry of the step (k,)."""
+
+
 class SampledController(Protocol):
-    """Interface that a closed loop needs from a controller; `Controller` and every built-in law implement it."""
+    """A controller as one object, (state, input, gains) → (command, next state, status, telemetry).
+
+    Closed loops and the export use this interface; `Controller` and every built-in law implement it.
+    """
 
     @property
     def name(self) -> str:
@@ -63,15 +86,15 @@ class SampledController(Protocol):
 
     @property
     def state(self) -> Layout:
-        """Return the layout of the controller state x."""
+        """Return the layout of the controller state x (nx,)."""
 
     @property
     def inputs(self) -> Layout:
-        """Return the layout of the inputs u, which are measurements and references."""
+        """Return the layout of the inputs u (nu,), which are measurements and references."""
 
     @property
     def gains(self) -> Layout:
-        """Return the layout of the gains p."""
+        """Return the layout of the gains p (np,)."""
 
     @property
     def outputs(self) -> Layout:
@@ -79,13 +102,13 @@ class SampledController(Protocol):
 
     @property
     def block(self) -> Block:
-        """Return the program or routine (x, u, p) → (command, x_next, status (1,), telemetry)."""
+        """Return the program or routine of flat vectors (x, u, p) → (tau, x_next, status (1,), telemetry)."""
 
     def initial_state(self) -> Vector:
-        """Return the controller state before the first step."""
+        """Return the controller state before the first step (nx,)."""
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> Any:
-        """Run one guarded step; the result has `tau` (command), `x_next`, `status` and `telemetry`."""
+    def step(self, x: Vector, u: Vector, p: Vector) -> Step:
+        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status `NONFINITE`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -91,7 +92,7 @@ class Linearisation:
         inputs = [*_labels(system.references), *_labels(system.plant.disturbances)]
         if not inputs:
             raise InputError("has neither references nor disturbances", key="closed", remedy="call poles()")
-        _, Bd, Ed = self._sampled_plant()
+        _, Bd, Ed = self._sampled_plant
         C, D = self.plant[3:]
         By, Br, Cz, Dy, Dr = self.law[1:]
         B = np.block([[Bd @ Dr, Ed + Bd @ Dy @ D], [Br, By @ D]])
@@ -136,7 +137,7 @@ class Linearisation:
         at_output = np.array(
             [[float(name == label and name not in commands) for label in outputs] for name in openings]
         )
-        Ad, Bd, _ = self._sampled_plant()
+        Ad, Bd, _ = self._sampled_plant
         C = self.plant[3]
         Az, By, _, Cz, Dy, _ = self.law
         # at a loop opening, the channel's own signal is cut, and the injected signal replaces it
@@ -163,14 +164,16 @@ class Linearisation:
 
     def states(self) -> list[str]:
         """Return the labels of the plant states, then of the controller states."""
-        return [*_labels(self.system.plant.state), *_labels(self.system.controller.state, "controller ")]
+        return _state_labels(self.system)
 
+    @cached_property
     def _sampled_plant(self) -> tuple[Array, Array, Array]:
+        """The plant (A_d, B_d, E_d) over one control period, driven by the commands and the disturbances."""
         return _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.system.dt)
 
     def _transition(self) -> Array:
         """Return the transition matrix of the closed loop from one control instant to the next."""
-        Ad, Bd, _ = self._sampled_plant()
+        Ad, Bd, _ = self._sampled_plant
         Az, By, _, Cz, Dy, _ = self.law
         C = self.plant[3]
         return np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
@@ -206,10 +209,11 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
         >>> find_equilibrium(System(boat, law), {"disturbance.wind": 0.5}).x
         array([1.])
     """
-    numbers = run_numbers(system, values or {})
-    if numbers.count != 1:
-        raise InputError(f"are for {numbers.count} runs", key="values", remedy="give one number each")
-    functions = _Rest(system, numbers)
+    return _equilibrium(_Rest.of(system, values), values)
+
+
+def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Operating:
+    system, numbers = functions.system, functions.numbers
     started = any(name.startswith("start.") for name in values or {})
     ends = []
     for x in [numbers.start[0]] if started else [np.zeros(system.plant.state.size), numbers.start[0]]:
@@ -218,8 +222,7 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
             return functions.operating(point)
         ends.append(point)
     error = np.nan_to_num(functions.error(ends[0])[0], nan=np.inf)
-    labels = [*_labels(system.plant.state), *_labels(system.controller.state, "controller ")]
-    worst = labels[int(np.argmax(np.abs(error)))]
+    worst = _state_labels(system)[int(np.argmax(np.abs(error)))]
     raise InputError(
         f"no equilibrium is found: `{worst}` still moves", key=system.plant.name,
         remedy="begin nearer to it with start.…, or check references and disturbances",
@@ -273,7 +276,8 @@ def linearise(
         >>> linear.plant[0].round(2).tolist(), abs(linear.poles()).round(3).tolist()
         ([[0.0, 1.0], [9.81, 0.0]], [0.97, 0.97])
     """
-    point = find_equilibrium(system, values) if at is None else at
+    functions = _Rest.of(system, values) if at is None else _Rest(system, at.numbers)
+    point = _equilibrium(functions, values) if at is None else at
     plant, numbers = system.plant, point.numbers
     x, f = ca.SX.sym("x", plant.state.size), ca.SX.sym("f", plant.inputs.size)
     d, p = ca.SX.sym("d", plant.disturbances.size), ca.DM(numbers.plant[0])
@@ -283,7 +287,7 @@ def linearise(
     commands = dict(zip(_labels(system.commands), point.f, strict=True))
     applied = np.array([commands[label] for label in _labels(plant.inputs)])
     matrices = tuple(np.array(m) for m in ca.Function("plant", [x, f, d], jacobians).call([point.x, applied, late]))
-    return Linearisation(system, point, matrices, _Rest(system, numbers).law(point))
+    return Linearisation(system, point, matrices, functions.law(point))
 
 
 class _Rest:
@@ -311,6 +315,14 @@ class _Rest:
         slopes = [ca.jacobian(out, by) for out in (after, command) for by in (Z, Y, R)]
         self._slopes = ca.Function("slopes", [Z, Y, R], slopes)
         self._measure = measure
+
+    @classmethod
+    def of(cls, system: System, values: Mapping[str, ArrayLike] | None) -> _Rest:
+        """Return the conditions for numbers by name; InputError if they are for several runs."""
+        numbers = run_numbers(system, values or {})
+        if numbers.count != 1:
+            raise InputError(f"are for {numbers.count} runs", key="values", remedy="give one number each")
+        return cls(system, numbers)
 
     def error(self, point: Array) -> tuple[Array, Array]:
         """Return the residual of the equilibrium conditions at (x, z), and its derivative."""
@@ -352,6 +364,10 @@ def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]
     whole[:n] = np.hstack([A, B, E])
     transition = expm(whole * dt)
     return transition[:n, :n], transition[:n, n : n + B.shape[1]], transition[:n, n + B.shape[1] :]
+
+
+def _state_labels(system: System) -> list[str]:
+    return [*_labels(system.plant.state), *_labels(system.controller.state, "controller ")]
 
 
 def _labels(layout: Layout, prefix: str = "") -> list[str]:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 
@@ -17,7 +18,7 @@ from surctl.system.controller import SampledController
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
 
-__all__ = ["Cost", "How", "Signals", "System"]
+__all__ = ["Cost", "How", "Signals", "System", "once_per_system"]
 
 _FIGURE = Layout((Port("value", (1,), "1", "a figure"),))
 
@@ -227,6 +228,21 @@ class System:
         """Return the SHA-256 of what the loop computes: plant, controller, period and integration."""
         text = f"{self.plant.digest()} {self.controller.block.digest()} {float(self.dt).hex()} {self.substeps}"
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+T = TypeVar("T")
+
+
+def once_per_system(build: Callable[[System], T]) -> Callable[[System], T]:
+    """Return a function that builds its result once for each system, and keeps it as long as the system exists."""
+    results: WeakKeyDictionary[System, T] = WeakKeyDictionary()
+
+    def result(system: System) -> T:
+        if system not in results:
+            results[system] = build(system)
+        return results[system]
+
+    return result
 
 
 def _connected(port: Port, layout: Layout, *, key: str, to: str) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.ir import on_vectors
 from surctl.system.controller import NONFINITE
-from surctl.system.loop import How, System
+from surctl.system.loop import How, System, once_per_system
 from surctl.system.runs import ENDED, LOST, moved_state, periods
 from surctl.system.values import run_numbers
 
@@ -129,6 +129,7 @@ def _named(system: System, tables: list[Array]) -> dict[str, Array]:
     return signals
 
 
+@once_per_system
 def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
     """Return three functions: outputs with inputs and references, plant state after a period, and costs with stops."""
     plant, t = system.plant, ca.SX.sym("t")

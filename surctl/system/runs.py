@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -26,7 +25,7 @@ from surctl.ir import (
     lower_named,
     without_libm,
 )
-from surctl.system.loop import Cost, System
+from surctl.system.loop import Cost, System, once_per_system
 from surctl.system.values import run_numbers
 
 __all__ = ["ENDED", "LOST", "Runs", "loop_step", "moved_state", "periods", "simulate_system"]
@@ -38,7 +37,6 @@ ENDED, LOST = "time", "not finite"
 
 _FINITE = 1e300  # numbers with a larger absolute value count as infinite
 _FIRST = MappingProxyType({"max": -np.inf, "min": np.inf})
-_programs: WeakKeyDictionary[System, Batch] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -96,9 +94,7 @@ def simulate_system(
     state, _ = _layouts(system)
     start = np.tile(state.pack({"controller": system.controller.initial_state()}), (numbers.count, 1))
     start[:, state.slice("plant")] = numbers.start
-    for name, cost in system.costs.items():
-        if cost.how in _FIRST:
-            start[:, state.slice("sums").start + list(system.costs).index(name)] = _FIRST[cost.how]
+    start[:, state.slice("sums")] = [_FIRST.get(cost.how, 0.0) for cost in system.costs.values()]
     constants = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains])
     ends = _compiled(system).run(start, constants, steps=steps, threads=threads)
     flag = ends[:, 0]
@@ -233,7 +229,6 @@ def _figure(cost: Cost, total: Array, count: Array) -> Array:
     return np.sqrt(total / np.maximum(count, 1)) if cost.how == "rms" else total
 
 
+@once_per_system
 def _compiled(system: System) -> Batch:
-    if system not in _programs:
-        _programs[system] = compile_batch(fused(without_libm(loop_step(system))))
-    return _programs[system]
+    return compile_batch(fused(without_libm(loop_step(system))))

@@ -43,6 +43,11 @@ class LoopMargins:
     crossover_rad_s: float
     least_gain: float
 
+    @classmethod
+    def unstable(cls, name: str) -> LoopMargins:
+        """Return the margins of a loop whose closed loop is unstable."""
+        return cls(name, False, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
     def to_dict(self) -> dict[str, Any]:
         """The margins as plain data for JSON; infinite margins stay inf."""
         return asdict(self)
@@ -80,7 +85,7 @@ def loop_margins(
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model)
     highest = np.pi / dt  # the Nyquist frequency: a sampled controller does not act above it
     if not cascade.stable:
-        return tuple(LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0) for name in LOOP_NAMES)
+        return tuple(LoopMargins.unstable(name) for name in LOOP_NAMES)
     one = Cascade(*(m[None] for m in (cascade.A, cascade.B, cascade.C, cascade.K)))
     return tuple(
         _only(name, crossings_of(loop, highest=highest))

@@ -46,9 +46,7 @@ def system_margins(linear: Linearisation, *openings: str) -> tuple[LoopMargins, 
     """
     chosen = openings or linear.channels()
     stable = _stable(linear)
-    return tuple(
-        _margins(linear, name) if stable else LoopMargins(name, False, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0) for name in chosen
-    )
+    return tuple(_margins(linear, name) if stable else LoopMargins.unstable(name) for name in chosen)
 
 
 def system_disk_margin(linear: Linearisation, *openings: str) -> DiskMargin:
@@ -78,7 +76,7 @@ def system_disk_margin(linear: Linearisation, *openings: str) -> DiskMargin:
     chosen = openings or linear.channels()
     place = ", ".join(chosen)
     if not _stable(linear):
-        return DiskMargin(place, False, 0.0, 0.0, 0.0, (1.0, 1.0), 0.0)
+        return DiskMargin.unstable(place)
     margin = disk_margin(_continuous(linear, *chosen), place)
     return replace(margin, frequency_rad_s=float(2 * np.arctan(margin.frequency_rad_s) / linear.system.dt))
 

@@ -69,6 +69,11 @@ class DiskMargin:
     gain: tuple[float, float]
     phase_deg: float
 
+    @classmethod
+    def unstable(cls, place: str) -> DiskMargin:
+        """Return the disk margin of loops whose closed loop is unstable."""
+        return cls(place, False, 0.0, 0.0, 0.0, (1.0, 1.0), 0.0)
+
     def to_dict(self) -> dict[str, Any]:
         """The disk margin as plain data for JSON."""
         return {**asdict(self), "gain": list(self.gain)}
@@ -85,7 +90,7 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
     """
     closed = loop.complementary()
     if not np.all(np.linalg.eigvals(closed.A).real < -1e-9):
-        return DiskMargin(place, False, 0.0, 0.0, 0.0, (1.0, 1.0), 0.0)
+        return DiskMargin.unstable(place)
     grid = np.concatenate([[0.0], np.geomspace(_LOWEST, _HIGHEST, _POINTS)])
     coarse = _balanced(_sensitivity(closed, grid))[1]
     least, where = 0.5, np.inf  # lower bound of μ at ω → ∞, where M → ½ I
