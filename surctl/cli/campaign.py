@@ -173,6 +173,9 @@ class CampaignOptions:
 
 
 def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
+    from surctl.control import BARRIER, law_source
+    from surctl.own_code import label
+
     case, table = campaign.plan.case, campaign.table
     rows = [table.row(k) for k in table.worst(worst)]
     for row, file in zip(rows, files, strict=False):
@@ -181,7 +184,7 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
         "campaign": campaign.plan.name,
         "scenario": case.scenario.name,
         "vehicle": case.vehicle.name,
-        "law": case.law,
+        "law": label(case.law),
         "avoidance": case.avoidance,
         "guidance": case.guidance,
         "priority_mode": case.mode,
@@ -192,7 +195,7 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
         "sampling": dict(campaign.plan.settings()),
         "number_of_runs": len(table),
     }
-    if case.law == "guarded":
+    if BARRIER in law_source(case.law).parts:
         head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
     return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
@@ -212,8 +215,10 @@ def _claim(case: Case) -> SafetyClaim:
 
 
 def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
+    from surctl.own_code import label
+
     case, table = campaign.plan.case, campaign.table
-    lines = [f"{campaign.plan.name} by {case.vehicle.name}, law {case.law}, {case.sensing}, {len(table)} runs:"]
+    lines = [f"{campaign.plan.name} by {case.vehicle.name}, law {label(case.law)}, {case.sensing}, {len(table)} runs:"]
     lines += campaign.summary.lines()
     for place, k in enumerate(table.worst(worst)):
         time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]
@@ -226,7 +231,9 @@ def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
     return lines
 
 
-def simulate_again(path: Path, *, explained: bool, out: Path | None, animate: Path | None, as_json: bool) -> None:
+def simulate_again(
+    path: Path, *, trust: bool, explained: bool, out: Path | None, animate: Path | None, as_json: bool
+) -> None:
     """Simulate a saved run in the reference loop, compare the result with the campaign, and end the command.
 
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
@@ -235,7 +242,7 @@ def simulate_again(path: Path, *, explained: bool, out: Path | None, animate: Pa
     from surctl.simulation.campaign import load_replay
 
     for name, source in _typed().items():
-        if name not in ("replayed", "explained", "out", "animate", "as_json") and source:
+        if name not in ("replayed", "trust", "explained", "out", "animate", "as_json") and source:
             from surctl.errors import InputError
 
             known = {param.name: param for param in click.get_current_context().command.params}
@@ -245,7 +252,7 @@ def simulate_again(path: Path, *, explained: bool, out: Path | None, animate: Pa
             )
     if out is not None:
         prepare_folder(out)
-    replay = load_replay(path)
+    replay = load_replay(path, trust=trust)
     run = replay.run.simulate()
     difference = replay.difference(run)
     same = difference <= SAME

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 from click.core import ParameterSource
 
+from surctl.cli.law_option import law_option
 from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
@@ -24,12 +25,7 @@ MISSION = "pool-static"
 @click.option(
     "--scenario", default=MISSION, metavar="FILE", help="Mission and sensors: name or file (default pool-static)."
 )
-@click.option(
-    "--law",
-    default="guarded",
-    metavar="NAME",
-    help="Control law: guarded (default), paper, closed_form, apf, dwa, vo or cbf.",
-)
+@law_option
 @click.option(
     "--avoidance",
     default="corrected",
@@ -120,7 +116,7 @@ def export(
 
     import numpy as np
 
-    from surctl.control import build_law, load_gains
+    from surctl.control import build_law, law_ref, law_source, load_gains
     from surctl.errors import InputError, nearest
     from surctl.export import (
         REALS,
@@ -156,6 +152,7 @@ def export(
     find_compiler()
     tried, untried = chosen_targets([name.strip() for name in targets.split(",")] if targets else ())
     sensors = SensorOptions(faults, chances, beam, own_state)
+    law = law_ref(law, key="--law")
     sensors.check(law=law, sensing=sensing)
     mission = sensors.over(load_scenario(scenario))
     robot = load_vehicle(mission.vehicle if vehicle is None else vehicle)
@@ -170,7 +167,7 @@ def export(
         fallback=fallback,
         depths=mission.depths is not None,
     )
-    tuned = load_gains(gains)
+    tuned = load_gains(gains, own=law_source(law).gains)
     numbers = law_numbers(mission, tuned, robot)
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
     within = operating_envelope(built, mission, robot, shipped.gains)

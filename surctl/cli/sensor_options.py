@@ -68,7 +68,9 @@ class SensorOptions:
 
     def check(self, *, law: str, sensing: str) -> None:
         """Raise InputError for an option that has no effect on the runs, or for an unknown value."""
+        from surctl.control import law_source
         from surctl.errors import InputError, nearest
+        from surctl.own_code import label
 
         options = {"--fault": self.faults, "--chance": self.chances, "--beam": self.beam, "--own-state": self.own_state}
         for key, value in options.items():
@@ -80,9 +82,9 @@ class SensorOptions:
                     value=text,
                     remedy="add --sensing sonar, or drop this option",
                 )
-        if self.beam is not None and law == "paper":
+        if self.beam is not None and not law_source(law).scans:
             raise InputError(
-                "does not apply to law paper, which has the four sonars of the paper",
+                f"does not apply to law {label(law)}, which has the four sonars of the paper",
                 key="--beam",
                 value=self.beam,
                 remedy="use law guarded",

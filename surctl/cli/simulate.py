@@ -10,6 +10,7 @@ from surctl.cli.animate_option import animate_option, check_animate
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, simulate_again
 from surctl.cli.controller_options import ControllerOptions, controller_options
+from surctl.cli.law_option import law_option, trust_option
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
@@ -22,12 +23,7 @@ __all__ = ["simulate"]
 @click.argument("scenarios", nargs=-1)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
-@click.option(
-    "--law",
-    default="guarded",
-    metavar="NAME",
-    help="Control law: guarded (default), paper, closed_form, apf, dwa, vo or cbf.",
-)
+@law_option
 @click.option(
     "--avoidance",
     default="corrected",
@@ -49,6 +45,7 @@ __all__ = ["simulate"]
 @click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat or nc.")
 @click.option("--frame", metavar="NAME", help="Frame of --save: enu (default) or ned.")
 @campaign_options
+@trust_option
 @out_folder
 @as_json
 def simulate(
@@ -84,6 +81,7 @@ def simulate(
     threads: int | None,
     fresh: bool,
     replayed: Path | None,
+    trust: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -101,10 +99,10 @@ def simulate(
     run_count = 1 if replayed is not None else runs * len(scenarios)
     check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None)
     if replayed is not None:
-        simulate_again(replayed, explained=explained, out=out, animate=animate, as_json=as_json)
+        simulate_again(replayed, trust=trust, explained=explained, out=out, animate=animate, as_json=as_json)
     campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     _check_fallback(fallback, mode=priority_mode, explained=explained, campaign=campaign.any)
-    from surctl.control import build_law, load_gains
+    from surctl.control import build_law, law_ref, law_source, load_gains
     from surctl.files import prepare_folder
     from surctl.simulation import law_numbers, load_scenario, save_record, stop_reason
     from surctl.simulation import simulate as run_simulation
@@ -113,7 +111,8 @@ def simulate(
     _check_save(save, frame, out=out, campaign=campaign.any)
     if out is not None:
         prepare_folder(out)
-    chosen = load_gains(gains)
+    law = law_ref(law, key="--law")
+    chosen = load_gains(gains, own=law_source(law).gains)
     sensors = SensorOptions(faults, chances, beam, own_state)
     sensors.check(law=law, sensing=sensing)
     if campaign.any:

@@ -32,7 +32,7 @@ def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
 
     cruise, dt, gains = run.scenario.cruise, run.law.dt, run.gains.values
     result["linear"] = None
-    if not has_cascade(run.law.name.removeprefix("surctl_"), run.law.guidance):
+    if not has_cascade(run.law.ref, run.law.guidance):
         return []
     try:
         stable = build_cascade(run.vehicle, gains, cruise=cruise, dt=dt).stable

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from surctl.cli.law_option import trust_option
 from surctl.cli.output import as_json, at_hand, finish, progress, refusal_line, same_command, stoppable
 from surctl.cli.verify import claim_line
 
@@ -25,8 +26,9 @@ __all__ = ["study"]
 @click.option(
     "--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Processes of the sweep (default 2)."
 )
+@trust_option
 @as_json
-def study(file: str | None, out: Path, workers: int, as_json: bool) -> None:
+def study(file: str | None, out: Path, workers: int, trust: bool, as_json: bool) -> None:
     """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
 
     FILE is a study file or a vehicle file; without FILE, the built-in study runs.
@@ -36,7 +38,7 @@ def study(file: str | None, out: Path, workers: int, as_json: bool) -> None:
     from surctl.study import conduct, load_plan
 
     command = " ".join(["surctl study", *([file] if file else []), f"--out {out}"])
-    plan = load_plan(file)
+    plan = load_plan(file, trust=trust)
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
         result = conduct(plan, out, workers=workers, progress=progress, command=command)
     lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.law_option import law_option
 from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 
@@ -55,12 +56,7 @@ _PRINTED = (  # columns of the text output
 @click.option(
     "--gains", default="default", metavar="FILE", help="All other gains: name or file (default set: default)."
 )
-@click.option(
-    "--law",
-    default="guarded",
-    metavar="NAME",
-    help="Control law: guarded (default), paper, closed_form, apf, dwa, vo or cbf.",
-)
+@law_option
 @click.option(
     "--priority-mode",
     default="nsb",
@@ -143,7 +139,7 @@ def sweep(
     surctl sweep k_v=1..3 plant.m11=30..60 --design sobol --points 128;
     surctl sweep k_v=1..3 k_r=1..3 --sensitivity deviation_m
     """
-    from surctl.control import load_gains, write_gains
+    from surctl.control import law_ref, law_source, load_gains, write_gains
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder, write_file
     from surctl.simulation import load_scenario
@@ -168,7 +164,8 @@ def sweep(
         raise InputError(
             f"would print {len(chosen.points)} points", key="--json", remedy="drop this option and read sweep.nc"
         )
-    base = load_gains(gains)
+    law = law_ref(law, key="--law")
+    base = load_gains(gains, own=law_source(law).gains)
     cases = build_cases(
         [load_scenario(name) for name in scenarios],
         [load_vehicle(name) for name in vehicles],

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.law_option import trust_option
 from surctl.cli.output import as_json, at_hand, finish, finite, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 
@@ -108,6 +109,7 @@ __all__ = ["tune"]
 @click.option("--gains", "gains_file", metavar="FILE", help="Gain set of --page: name or file (default: the study's).")
 @click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port of --page (default: a free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
+@trust_option
 @as_json
 def tune(
     file: str | None,
@@ -129,6 +131,7 @@ def tune(
     gains_file: str | None,
     port: int | None,
     no_browser: bool,
+    trust: bool,
     as_json: bool,
 ) -> None:
     """Tune gains to goals, and tune them again with the runs in which they fail.
@@ -155,11 +158,11 @@ def tune(
     from surctl.files import prepare_folder, write_file
     from surctl.study import load_plan
     from surctl.tuning import (
-        TUNED,
         Request,
         build_cases,
         check_goals,
         conditions,
+        default_tuned,
         gain_ranges,
         goals_at,
         load_goals,
@@ -173,7 +176,7 @@ def tune(
     ranges = dict(_gain(text) for text in gain)
     if len(ranges) < len(gain):
         raise click.BadParameter("a gain is named twice", param_hint="--gain")
-    plan = load_plan(file)
+    plan = load_plan(file, trust=trust)
     goals = goals_at(plan.goals if goals_file is None else load_goals(goals_file), cruise or plan.cruise)
     if cruise and not any(goal.linear for goal in goals):
         remedy = "add one, on disk_margin say, or leave the option out"
@@ -194,7 +197,7 @@ def tune(
         goals,
         all_runs,
         plan.gains,
-        gain_ranges(plan.gains, ranges or TUNED),
+        gain_ranges(plan.gains, ranges or default_tuned(plan.gains)),
         seed=seed,
         threads=workers,
     )

@@ -1,7 +1,9 @@
 """The controller: gain files, velocity control, and control laws, each as one object."""
 
+from surctl.control.baselines import Situation
 from surctl.control.build import MODES, build_law
-from surctl.control.gains import GAINS, LIBRARY, Gains, load_gains, write_gains
+from surctl.control.decision import Decision, TaskLevel
+from surctl.control.gains import GAINS, LIBRARY, Gains, GainSpec, load_gains, write_gains
 from surctl.control.law import (
     DEGRADED,
     NONFINITE,
@@ -12,12 +14,16 @@ from surctl.control.law import (
     LawStep,
 )
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
-from surctl.control.registry import LAW_NAMES, LAWS, LawName
+from surctl.control.registry import LAW_NAMES, LAWS, law_ref, law_source
 from surctl.control.routines import in_real
+from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 
 __all__ = [
+    "AVOIDANCE",
+    "BARRIER",
     "BARRIER_NAMES",
+    "CASCADE",
     "CONTACT_SLOTS",
     "DEGRADED",
     "GAINS",
@@ -29,19 +35,26 @@ __all__ = [
     "MOVERS",
     "NONFINITE",
     "PARAMETERS",
+    "PATH_FOLLOWING",
     "SATURATED",
     "SWITCHED",
     "TRAPPED",
     "Barrier",
+    "Decision",
+    "GainSpec",
     "Gains",
     "Law",
-    "LawName",
+    "LawSource",
     "LawStep",
     "Movers",
+    "Situation",
+    "TaskLevel",
     "build_law",
     "in_real",
     "law_inputs",
     "law_parameters",
+    "law_ref",
+    "law_source",
     "load_gains",
     "write_gains",
 ]

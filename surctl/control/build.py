@@ -10,10 +10,9 @@ from typing import cast, get_args
 import casadi as ca
 
 from surctl.control.baselines import Situation
-from surctl.control.closed_form import CLOSED_FORM_PORTS, DAMPING, known_obstacle
 from surctl.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
-from surctl.control.decision import DECISION_PORTS, Decision, Scan
+from surctl.control.decision import Decision, Scan, TaskLevel
 from surctl.control.echoes import perceive, perception_ports
 from surctl.control.law import (
     DEGRADED,
@@ -31,20 +30,22 @@ from surctl.control.perception import PerceptionStage, build_perception
 from surctl.control.ports import (
     CONTACT_SLOTS,
     DEFAULT_ARRAY,
-    PARAMETERS,
     SECTORS,
     law_inputs,
+    parameter_ports,
     scan_inputs,
     sonar_inputs,
 )
 from surctl.control.reference import learnt, path_following
-from surctl.control.registry import LAW_NAMES, LAWS, LawName
+from surctl.control.registry import law_ref, law_source
 from surctl.control.routines import limited, sensing
+from surctl.control.source import LawSource, check_decision
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.stored import law_bytes, law_from
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
 from surctl.ir import Layout, Port, Recording, cached_bytes, fold, source_digest, tabulated, without_libm
+from surctl.own_code import called, is_own, label
 from surctl.priority import Fallback, Mode, check_fallback, nsb_symbolic
 from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
@@ -82,7 +83,8 @@ def build_law(
     """Return a law, assembled in this call or taken from the cache; the gains remain inputs of the law.
 
     Args:
-        law: `guarded`, the paper's law `paper`, `closed_form`, or a textbook law: `apf`, `dwa`, `vo`, `cbf`.
+        law: `guarded`, the paper's law `paper`, `closed_form`, or a textbook law: `apf`, `dwa`, `vo`, `cbf`; or a law
+            of the user's own, FILE.py:FUNCTION (see `law_ref`).
         avoidance: form of equation (20); all laws except `paper` accept only `corrected`.
         mode: priority mode: `nsb` ignores limits; `filter`, `projected` and `lexicographic` respect them.
         dt: control period [s].
@@ -115,8 +117,9 @@ def build_law(
         >>> build_law() is build_law("guarded", dt=0.05)  # built once
         True
     """
+    law = law_ref(law)
+    source, called = law_source(law), label(law)
     names: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-        ("law", law, LAW_NAMES),
         ("avoidance", avoidance, FORMS),
         ("priority-mode", mode, MODES),
         ("barrier", barrier, BARRIER_NAMES),
@@ -125,31 +128,33 @@ def build_law(
     for key, value, known in names:
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(str(value), known))
-        if key in ("barrier", "movers") and law != "guarded" and value != known[0]:
-            raise InputError(f"law {law} has no such option", key=key, value=value, remedy="use law guarded")
+        if key in ("barrier", "movers") and key not in source.options and value != known[0]:
+            raise InputError(f"law {called} has no such option", key=key, value=value, remedy="use law guarded")
     check_guidance(guidance)
     check_fallback(fallback, mode=mode)
-    if law != "paper" and avoidance != "corrected":
+    if "avoidance" not in source.options and avoidance != "corrected":
         raise InputError(
-            f"law {law} accepts only the corrected form",
+            f"law {called} accepts only the corrected form",
             key="avoidance",
             value=avoidance,
             remedy="use law paper to compare the forms",
         )
-    if law == "paper" and sonar and equipment.array != DEFAULT_ARRAY:
-        raise InputError("law paper always has the four sonars of the paper", key="array", remedy="use law guarded")
-    depths = depths and law == "guarded"
-    if law == "closed_form":
-        if sonar or mode != "nsb":
+    if sonar and not source.scans and equipment.array != DEFAULT_ARRAY:
+        raise InputError(f"law {called} always has the four sonars of the paper", key="array", remedy="use law guarded")
+    kind = "sonar" if sonar else "truth"
+    for key, value, supported in (("sensing", kind, source.sensing), ("priority-mode", mode, source.modes or MODES)):
+        if value not in supported:
             raise InputError(
-                "law closed_form uses no sensors and respects no limits",
-                key="sensing" if sonar else "priority-mode",
-                remedy="set --sensing truth and --priority-mode nsb",
+                f"law {called} supports only {' and '.join(supported)}",
+                key=key,
+                value=value,
+                remedy=f"set --{key} {supported[0]}",
             )
-        contacts = 1
+    contacts = contacts if source.slots is None else source.slots
+    depths = depths and "depths" in source.options
     return _cached_law(
         _Configuration(
-            cast("LawName", law),
+            law,
             cast("AvoidanceForm", avoidance),
             cast("Mode", mode),
             dt,
@@ -170,7 +175,7 @@ def build_law(
 class _Configuration:
     """The checked arguments of `build_law`; equal arguments give the same law object."""
 
-    law: LawName
+    law: str
     avoidance: AvoidanceForm
     mode: Mode
     dt: float
@@ -187,7 +192,12 @@ class _Configuration:
 
 @cache
 def _cached_law(chosen: _Configuration) -> Law:
-    """Return the law from the cache on disk, or build it if no process with this source code has stored it."""
+    """Return the law from the cache on disk, or build it if no process with this source code has stored it.
+
+    A law of the user's own is built in every process: a digest of its file does not cover what the file imports.
+    """
+    if is_own(chosen.law):
+        return _built(chosen)
     try:
         sources = source_digest(*_SOURCES)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached law
@@ -204,7 +214,7 @@ def _cached_law(chosen: _Configuration) -> Law:
 
 
 def _built(c: _Configuration) -> Law:
-    if c.law == "paper" or not c.sonar:
+    if not (c.sonar and law_source(c.law).scans):
         decision_inputs = law_inputs(c.contacts, sonar=c.sonar, depths=c.depths)
         return _decide(c, decision_inputs, sonar=c.sonar, moving=c.moving)
     decision_inputs = scan_inputs(c.contacts + SECTORS, sensors=c.equipment.array.size, depths=c.depths)
@@ -226,17 +236,17 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
 
     In a law with perception, the decision assumes that every contact may move.
     """
-    law, avoidance, mode, dt, guidance = chosen.law, chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
+    avoidance, mode, dt, guidance = chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
-    scans = "unknown" in inputs
-    depths, closed_form = "column" in inputs, law == "closed_form"
-    decided = CLOSED_FORM_PORTS if closed_form else DECISION_PORTS
-    state = _state_layout(dt, guidance, gives_up=law == "guarded", sonar=sonar, depths=depths, decided=decided)
+    source = law_source(chosen.law)
+    scans, depths = "unknown" in inputs, "column" in inputs
+    state = _state_layout(source, dt, guidance, sonar=sonar, depths=depths)
     listed = scan_telemetry(inputs.port("sonars").shape[0]) if scans else TELEMETRY
     outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ()), *((DEPTH_PORT,) if depths else ())))
     x, xs = state.symbols("x")
     u, us = inputs.symbols("u")
-    p, ps = PARAMETERS.symbols("p")
+    gains = parameter_ports(source.gains)
+    p, ps = gains.symbols("p")
     with Recording() as recording:
         desired = path_following(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
         if "trapped" in xs:
@@ -245,13 +255,13 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
         if depths:
             layer_depth, aimed = aimed_depth(xs, us["eta"], us["nu"], us["column"], ps)
             parameters = {**ps, "depth": aimed}
-        perceived = known_obstacle(us, ps) if closed_form else perceive(xs, us, ps, dt=dt)
+        perceived = perceive(xs, us, ps, dt=dt) if source.perceive is None else source.perceive(us, ps)
         scan = Scan(us["unknown"], us["sonars"], us["placed"]) if scans else None
-        decision = LAWS[law](
-            Situation(
-                avoidance, desired, perceived, xs, us["eta"], us["nu"], parameters, dt, scan, moving, barrier, movers
-            )
+        situation = Situation(
+            avoidance, desired, perceived, xs, us["eta"], us["nu"], parameters, dt, scan, moving, barrier, movers
         )
+        decision = _decision(source, situation, chosen.law)
+        levels = decision.task_levels()
         clearances = tabulated([[contact.clearance] for contact in perceived.all], 1)
         nearest_clearance = fold("nearest", ca.fmin, ca.SX(100), clearances)
         unknown = {"tau": ca.SX.zeros(4), "nu_reference": ca.SX.zeros(4)}
@@ -269,7 +279,13 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
                 "healthy": sonars[:, 2],
                 "stopped": decision.stopped,
             }
-        carried = {**perceived.state, **decision.state, "progress": desired.progress, "integral": xs["integral"]}
+        carried = {
+            **{port.name: xs[port.name] for port in source.ports},
+            **perceived.state,
+            **decision.state,
+            "progress": desired.progress,
+            "integral": xs["integral"],
+        }
         if "drift" in xs:
             carried["drift"] = learnt(guidance, desired, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
         if "trapped" in xs:
@@ -283,36 +299,36 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
             reported["depth_reference"] = layer_depth
             # while the law follows another depth, the distance to the path is not a tracking error
             reported["avoiding"] = ca.logic_or(reported["avoiding"], ca.fabs(xs["layer"]) > 0)
-        flags = SWITCHED * ca.logic_not(decision.state["side"] == xs["side"]) + DEGRADED * decision.degraded
+        switched = ca.logic_not(carried["side"] == xs["side"]) if "side" in xs else 0
+        flags = SWITCHED * switched + DEGRADED * decision.degraded
         flags += TRAPPED * reported.get("trapped", 0)
         memory = Memory(state.join(carried), outputs.join({**unknown, **reported})[8:], flags)
 
     rows = _rows(decision, ps)
-    levels = tuple((level.name, int(level.J.shape[0]), level.unit) for level in decision.levels)
-    nsb = nsb_symbolic(
-        [(level.J, level.reference) for level in decision.levels], damping=DAMPING if closed_form else 0.0
-    )
-    close = Closing(state, outputs, u, us, p, ps, dt)
+    nsb = nsb_symbolic([(level.J, level.reference) for level in levels], damping=source.damping)
+    close = Closing(state, outputs, u, us, p, ps, dt, source.thrust)
     arguments = {"x": x, "u": u, "p": p}
     closed = recording.block("law", arguments, close.outputs_of(memory, nsb, ca.SX(0)))
-    step_inputs = dict(zip(_STEP_INPUTS, _step_inputs(decision, rows, ps), strict=True))
+    step_inputs = dict(zip(_STEP_INPUTS, _step_inputs(levels, rows, ps), strict=True))
     pre = recording.block("pre", arguments, {**step_inputs, **memory._asdict()})
     post = close.block()
+    shapes = tuple((level.name, int(level.J.shape[0]), level.unit) for level in levels)
     return Law(
-        name=f"surctl_{law}",
+        name=source.name,
+        ref=chosen.law,
         avoidance=avoidance,
         mode=mode,
         dt=dt,
         state=state,
         inputs=inputs,
-        gains=PARAMETERS,
+        gains=gains,
         outputs=outputs,
         # without libm functions such as sin, every compiler and processor gives identical results
         block=without_libm(
-            closed if mode == "nsb" else limited(mode, pre, post, levels=levels, rows=len(rows), fallback=fallback)
+            closed if mode == "nsb" else limited(mode, pre, post, levels=shapes, rows=len(rows), fallback=fallback)
         ),
         stages=Stages(lambda: closed, lambda: pre, lambda: post),
-        levels=levels,
+        levels=shapes,
         rows=tuple(row.name for row in rows),
         guidance=guidance,
         barrier=barrier,
@@ -321,29 +337,36 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
     )
 
 
+def _decision(source: LawSource, situation: Situation, reference: str) -> Decision:
+    """Return what the law decides; a mistake in a law of the user's own is one line that names its file."""
+    if not is_own(reference):
+        return source.decide(situation)
+    decision = called(reference, source.decide, situation)
+    check_decision(decision, source, file=reference.partition("#")[0])
+    return decision
+
+
 def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
     """Return the limit rows l ≤ a·v ≤ u: first those of the velocity box, then those of the barriers."""
     most = ca.vertcat(p["cap"], p["cap"], CLIMB, yaw_limit(p))
     return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
 
 
-def _step_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
+def _step_inputs(levels: list[TaskLevel], rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
     """Return J row by row; references; limit rows (a, lower, upper, whether it may be relaxed); velocity box."""
     flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
     box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
-    J = ca.vertcat(*(level.J for level in decision.levels))
+    J = ca.vertcat(*(level.J for level in levels))
     outputs = [
         ca.vec(J.T),
-        ca.vertcat(*(level.reference for level in decision.levels)),
+        ca.vertcat(*(level.reference for level in levels)),
         ca.vertcat(*flat),
         ca.vertcat(*box),
     ]
     return [ca.densify(output) for output in outputs]
 
 
-def _state_layout(
-    dt: float, guidance: Guidance, *, gives_up: bool, sonar: bool, depths: bool, decided: tuple[Port, ...]
-) -> Layout:
+def _state_layout(source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool) -> Layout:
     unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
     memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
     return Layout(
@@ -351,9 +374,9 @@ def _state_layout(
             Port("progress", (1,), "m", "arc length of the target point on the path"),
             Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
             *memory,
-            *(DEAD_END_PORTS if gives_up else ()),
+            *(DEAD_END_PORTS if source.gives_up else ()),
             *(LAYER_PORTS if depths else ()),
-            *decided,
+            *source.ports,
             *perception_ports(dt, sonar=sonar),
         )
     )

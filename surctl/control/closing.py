@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 
@@ -13,7 +14,13 @@ from surctl.control.velocity import velocity_control
 from surctl.ir import Block, Layout, Recording
 from surctl.priority.solver.fallback import RELAXED
 
-__all__ = ["CLIMB", "Closing", "Memory", "yaw_limit"]
+__all__ = ["CLIMB", "Closing", "Memory", "Thrust", "yaw_limit"]
+
+Thrust: TypeAlias = Callable[[ca.SX, ca.SX, ca.SX, Mapping[str, ca.SX], float], tuple[ca.SX, ca.SX]]
+"""Velocity controller of a law: (velocity reference (4, 1), measured velocity (4, 1), its state (4, 1), parameters by
+name, control period [s]) → (thrust before limits (4, 1) [N, N m], next state (4, 1))."""
+
+_CLIPPED = 1e-9  # [N, N m] smallest difference that counts as a reached thrust limit
 
 CLIMB = 0.1
 """Largest heave velocity command [m/s]."""
@@ -55,6 +62,7 @@ class Closing:
     flat_p: ca.SX
     p: dict[str, ca.SX]
     dt: float
+    thrust: Thrust | None = None
 
     def block(self) -> Block:
         """Return a block: (u, p, carried, reported, flags, nu_reference, stage) → (tau, x_next, status, telemetry)."""
@@ -90,6 +98,11 @@ class Closing:
             ca.fmin(ca.fmax(nu_reference[2], -CLIMB), CLIMB),
             ca.fmin(ca.fmax(nu_reference[3], -turn), turn),
         )
+        if self.thrust is not None:
+            free, following = self.thrust(clamped, self.u["nu"], integral, p, self.dt)
+            limit = p["thrust_limit"]
+            tau = ca.fmin(ca.fmax(free, -limit), limit)
+            return tau, following, ca.mmax(ca.fabs(free - tau) > _CLIPPED), clamped
         tau, integral, saturated = velocity_control(
             clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt
         )

@@ -45,17 +45,29 @@ class Decision:
         velocity: commanded horizontal velocity (2, 1) in {E} [m/s].
         avoiding: 1 while a contact changes the desired velocity.
         degraded: 1 if no course satisfies the bounds of all contacts.
-        state: next state by port name.
+        state: next state by port name; a port that is not named keeps its value.
         stopped: 1 while the robot stops, or nearly stops, because it does not know what is ahead.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.control import Decision
+        >>> from surctl.tasks import depth_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> [level.name for level in Decision([depth_task(eta, -0.5, gain=0.4)]).levels]
+        ['depth']
     """
 
-    levels: Sequence[TaskLevel]
-    rows: Sequence[HalfPlane]
-    velocity: ca.SX
-    avoiding: ca.SX
-    degraded: ca.SX
-    state: dict[str, ca.SX]
+    levels: Sequence[TaskLevel | Task]
+    rows: Sequence[HalfPlane] = ()
+    velocity: ca.SX = field(default_factory=lambda: ca.SX.zeros(2))
+    avoiding: ca.SX = field(default_factory=lambda: ca.SX(0))
+    degraded: ca.SX = field(default_factory=lambda: ca.SX(0))
+    state: Mapping[str, ca.SX] = field(default_factory=dict)
     stopped: ca.SX = field(default_factory=lambda: ca.SX(0))
+
+    def task_levels(self) -> list[TaskLevel]:
+        """Return the levels, each task as its Jacobian and reference."""
+        return [level if isinstance(level, TaskLevel) else TaskLevel.of(level) for level in self.levels]
 
 
 class Scan(NamedTuple):

@@ -22,7 +22,13 @@ LIBRARY = Path(__file__).parent / "library"
 class GainSpec:
     """Unit and meaning of a gain, and its bounds.
 
-    If `zero_allowed` is False, the gain must be greater than 0. A file may omit a gain that has a `default`.
+    If `zero_allowed` is False, the gain must be greater than 0. A file may omit a gain that has a `default`. `range` is
+    the range that sweeps and tuning search unless a gain file states another.
+
+    Example:
+        >>> from surctl.control import GainSpec
+        >>> GainSpec("m", "distance kept from the wall", default=0.5, range=(0.3, 0.8)).default
+        0.5
     """
 
     unit: str
@@ -30,6 +36,16 @@ class GainSpec:
     zero_allowed: bool = False
     below: float = float("inf")
     default: float | None = None
+    range: tuple[float, float] | None = None
+
+    def check_default(self, key: str) -> None:
+        """Raise InputError unless the gain has a default within its bounds, and a range that contains the default."""
+        if self.default is None:
+            raise InputError("has no default", key=key, remedy="give default=…, the value where no gain file says one")
+        for value in (self.default, *(self.range or ())):
+            check_value(key, float(value), None, {key: self})
+        if self.range is not None and not self.range[0] <= self.default <= self.range[1]:
+            raise InputError("is outside its range", key=key, value=self.default, remedy="widen the range")
 
 
 GAINS: Mapping[str, GainSpec] = {
@@ -67,40 +83,59 @@ class _GainFile(Strict):
 
 @dataclass(frozen=True)
 class Gains:
-    """A named, complete set of gains in SI units: the values by name, and the ranges from the gain file."""
+    """A named, complete set of gains in SI units: the values by name, and the ranges from the gain file.
+
+    `own` describes the gains of a law that are not in `GAINS`; `specs` describes all gains of the set.
+    """
 
     name: str
     values: Mapping[str, float]
     provenance: str
     source: str = ""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    own: Mapping[str, GainSpec] = field(default_factory=dict)
+
+    @property
+    def specs(self) -> Mapping[str, GainSpec]:
+        """Return unit, meaning and bounds of every gain of the set."""
+        return {**GAINS, **self.own}
 
     def __getitem__(self, name: str) -> float:
         """Return the value of a gain; an unknown name raises InputError and the message suggests a similar name."""
-        check_name(name, self.source)
+        check_name(name, self.source, self.specs)
         return self.values[name]
+
+    def with_own(self, own: Mapping[str, GainSpec]) -> Gains:
+        """Return this set for a law with the gains `own`; a gain that the set does not have takes its default."""
+        if self.own == own:
+            return self
+        kept = {name: value for name, value in self.values.items() if name in GAINS}
+        values = {name: self.values.get(name, spec.default or 0.0) for name, spec in own.items()}
+        ranges = {name: spec.range for name, spec in own.items() if spec.range is not None}
+        stated = {name: bounds for name, bounds in self.ranges.items() if name in GAINS or name in own}
+        return replace(self, values=kept | values, ranges=ranges | stated, own=own)
 
     def with_values(
         self, values: Mapping[str, float], *, provenance: str | None = None, how: str | None = None
     ) -> Gains:
         """Return a copy with some gains changed and checked; `how` is appended to the name of the gain set."""
         for name, value in values.items():
-            check_name(name, self.source)
-            check_value(name, float(value), self.source)
+            check_name(name, self.source, self.specs)
+            check_value(name, float(value), self.source, self.specs)
         merged = {**self.values, **{k: float(v) for k, v in values.items()}}
         name = self.name if how is None else f"{self.name.removesuffix(f'-{how}')}-{how}"
         return replace(self, name=name, values=merged, provenance=provenance or self.provenance)
 
 
-def check_name(name: str, source: object) -> None:
+def check_name(name: str, source: object, specs: Mapping[str, GainSpec]) -> None:
     """Raise InputError if `name` is not a gain; the message suggests a similar known name."""
-    if name not in GAINS:
-        raise InputError("no such gain", file=source or None, key=f"gains.{name}", remedy=nearest(name, GAINS))
+    if name not in specs:
+        raise InputError("no such gain", file=source or None, key=f"gains.{name}", remedy=nearest(name, specs))
 
 
-def check_value(name: str, value: float, source: object) -> None:
+def check_value(name: str, value: float, source: object, specs: Mapping[str, GainSpec]) -> None:
     """Raise InputError if the value of a gain is not finite, has the wrong sign or exceeds its bound."""
-    spec = GAINS[name]
+    spec = specs[name]
     low_ok = value >= 0 if spec.zero_allowed else value > 0
     if not np.isfinite(value) or not low_ok or value > spec.below:
         least = "at least 0" if spec.zero_allowed else "greater than 0"
@@ -108,14 +143,18 @@ def check_value(name: str, value: float, source: object) -> None:
         raise InputError(
             f"must be {least}{most}",
             file=source or None,
-            key=f"gains.{name}",
+            key=name if "." in name else f"gains.{name}",
             value=value,
             remedy=f"{spec.meaning}, in {spec.unit}",
         )
 
 
-def load_gains(name_or_path: str) -> Gains:
+def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) -> Gains:
     """Load a built-in gain file by name or another gain file by path; a file must contain all gains without default.
+
+    Args:
+        name_or_path: name of a built-in gain file, or path of another.
+        own: further gains that the file may contain, those of a law of the user's own (`LawSource.gains`).
 
     Raises:
         InputError: the file is unreadable, a gain is unknown or missing, a unit is wrong, or a value is out of bounds.
@@ -130,17 +169,18 @@ def load_gains(name_or_path: str) -> Gains:
     model = load_model(path, _GainFile)
     stated_values: dict[str, float] = {}
     ranges: dict[str, tuple[float, float]] = {}
+    specs = {**GAINS, **(own or {})}
     for name, quantity in model.gains.items():
-        check_name(name, path)
+        check_name(name, path, specs)
         try:
-            stated = quantity.within(GAINS[name].unit)
+            stated = quantity.within(specs[name].unit)
         except InputError as error:
             raise error.inside(path, f"gains.{name}.unit") from None
-        check_value(name, stated.value, path)
+        check_value(name, stated.value, path, specs)
         stated_values[name] = stated.value
         if stated.range is not None:
             for bound in stated.range:
-                check_value(name, bound, path)
+                check_value(name, bound, path, specs)
             if not stated.range[0] <= stated.value <= stated.range[1]:
                 raise InputError(
                     "is outside its own range",
@@ -150,7 +190,7 @@ def load_gains(name_or_path: str) -> Gains:
                     remedy=f"the stated range is {stated.range[0]:g} to {stated.range[1]:g}",
                 )
             ranges[name] = stated.range
-    for name, spec in GAINS.items():
+    for name, spec in specs.items():
         if name not in stated_values and spec.default is None:
             raise InputError(
                 "is missing",
@@ -158,8 +198,9 @@ def load_gains(name_or_path: str) -> Gains:
                 key=f"gains.{name}",
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
-    values = {n: stated_values.get(n, spec.default or 0.0) for n, spec in GAINS.items()}
-    return Gains(model.name, values, model.provenance, str(path), ranges)
+    values = {n: stated_values.get(n, spec.default or 0.0) for n, spec in specs.items()}
+    ranges = {n: spec.range for n, spec in specs.items() if spec.range is not None} | ranges
+    return Gains(model.name, values, model.provenance, str(path), ranges, own or {})
 
 
 def write_gains(gains: Gains, *, warning: str = "") -> str:
@@ -183,10 +224,11 @@ def write_gains(gains: Gains, *, warning: str = "") -> str:
         "",
         "[gains]",
     ]
+    specs = gains.specs
     for name, value in gains.values.items():
         low, high = gains.ranges.get(name, (np.inf, -np.inf))  # a range that no longer contains the value is omitted
         stated = f", range = [{low!r}, {high!r}]" if low <= value <= high else ""
         lines.append(
-            f'{name} = {{ value = {float(value)!r}, unit = "{GAINS[name].unit}"{stated} }} # {GAINS[name].meaning}'
+            f'{name} = {{ value = {float(value)!r}, unit = "{specs[name].unit}"{stated} }} # {specs[name].meaning}'
         )
     return "\n".join(lines) + "\n"

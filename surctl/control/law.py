@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control.perception import PerceptionStage
+from surctl.control.ports import PARAMETERS
 from surctl.control.stopping import Barrier, Movers
 from surctl.errors import InputError
 from surctl.guidance import AvoidanceForm, Guidance
@@ -114,6 +115,7 @@ class Law:
 
     Attributes:
         name: name of the law, a C identifier.
+        ref: reference of the law's source, see `law_ref`.
         avoidance: form of equation (20).
         mode: priority mode.
         dt: control period [s].
@@ -130,6 +132,7 @@ class Law:
     """
 
     name: str
+    ref: str
     avoidance: AvoidanceForm
     mode: Mode
     dt: float
@@ -234,7 +237,7 @@ class Law:
         if self.perception is None:
             return u
         anew = [x[self.state.slice("changing")] < -0.5] if "changing" in self.state else []
-        _, outputs = self._sense(x[-self.perception.state.size :], u, p, *anew)
+        _, outputs = self._sense(x[-self.perception.state.size :], u, p[: PARAMETERS.size], *anew)
         return np.asarray(outputs, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:

@@ -8,7 +8,7 @@ from math import degrees, hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control.gains import GAINS, Gains
+from surctl.control.gains import GAINS, Gains, GainSpec
 from surctl.guidance import FAR, MAX_WAYPOINTS, Path
 from surctl.guidance.braking import brakes_of
 from surctl.ir import Layout, Port
@@ -23,6 +23,7 @@ __all__ = [
     "YAW_SHARE",
     "law_inputs",
     "law_parameters",
+    "parameter_ports",
     "scan_inputs",
 ]
 
@@ -188,6 +189,13 @@ PARAMETERS = Layout(
 )
 
 
+def parameter_ports(own: Mapping[str, GainSpec]) -> Layout:
+    """Return the parameters of a law with the gains `own`: `PARAMETERS`, then these gains."""
+    return Layout(
+        (*PARAMETERS, *(Port(name, (1,), spec.unit, spec.meaning, spec.default or 0.0) for name, spec in own.items()))
+    )
+
+
 def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:
     """Return the direction in which a law with sonars turns: +1 left, −1 right.
 
@@ -217,7 +225,7 @@ def law_parameters(
     launch: float = 0.0,
     visit: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Return the flat parameter vector: the gains, the controller's vehicle model and the mission.
+    """Return the flat parameter vector: gains, the controller's vehicle model, the mission, and the law's own gains.
 
     Args:
         gains: complete gain set.
@@ -264,4 +272,4 @@ def law_parameters(
         "launch": launch,
         "visit": visit,
     }
-    return PARAMETERS.pack(values)
+    return parameter_ports(gains.own).pack(values)

@@ -1,22 +1,22 @@
-"""Registry of all control laws by name."""
+"""The sources of all built-in laws by name, and of laws of the user's own by FILE.py:FUNCTION."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, TypeAlias
 
 from surctl.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
-from surctl.control.closed_form import closed_form_law
+from surctl.control.closed_form import CLOSED_FORM_PORTS, DAMPING, closed_form_law, known_obstacle
 from surctl.control.decision import Decision
 from surctl.control.guarded import guarded_law
 from surctl.control.paper import paper_law
+from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
 from surctl.control.stopping import BARRIERS
+from surctl.errors import InputError, nearest
+from surctl.own_code import check_trusted, is_own, made_by, pinned
 
-__all__ = ["LAWS", "LAW_NAMES", "LawBuilder", "LawName"]
-
-LawName = Literal["guarded", "paper", "closed_form", "apf", "dwa", "vo", "cbf"]
-LawBuilder: TypeAlias = Callable[[Situation], Decision]
+__all__ = ["LAWS", "LAW_NAMES", "law_ref", "law_source"]
 
 
 def _guarded(s: Situation) -> Decision:
@@ -33,17 +33,93 @@ def _closed_form(s: Situation) -> Decision:
     return closed_form_law(s.desired, s.perceived, s.x, s.eta, s.p)
 
 
-LAWS: Mapping[LawName, LawBuilder] = MappingProxyType(
+_FOLLOWS = frozenset({PATH_FOLLOWING})
+_LINEAR = _FOLLOWS | {CASCADE}
+
+LAWS: Mapping[str, LawSource] = MappingProxyType(
     {
-        "guarded": _guarded,
-        "paper": _paper,
-        "closed_form": _closed_form,
-        "apf": apf_law,
-        "dwa": dwa_law,
-        "vo": vo_law,
-        "cbf": cbf_law,
+        "guarded": LawSource(
+            "surctl_guarded",
+            _guarded,
+            options=frozenset({"barrier", "movers", "depths"}),
+            gives_up=True,
+            parts=_LINEAR | {BARRIER},
+        ),
+        "paper": LawSource(
+            "surctl_paper", _paper, options=frozenset({"avoidance"}), scans=False, parts=_LINEAR | {AVOIDANCE}
+        ),
+        "closed_form": LawSource(
+            "surctl_closed_form",
+            _closed_form,
+            state=CLOSED_FORM_PORTS,
+            sensing=("truth",),
+            modes=("nsb",),
+            latches=False,
+            slots=1,
+            perceive=known_obstacle,
+            damping=DAMPING,
+            parts=_LINEAR,
+        ),
+        "apf": LawSource("surctl_apf", apf_law, parts=_LINEAR),
+        # dwa chooses among discrete velocities, so it has no linear loop
+        "dwa": LawSource("surctl_dwa", dwa_law, parts=_FOLLOWS),
+        "vo": LawSource("surctl_vo", vo_law, parts=_LINEAR),
+        "cbf": LawSource("surctl_cbf", cbf_law, parts=_LINEAR),
     }
 )
-"""The function that builds the decision of each law, by name."""
+"""The source of each built-in law, by name."""
 
-LAW_NAMES: tuple[LawName, ...] = tuple(LAWS)
+LAW_NAMES: tuple[str, ...] = tuple(LAWS)
+
+_KEY = "law"
+
+
+def law_ref(text: str, *, file: object = None, folder: Path | None = None, trust: bool = True, key: str = _KEY) -> str:
+    """Return the reference of a law, as `Case`, `build_law` and recordings carry it.
+
+    Args:
+        text: name of a built-in law, or FILE.py:FUNCTION for a function that returns a `LawSource`.
+        file: the file that contains the text, if any.
+        folder: folder of a relative FILE.py; None: the working folder.
+        trust: whether the code of FILE.py may run.
+        key: option or key that holds the text, for error messages.
+
+    Raises:
+        InputError: the name is unknown; or FILE.py cannot be read, may not run, or does not return a `LawSource` with a
+            name of its own.
+
+    Example:
+        >>> from surctl.control import law_ref
+        >>> law_ref("guarded")
+        'guarded'
+    """
+    if text in LAWS:
+        return text
+    if not is_own(text):
+        remedy = f"{nearest(text, LAW_NAMES)}; or FILE.py:FUNCTION for a law of your own"
+        raise InputError("is not known", file=file, key=key, value=text, remedy=remedy)
+    check_trusted(text, file=file, key=key, trust=trust)
+    reference = pinned(text, key=key, folder=folder)
+    law_source(reference)
+    return reference
+
+
+def law_source(reference: str) -> LawSource:
+    """Return the source of a law by its reference (see `law_ref`).
+
+    Example:
+        >>> from surctl.control import law_source
+        >>> law_source("closed_form").sensing
+        ('truth',)
+    """
+    if reference in LAWS:
+        return LAWS[reference]
+    if not is_own(reference):
+        raise InputError("is not known", key=_KEY, value=reference, remedy=nearest(reference, LAW_NAMES))
+    source = made_by(reference if "#" in reference else pinned(reference, key=_KEY), LawSource, key=_KEY)
+    if source.name in {law.name for law in LAWS.values()} or source.name in LAWS:
+        path = reference.partition("#")[0]
+        raise InputError(
+            "is the name of a built-in law", file=path, key="name", value=source.name, remedy="choose another name"
+        )
+    return source

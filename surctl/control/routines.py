@@ -56,14 +56,21 @@ def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routin
     parts = [ca.SX.sym(name, size) for name, size in zip(names, (own, 4, perception.state.size - 4), strict=True)]
     together = lower(ca.Function("together", parts, [ca.vertcat(*parts)], names, ["x_next"]))
     anew = ("anew",) if "changing" in state else ()
+    gains = dict(decide.inputs)["p"]
+    shared, first = ("p",), ()
+    if gains > PARAMETERS.size:  # a law with gains of its own, which perception does not know
+        p = ca.SX.sym("p", gains)
+        cut = lower(ca.Function("shared", [p], [p[: PARAMETERS.size]], ["p"], ["shared"]))
+        shared, first = ("shared",), (Call(cut, ("p",), ("shared",)),)
     steps = (
+        *first,
         Call(apart, ("x",), ("decided", "sensed")),
         *(Call(forgetting(state), ("decided",), (name,)) for name in anew),
-        Call(perception.block, ("sensed", "u", "p", *anew), ("sensed_next", "decision_inputs")),
+        Call(perception.block, ("sensed", "u", *shared, *anew), ("sensed_next", "decision_inputs")),
         Call(decide, ("decided", "decision_inputs", "p"), ("tau", "decided_next", "status", "telemetry")),
         Call(together, ("decided_next", "tau", "sensed_next"), ("x_next",)),
     )
-    sizes = (("x", whole.size), ("u", perception.inputs.size), ("p", PARAMETERS.size))
+    sizes = (("x", whole.size), ("u", perception.inputs.size), ("p", gains))
     return Routine("law", sizes, steps, ("tau", "x_next", "status", "telemetry"))
 
 

@@ -19,7 +19,7 @@ from surctl.ir import Block, Call, Layout, Port, Routine, read_block, write_bloc
 
 __all__ = ["law_bytes", "law_from"]
 
-_WORDS = ("name", "avoidance", "mode", "dt", "guidance", "barrier", "movers", "fallback")
+_WORDS = ("name", "ref", "avoidance", "mode", "dt", "guidance", "barrier", "movers", "fallback")
 _STAGES = ("closed", "pre", "post")
 
 

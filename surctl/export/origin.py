@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from surctl.certcheck import PATIENCE, check_document
 from surctl.certcheck.belonging import compare
 from surctl.certcheck.bundle import numbers_sha256, read_manifest, stated_sha256
 from surctl.certcheck.document import Rejected, read
-from surctl.control import Law, LawName, build_law
+from surctl.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_source
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.export.contract import Exportable
 from surctl.guidance import AvoidanceForm
@@ -82,9 +82,8 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
     """
     ground_truth = law
     if "samples" in law.inputs:
-        name = cast("LawName", law.name.removeprefix("surctl_"))
         ground_truth = build_law(
-            name,
+            law.ref,
             avoidance=law.avoidance,
             mode=law.mode,
             dt=law.dt,
@@ -225,11 +224,12 @@ def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]
 
 def _has_part(law: Law, claim: str) -> bool:
     """Return whether the law contains the part that a claim of the library is about."""
+    parts = law_source(law.ref).parts
     if claim in _AVOIDANCE:
-        return law.name == "surctl_paper" and law.avoidance == _AVOIDANCE[claim]
+        return AVOIDANCE in parts and law.avoidance == _AVOIDANCE[claim]
     if claim.startswith("braking-"):
-        return law.name == "surctl_guarded" and law.barrier == "inertia"
-    return law.guidance == "los"
+        return BARRIER in parts and law.barrier == "inertia"
+    return PATH_FOLLOWING in parts and law.guidance == "los"
 
 
 def _stated(claim: Claim) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, Gains, load_gains, write_gains
+from surctl.control import Gains, load_gains, write_gains
 from surctl.errors import InputError
 from surctl.files import write_file
 from surctl.report.locus import plot_locus
@@ -25,7 +25,7 @@ from surctl.report.margin_plots import plot_s_and_t, sensitivities
 from surctl.report.plan_view import plot_run
 from surctl.report.theme import BAD, curve, dress, legend_above, new_figure
 from surctl.simulation import Case, Run, Scenario, simulate
-from surctl.tuning import TUNED, Evaluation, GainRange, Goal, conditions, evaluate, gain_ranges
+from surctl.tuning import Evaluation, GainRange, Goal, conditions, default_tuned, evaluate, gain_ranges
 from surctl.vehicle import Vehicle
 from surctl.verification import (
     LINEAR_METRICS,
@@ -102,7 +102,7 @@ class Bench:
 
     def ranges(self, gains: Gains) -> tuple[GainRange, ...]:
         """Return the gains with a slider and the slider's ends: the gain file's range, or gain / 4 to 4 · gain."""
-        return gain_ranges(gains, {name: gains.ranges.get(name) for name in TUNED})
+        return gain_ranges(gains, {name: gains.ranges.get(name) for name in default_tuned(gains)})
 
     def simulate(self, gains: Gains) -> Run:
         """Simulate the closed loop with seed 0; the law is compiled once, with the gains as its parameters."""
@@ -159,7 +159,7 @@ class Bench:
         poles = sweep_locus(
             self.vehicle, gains.values, gain, values, smooth=_SMOOTH, cruise=self.scenario.cruise, dt=self.dt
         )
-        return plot_locus(poles, unit=GAINS[gain].unit, picked=gains[gain])
+        return plot_locus(poles, unit=gains.specs[gain].unit, picked=gains[gain])
 
     @property
     def locus_gains(self) -> tuple[str, ...]:

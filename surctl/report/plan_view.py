@@ -13,6 +13,7 @@ from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
+from surctl.own_code import label
 from surctl.report.beams import INSTANT, beam_patch, beams_at
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, legend_below, new_axes, printable
 from surctl.simulation import Body, Run, depth_changes
@@ -28,7 +29,7 @@ _STILL = 1e-3  # [m] an obstacle that moves less is drawn once
 
 def describe(run: Run) -> str:
     """Describe a run in one line: scenario, vehicle, law, sensing and seed."""
-    law = run.law.name.removeprefix("surctl_")
+    law = label(run.law.ref)
     return f"{run.scenario.name}: {run.vehicle.name}, law {law} ({run.law.mode}), {run.sensing}, seed {run.seed}"
 
 

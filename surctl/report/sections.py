@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surctl.control import GAINS, Gains
+from surctl.control import Gains
 from surctl.export import Difference, SilReport
 from surctl.export.sil import TOLERANCE
 from surctl.report.data import ExportSummary, ReportData
@@ -71,8 +71,9 @@ def _parameters(vehicle: Vehicle) -> Table:
 
 def gains_section(data: ReportData) -> Section:
     """Return a section with the gains, their units and meanings, and their provenance."""
+    specs = data.gains.specs
     rows = tuple(
-        (Cell(name, code=True), Cell(number(value, digits=6), number=True), GAINS[name].unit, GAINS[name].meaning)
+        (Cell(name, code=True), Cell(number(value, digits=6), number=True), specs[name].unit, specs[name].meaning)
         for name, value in data.gains.values.items()
     )
     table = Table(f"Gains {data.gains.name}", ("gain", "value", "unit", "meaning"), rows)

@@ -13,7 +13,7 @@ app = marimo.App(width="full", app_title="surctl: tune")
 def _():
     import marimo as mo
 
-    from surctl.control import GAINS, load_gains
+    from surctl.control import load_gains
     from surctl.errors import SurctlError
     from surctl.report import page_parts as parts
     from surctl.report.bench import save_gains, slider_steps
@@ -22,7 +22,7 @@ def _():
     from surctl.verification.loops import LOOP_NAMES
 
     bench = current_bench()
-    return GAINS, LOOP_NAMES, SurctlError, bench, load_gains, mo, parts, save_gains, slider_steps, speeds_text
+    return LOOP_NAMES, SurctlError, bench, load_gains, mo, parts, save_gains, slider_steps, speeds_text
 
 
 @app.cell
@@ -34,7 +34,7 @@ def _(bench, mo, parts):
 
 
 @app.cell
-def _(GAINS, bench, get_base, mo, slider_steps):
+def _(bench, get_base, mo, slider_steps):
     base = get_base()
     sliders = mo.ui.dictionary(
         {
@@ -44,7 +44,7 @@ def _(GAINS, bench, get_base, mo, slider_steps):
                 debounce=True,
                 show_value=True,
                 full_width=True,
-                label=f"{r.name} [{GAINS[r.name].unit}]: {GAINS[r.name].meaning}",
+                label=f"{r.name} [{base.specs[r.name].unit}]: {base.specs[r.name].meaning}",
             )
             for r in bench.ranges(base)
         }
@@ -58,7 +58,7 @@ def _(SurctlError, base, load_gains, mo, save_gains, set_base, set_message, slid
 
     def _load(_):
         try:
-            set_base(load_gains(name_box.value))
+            set_base(load_gains(name_box.value, own=base.own))
             set_message(f"loaded {name_box.value}")
         except SurctlError as error:
             set_message(f"error: {error}")

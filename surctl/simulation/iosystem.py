@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Gains, Law, build_law
+from surctl.control import Gains, Law, build_law, law_source
 from surctl.errors import InputError
 from surctl.sensing import NoiseStream
 from surctl.simulation.loop import Loop
@@ -85,7 +85,8 @@ def closed_loop_system(
             value=chosen.name,
             remedy="build the law with sonar=False",
         )
-    world, p = build_world(scenario, vehicle, seed=seed), law_numbers(scenario, gains, model or vehicle)
+    world, gains = build_world(scenario, vehicle, seed=seed), gains.with_own(law_source(chosen.ref).gains)
+    p = law_numbers(scenario, gains, model or vehicle)
     loop = Loop(world, vehicle, chosen, p, "truth", NoiseStream(seed), chosen.step)
     start = np.concatenate([loop.state, chosen.initial_state()])
     plant = PLANT_STATE.size

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law
+from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law, law_source
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.column import beside, column
@@ -86,6 +86,7 @@ def simulate(
             remedy="use 0.05",
         )
     world = build_world(scenario, vehicle, seed=seed)
+    gains = gains.with_own(law_source(law.ref).gains)
     p = law_numbers(scenario, gains, model or vehicle)
     loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step)
     reason, record = loop.run(), loop.record()

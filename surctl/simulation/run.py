@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Gains, Law
+from surctl.own_code import label
 from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.metrics import Metrics
 from surctl.simulation.record import Record
@@ -78,7 +79,7 @@ class Run:
         return {
             "scenario": self.scenario.name,
             "vehicle": self.vehicle.name,
-            "law": self.law.name.removeprefix("surctl_"),
+            "law": label(self.law.ref),
             "avoidance": self.law.avoidance,
             "guidance": self.law.guidance,
             "sensing": self.sensing,

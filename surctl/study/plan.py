@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from surctl.control import Gains, LawName, load_gains
+from surctl.control import Gains, law_ref, law_source, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Guidance
@@ -46,7 +46,7 @@ class _StudyFile(Strict):
     note: str = ""
     vehicle: str
     gains: str = "default"
-    law: LawName = "guarded"
+    law: str = "guarded"
     guidance: Guidance = "los"
     seed: Seed = 0
     runs: tuple[_Run, ...] = Field(min_length=1)
@@ -84,7 +84,7 @@ class Plan:
     source: str
     vehicle: Vehicle
     gains: Gains
-    law: LawName
+    law: str
     guidance: Guidance
     seed: int
     legs: tuple[Leg, ...]
@@ -107,10 +107,11 @@ class Plan:
         )
 
 
-def load_plan(file: str | None = None) -> Plan:
+def load_plan(file: str | None = None, *, trust: bool = False) -> Plan:
     """Load the built-in study, a study file, or the built-in study with the vehicle of a vehicle file.
 
-    A name inside a study file is a built-in name or a path relative to the study file.
+    A name inside a study file is a built-in name or a path relative to the study file. If the file names a law of the
+    user's own, FILE.py:FUNCTION, this file runs only if `trust` is true.
 
     Raises:
         InputError: a file, a key or a value is wrong, or the vehicle fits no scenario of the study.
@@ -144,7 +145,7 @@ def load_plan(file: str | None = None) -> Plan:
             remedy='write kind = "study" or kind = "vehicle"',
         )
     named = table.pop("goals") if isinstance(table.get("goals"), str) else None
-    return _plan(_study(table, path), path, goals=named)
+    return _plan(_study(table, path), path, goals=named, trust=trust)
 
 
 def _study(table: dict[str, Any], path: Path) -> _StudyFile:
@@ -161,7 +162,9 @@ def _own_goals(study: _StudyFile, path: Path, named: str | None) -> tuple[Goal, 
         raise (error if error.file else error.inside(path)) from None
 
 
-def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | None = None) -> Plan:
+def _plan(
+    study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | None = None, trust: bool = False
+) -> Plan:
     def near(name: str) -> str:
         beside = path.parent / name
         return str(beside) if beside.suffix == ".toml" and beside.exists() else name
@@ -171,7 +174,8 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
     for run in study.runs:
         leg_vehicle = vehicle if run.vehicle is None else load_vehicle(near(run.vehicle))
         legs.append(_leg(load_scenario(near(run.scenario)), leg_vehicle, lenient=lenient))
-    gains = load_gains(near(study.gains))
+    law = law_ref(study.law, file=path, folder=path.parent, trust=trust)
+    gains = load_gains(near(study.gains), own=law_source(law).gains)
     try:
         cruise = () if study.cruise_m_per_s is None else cruise_speeds(study.cruise_m_per_s, key=_CRUISE)
         for leg in legs:
@@ -187,7 +191,7 @@ def _plan(study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | 
         str(path),
         vehicle,
         gains,
-        study.law,
+        law,
         study.guidance,
         study.seed,
         tuple(legs),

@@ -15,7 +15,7 @@ from surctl.tuning.refine import Refinement, refine
 from surctl.tuning.rounds import Round
 from surctl.tuning.search import search
 from surctl.tuning.sensitivity import Sensitivity, sensitivity
-from surctl.tuning.space import TUNED, GainRange, gain_ranges
+from surctl.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
 from surctl.tuning.start import lqr_start
 from surctl.tuning.sweep import TABLE, sweep
 from surctl.tuning.table import DELAY_FLOOR, DISK_FLOOR, SweepTable, SweptAxis, load_sweep
@@ -56,6 +56,7 @@ __all__ = [
     "check_goals",
     "conditions",
     "corners",
+    "default_tuned",
     "evaluate",
     "figures",
     "gain_ranges",

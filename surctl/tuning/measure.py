@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.control import GAINS, LAW_NAMES, Barrier, Gains, LawName, Movers, build_law
+from surctl.control import Barrier, Gains, Movers, build_law, law_ref
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm, Guidance, check_guidance
 from surctl.priority import Mode
@@ -125,7 +125,7 @@ class Evaluation:
 
     def seeds_of(self, case: Case) -> tuple[int, ...]:
         """Return the seeds with which a case is simulated at each point."""
-        gentle = all(name in GAINS or name.startswith(("vehicle.", "plant.")) for name in self.names)
+        gentle = all(name in case.gains.values or name.startswith(("vehicle.", "plant.")) for name in self.names)
         depends = case.scenario.seeded or case.sensing != "truth" or not gentle  # other parameters may add waves
         return self.seeds if depends else self.seeds[:1]
 
@@ -204,13 +204,12 @@ def build_cases(
     """
     check_guidance(guidance)
     for key, value, known in (
-        ("law", law, LAW_NAMES),
         ("priority-mode", mode, get_args(Mode)),
         ("sensing", sensing, get_args(Sensing)),
     ):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
-    kind: dict[str, Any] = {"law": law, "mode": mode, "sensing": sensing, "guidance": guidance}
+    kind: dict[str, Any] = {"law": law_ref(law), "mode": mode, "sensing": sensing, "guidance": guidance}
     return tuple(
         Case(scenario, vehicle, gains, **kind)
         for scenario in scenarios
@@ -298,7 +297,7 @@ def law_digest(case: Case) -> str:
 
 
 @cache
-def _law_digest(law: LawName, avoidance: AvoidanceForm, guidance: Guidance, barrier: Barrier, movers: Movers) -> str:
+def _law_digest(law: str, avoidance: AvoidanceForm, guidance: Guidance, barrier: Barrier, movers: Movers) -> str:
     built = build_law(law, avoidance=avoidance, guidance=guidance, barrier=barrier, movers=movers)
     return built.stages.closed.digest()
 

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
+from surctl.own_code import label
 from surctl.simulation import Case, case_parameters
 from surctl.simulation.store import cannot_write
 from surctl.tuning.axes import SEED, Axis, Span
@@ -114,7 +116,7 @@ def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[
     """Return attributes with the origin of the results, without date and time: equal requests must give equal files."""
     gains = evaluation.cases[0].gains
     cases = [
-        {"name": c.name, "law": c.law, "priority_mode": c.mode, "seeds": list(evaluation.seeds_of(c))}
+        {"name": c.name, "law": label(c.law), "priority_mode": c.mode, "seeds": list(evaluation.seeds_of(c))}
         | ({} if c.model is None else {"model": c.model.name})
         for c in evaluation.cases
     ]
@@ -133,6 +135,7 @@ def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[
                 "values": dict(gains.values),
                 "provenance": gains.provenance,
                 "source": gains.source,
+                **({"own": {name: asdict(spec) for name, spec in gains.own.items()}} if gains.own else {}),
             }
         ),
     }

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, Gains
+from surctl.control import Gains
 from surctl.errors import InputError, nearest
 
-__all__ = ["TUNED", "GainRange", "gain_ranges"]
+__all__ = ["TUNED", "GainRange", "default_tuned", "gain_ranges"]
 
 TUNED = ("k1", "lookahead", "k_psi", "k_v", "k_r", "kappa", "reaction", "brake")
 """Gains that are tuned if no gain is named: they shape the motion and do not describe the sensors."""
@@ -23,18 +23,19 @@ _SPREAD = 4.0  # a default range extends from a quarter of the base value to fou
 class GainRange:
     """One tuned gain and its search range low … high, which includes both ends.
 
+    `below` is the largest value that the gain may have.
+
     Raises:
-        InputError: the gain is unknown, or the ends are not 0 < low < high within the bounds of the gain.
+        InputError: the ends are not 0 < low < high ≤ below.
     """
 
     name: str
     low: float
     high: float
+    below: float = float("inf")
 
     def __post_init__(self) -> None:
-        if self.name not in GAINS:
-            raise InputError("no such gain", key="--gain", value=self.name, remedy=nearest(self.name, GAINS))
-        key, top = f"--gain {self.name}", GAINS[self.name].below
+        key, top = f"--gain {self.name}", self.below
         if not (np.isfinite([self.low, self.high]).all() and 0 < self.low < self.high):
             shown = f"{self.low:g}..{self.high:g}"
             raise InputError("is not a range", key=key, value=shown, remedy="write LOW..HIGH with 0 < LOW < HIGH")
@@ -82,10 +83,29 @@ def gain_ranges(
     table = ranges if isinstance(ranges, Mapping) else dict.fromkeys(ranges)
     if not table:
         raise InputError("nothing is tuned", key="--gain", remedy="name at least one gain")
-    return tuple(GainRange(name, *(ends or _derived(name, base[name]))) for name, ends in table.items())
+    for name in table:
+        if name not in base.specs:
+            raise InputError("no such gain", key="--gain", value=name, remedy=nearest(name, base.specs))
+    tops = {name: base.specs[name].below for name in table}
+    return tuple(GainRange(name, *(ends or _default(name, base)), tops[name]) for name, ends in table.items())
 
 
-def _derived(name: str, value: float) -> tuple[float, float]:
+def default_tuned(base: Gains) -> tuple[str, ...]:
+    """Return the gains that are tuned if no gain is named: a law's own gains and the velocity loops', else `TUNED`.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.tuning import default_tuned
+        >>> default_tuned(load_gains("default"))[:3]
+        ('k1', 'lookahead', 'k_psi')
+    """
+    return (*base.own, "k_v", "k_r") if base.own else TUNED
+
+
+def _default(name: str, base: Gains) -> tuple[float, float]:
+    if name in base.own and name in base.ranges:
+        return base.ranges[name]
+    value = base[name]
     if value <= 0:
         raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
-    return value / _SPREAD, min(value * _SPREAD, GAINS[name].below)
+    return value / _SPREAD, min(value * _SPREAD, base.specs[name].below)

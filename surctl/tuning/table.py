@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, Gains
+from surctl.control import Gains, GainSpec
 from surctl.errors import InputError, nearest
 
 if TYPE_CHECKING:
@@ -133,7 +133,9 @@ class SweepTable:
     @property
     def base(self) -> Gains:
         """The base gains: the gains that the cases had before the sweep varied them."""
-        return Gains(**json.loads(self.dataset.attrs["gains"]))
+        stored = json.loads(self.dataset.attrs["gains"])
+        own = {name: GainSpec(**spec) for name, spec in stored.pop("own", {}).items()}
+        return Gains(**stored, own=own)
 
     @property
     def gains(self) -> Gains:
@@ -143,7 +145,7 @@ class SweepTable:
         chosen = self.at(self.picked)
         what = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())
         return self.base.with_values(
-            {name: value for name, value in chosen.items() if name in GAINS},
+            {name: value for name, value in chosen.items() if name in self.base.values},
             provenance=f"{self.base.provenance}; picked by a {self.dataset.attrs['design']} sweep: {what}",
             how="picked",
         )

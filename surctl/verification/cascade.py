@@ -16,6 +16,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.control import CASCADE, law_source
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
@@ -34,7 +35,7 @@ def has_cascade(law: str, guidance: str) -> bool:
     The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with an internal state adds a state
     that the cascade does not contain.
     """
-    return guidance == "los" and law != "dwa"
+    return guidance == "los" and CASCADE in law_source(law).parts
 
 
 @dataclass(frozen=True, eq=False)

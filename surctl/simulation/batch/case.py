@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS, Barrier, Gains, Law, LawName, Movers, build_law
+from surctl.control import Barrier, Gains, Law, Movers, build_law, law_source
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
@@ -31,8 +31,9 @@ class Case:
     Attributes:
         scenario: the mission.
         vehicle: the simulated vehicle.
-        gains: the law's gains.
-        law, avoidance, mode, guidance, barrier, movers: options of the law, as for `build_law`.
+        gains: the law's gains; gains of a law's own that are missing take their defaults.
+        law: reference of the law, see `law_ref`.
+        avoidance, mode, guidance, barrier, movers: further options of the law, as for `build_law`.
         sensing: kind of sensing: `truth` (exact positions) or `sonar`, as for `simulate`.
         model: vehicle model of the controller; None: the simulated vehicle.
     """
@@ -40,7 +41,7 @@ class Case:
     scenario: Scenario
     vehicle: Vehicle
     gains: Gains
-    law: LawName = "guarded"
+    law: str = "guarded"
     mode: Mode = "nsb"
     sensing: Sensing = "truth"
     model: Vehicle | None = None
@@ -48,6 +49,9 @@ class Case:
     guidance: Guidance = "los"
     barrier: Barrier = "simple"
     movers: Movers = "predict"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gains", self.gains.with_own(law_source(self.law).gains))
 
     @property
     def name(self) -> str:
@@ -122,7 +126,7 @@ def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
     """
     listed = [
         CaseParameter(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
-        for name, spec in GAINS.items()
+        for name, spec in case.gains.specs.items()
     ]
     for name, spec in VEHICLE_PARAMETERS.items():
         known = case.vehicle.parameters[name]

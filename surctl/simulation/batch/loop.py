@@ -13,7 +13,7 @@ from functools import cache
 
 import casadi as ca
 
-from surctl.control import PARAMETERS, Law, build_law
+from surctl.control import Law, build_law
 from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, follow
 from surctl.ir import (
     Block,
@@ -80,7 +80,7 @@ def build_loop(structure: Structure) -> Loop:
         movers=structure.treats,
         depths=structure.depths,
     )
-    state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(structure))
+    state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(law, structure))
     builder = _Builder(structure, law, state, parameters)
     sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
     # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
@@ -99,7 +99,7 @@ def build_loop(structure: Structure) -> Loop:
     return Loop(structure, law, state, parameters, Routine("step", size, steps, outputs[2]))
 
 
-def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
+def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     world = (
         Port("plant", (PLANT_PARAMETERS.size,), "SI", "parameters of the simulated vehicle, see PLANT_PARAMETERS"),
         Port("world_hull", (1,), "m", "hull radius of the simulated vehicle"),
@@ -125,7 +125,7 @@ def _parameter_ports(structure: Structure) -> tuple[Port, ...]:
     there = [Port("there", (len(structure.bodies),), "1", "1 if the obstacle is in the water")]
     optional = there if structure.optional else []
     return (
-        *PARAMETERS,
+        *law.gains,
         *world,
         *bodies,
         *optional,
@@ -169,7 +169,7 @@ class _Builder:
         time = step * dt
         bodies = self._bodies(parameters, time)
         eta, nu = state["plant"][:4], state["plant"][4:8]
-        out: dict[str, ca.SX] = {"x": state["law"], "p": w[: PARAMETERS.size]}
+        out: dict[str, ca.SX] = {"x": state["law"], "p": w[: self.law.gains.size]}
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
         if self.sonar:
             own, message_noise, loss = self.listening.draw(state["noise"], out, movers=self._movers(parameters))

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import GAINS
 from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.simulation.batch.case import Case, case_parameters
@@ -144,7 +143,7 @@ class _Filler:
     def _law(self, out: Columns) -> None:
         case, layout = self.case, self.loop.law.gains
         out[:] = law_numbers(case.scenario, case.gains, case.model or case.vehicle)
-        for name in GAINS:
+        for name in case.gains.specs:
             out[:, layout.slice(name).start] = self.number(name)
         for name in ("depth", "cruise", "cap"):
             out[:, layout.slice(name).start] = self.number(f"scenario.{name}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from surctl.control import CONTACT_SLOTS, Barrier, LawName, Movers
+from surctl.control import CONTACT_SLOTS, Barrier, Movers
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
 from surctl.sensing import Equipment
@@ -29,7 +29,7 @@ class Structure:
         barrier, treats: the options `barrier` and `movers` of `build_law`.
     """
 
-    law: LawName
+    law: str
     avoidance: AvoidanceForm
     mode: Mode
     sensing: Sensing

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import pi
 
+from surctl.control import BARRIER, law_source
 from surctl.errors import InputError
 from surctl.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_distance_with_drag
 from surctl.simulation.batch import Case
@@ -52,7 +53,7 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
         > detection,
         "thrust": any(draw.get(n, believed[n]) < LEAST_THRUST * believed[n] * (1 - 1e-12) for n in limits),
         "range": any(p.range is not None and not p.range[0] <= draw[n] <= p.range[1] for n, p in stated.items()),
-        "margin": case.law == "guarded" and not _stops(case, draw),
+        "margin": BARRIER in law_source(case.law).parts and not _stops(case, draw),
         "hull": not _fits(case),
     }
     return tuple(name for name, is_broken in broken.items() if is_broken)

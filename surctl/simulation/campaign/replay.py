@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from surctl import __version__
-from surctl.control import GAINS, Barrier, Gains, LawName, Movers, load_gains
+from surctl.control import Barrier, Gains, Movers, law_ref, law_source, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
 from surctl.guidance import AvoidanceForm, Guidance
@@ -42,7 +42,7 @@ class _RunFile(Strict):
     campaign: str
     version: str
     seed: Annotated[int, Field(ge=0)]
-    law: LawName
+    law: str
     avoidance: AvoidanceForm
     guidance: Guidance = "los"
     priority_mode: Mode
@@ -137,8 +137,8 @@ def replay_of(run: SampledRun, row: Mapping[str, Any], *, campaign: str) -> Repl
     return Replay(run, row["stopped_because"], figures, campaign, tuple(row["broken_assumptions"]))
 
 
-def load_replay(path: Path | str) -> Replay:
-    """Read the file of a run.
+def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
+    """Read the file of a run; `trust` lets it run the Python file of a law of the user's own.
 
     Raises:
         InputError: the file does not exist, or does not describe a run that can be simulated.
@@ -155,11 +155,12 @@ def load_replay(path: Path | str) -> Replay:
         if name not in PARAMETERS:
             raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="remove it")
     vehicle.with_values(file.draw)
+    law = law_ref(file.law, file=path, folder=path.parent, trust=trust)
     case = Case(
         scenario,
         vehicle,
-        _gains(file.gains, path),
-        file.law,
+        _gains(file.gains, law, path),
+        law,
         file.priority_mode,
         file.sensing,
         model,
@@ -172,11 +173,11 @@ def load_replay(path: Path | str) -> Replay:
     return Replay(run, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)
 
 
-def _gains(table: _GainTable, path: Path) -> Gains:
-    missing = [name for name in GAINS if name not in table.values]
+def _gains(table: _GainTable, law: str, path: Path) -> Gains:
+    base = replace(load_gains("default"), name=table.name, source=str(path)).with_own(law_source(law).gains)
+    missing = [name for name in base.specs if name not in table.values]
     if missing:
         raise InputError("is missing", file=path, key=f"gains.values.{missing[0]}", remedy="add it")
-    base = replace(load_gains("default"), name=table.name, source=str(path))
     return base.with_values(table.values, provenance=table.provenance)
 
 

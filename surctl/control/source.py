@@ -1,0 +1,149 @@
+"""The source of a law: everything that distinguishes one law from another, built-in or of the user's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+from surctl.control.baselines import Situation
+from surctl.control.closing import Thrust
+from surctl.control.decision import DECISION_PORTS, Decision, TaskLevel
+from surctl.control.echoes import Perception
+from surctl.control.gains import GainSpec
+from surctl.control.ports import PARAMETERS
+from surctl.errors import InputError, nearest
+from surctl.ir import Port, identifier
+from surctl.priority import Mode
+from surctl.tasks import Task
+
+__all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "check_decision"]
+
+PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoidance (20)", "barrier"
+"""Parts of a law that the library's claims and linear models are about: it follows the path by (8)-(12); its linear
+loop is the cascade of path following and velocity control; it avoids by (20); it has the barrier on closing speeds."""
+
+_VELOCITIES = 4
+_KEPT = frozenset({"progress", "integral", "drift"})
+_LATCHED = frozenset(port.name for port in DECISION_PORTS)
+
+
+@dataclass(frozen=True, eq=False)
+class LawSource:
+    """What a law decides and remembers, its gains, and what it supports; the rest of the control loop is shared.
+
+    Attributes:
+        name: name of the law, a C identifier; prefix of exported files.
+        decide: function from the symbolic `Situation` of a control step to the law's `Decision`.
+        gains: gains of this law in addition to `GAINS`, each with a default.
+        state: state ports of this law; `decide` returns their next values in `Decision.state`.
+        thrust: velocity controller (see `closing.Thrust`); None: drag feedforward, proportional and integral action.
+        sensing: kinds of sensing that the law supports, `truth` (exact positions) and `sonar`.
+        modes: priority modes that the law supports; None: all.
+        options: options of `build_law` that the law has, of `avoidance`, `barrier`, `movers` and `depths`.
+        latches: whether the state contains the ports `side`, `blocker` and `last_velocity` of a latched passing side.
+        scans: whether the law, if it has sonars, scans with the vehicle's array and keeps a map; if not, it has the
+            four sonars of the paper.
+        gives_up: whether the law recognises dead ends.
+        slots: number of slots for known obstacles, if it is fixed.
+        perceive: function (inputs, parameters) → contacts, if the law does not use the shared perception.
+        damping: damping of the closed-form projection (16).
+        parts: parts of the law that the library's claims and linear models are about; none: not judged.
+
+    Raises:
+        InputError: a name is not a C identifier or is taken, or a gain has no default within its bounds.
+
+    Example:
+        >>> from surctl.control import Decision, GainSpec, LawSource
+        >>> from surctl.tasks import Task, depth_task
+        >>> def decide(s):
+        ...     wall = Task(name="wall", eta=s.eta, sigma=s.eta[1], target=s.p["keep"], gain=0.4, unit="m")
+        ...     return Decision([wall, depth_task(s.eta, s.p["depth"], gain=s.p["k2"])])
+        >>> LawSource("wall", decide, gains={"keep": GainSpec("m", "distance from the wall", default=0.5)}).name
+        'wall'
+    """
+
+    name: str
+    decide: Callable[[Situation], Decision]
+    gains: Mapping[str, GainSpec] = field(default_factory=dict)
+    state: tuple[Port, ...] = ()
+    thrust: Thrust | None = None
+    sensing: tuple[str, ...] = ("truth", "sonar")
+    modes: tuple[Mode, ...] | None = None
+    options: frozenset[str] = frozenset()
+    latches: bool = True
+    scans: bool = True
+    gives_up: bool = False
+    slots: int | None = None
+    perceive: Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Perception] | None = None
+    damping: float = 0.0
+    parts: frozenset[str] = frozenset()
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """Return the state ports that `decide` computes: those of the latched passing side, then the law's own."""
+        return (*(DECISION_PORTS if self.latches else ()), *self.state)
+
+    def __post_init__(self) -> None:
+        identifier(self.name)
+        for port in self.state:
+            if not isinstance(port, Port):
+                raise InputError("is not a Port", key=f"{self.name}.state", value=type(port).__name__)
+            taken = _KEPT | _LATCHED if self.latches else _KEPT
+            _check_port(port.name, port.unit, where=f"{self.name}.state", taken=taken)
+        for name, spec in self.gains.items():
+            where = f"{self.name}.gains"
+            if not isinstance(spec, GainSpec):
+                raise InputError("is not a GainSpec", key=f"{where}.{name}", value=type(spec).__name__)
+            _check_port(name, spec.unit, where=where, taken=frozenset(port.name for port in PARAMETERS))
+            spec.check_default(f"{where}.{name}")
+
+
+def _check_port(name: str, unit: str, *, where: str, taken: frozenset[str]) -> None:
+    try:
+        identifier(name)
+    except InputError as error:
+        raise InputError(error.problem, key=where, value=name, remedy=error.remedy) from None
+    if name in taken:
+        raise InputError("is a name that every law has", key=where, value=name, remedy="choose another name")
+    if not unit.strip():
+        raise InputError("has no unit", key=f"{where}.{name}", remedy='give its unit, "1" if it has none')
+
+
+def check_decision(decision: object, source: LawSource, *, file: object) -> None:
+    """Raise InputError with one line unless a law's decision has the shapes, units and names of the law.
+
+    Args:
+        decision: what the function `decide` returned.
+        source: the source of the law.
+        file: the file of the law, for error messages.
+    """
+
+    def fail(problem: str, key: str, remedy: str) -> InputError:
+        return InputError(problem, file=file, key=f"{source.name}.{key}", remedy=remedy)
+
+    if not isinstance(decision, Decision):
+        raise fail(f"returned {type(decision).__name__}, not Decision", "decide", "return Decision([task, …])")
+    if not decision.levels:
+        raise fail("has no task", "levels", "give at least one task or TaskLevel")
+    for level in decision.levels:
+        if not isinstance(level, (Task, TaskLevel)):
+            raise fail(f"contains {type(level).__name__}", "levels", "give surctl.tasks.Task or TaskLevel")
+    for level in decision.task_levels():
+        rows = level.J.shape[0]
+        if level.J.shape[1] != _VELOCITIES or level.reference.shape != (rows, 1) or not 0 < rows <= _VELOCITIES:
+            shapes = f"J {level.J.shape} and reference {level.reference.shape}"
+            raise fail(f"level {level.name} has {shapes}", "levels", "give J (k, 4) and reference (k, 1), k = 1…4")
+    for row in decision.rows:
+        if not hasattr(row, "rows"):
+            raise fail(f"contains {type(row).__name__}", "rows", "give surctl.tasks.HalfPlane or a barrier's rows")
+    for name, shape in (("velocity", (2, 1)), ("avoiding", (1, 1)), ("degraded", (1, 1)), ("stopped", (1, 1))):
+        if ca.SX(getattr(decision, name)).shape != shape:
+            raise fail(f"has shape {ca.SX(getattr(decision, name)).shape}", name, f"give {shape}")
+    known = {port.name: port for port in source.ports}
+    for name, value in decision.state.items():
+        if name not in known:
+            raise fail("is no state port of this law", f"state.{name}", f"{nearest(name, known)}")
+        if ca.SX(value).numel() != known[name].size:
+            raise fail(f"has {ca.SX(value).numel()} numbers", f"state.{name}", f"give {known[name].size}")

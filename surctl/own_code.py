@@ -1,0 +1,202 @@
+"""Functions in a user's Python file, named FILE.py:FUNCTION and pinned to the SHA-256 of the file's text.
+
+A pinned reference is one text, `FILE.py:FUNCTION#SHA256` with the absolute path, so that cases, caches, recordings and
+worker processes carry it like the name of anything built in. The function runs only after the text was compared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sys
+import traceback
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from surctl.errors import InputError, SurctlError, nearest
+
+__all__ = ["called", "check_trusted", "is_own", "label", "made_by", "pinned"]
+
+Made = TypeVar("Made")
+
+_MARK = ".py:"
+
+
+def is_own(reference: str) -> bool:
+    """Return whether a reference names a function in a file, and not something built in.
+
+    Example:
+        >>> from surctl.own_code import is_own
+        >>> is_own("my_law.py:wall"), is_own("guarded")
+        (True, False)
+    """
+    return _MARK in reference
+
+
+def pinned(reference: str, *, key: str, folder: Path | None = None) -> str:
+    """Return the reference with the file's absolute path and the SHA-256 of its text.
+
+    Args:
+        reference: FILE.py:FUNCTION, with or without #SHA256.
+        key: option or key that holds the reference, for error messages.
+        folder: folder of a relative path; None: the working folder.
+
+    Raises:
+        InputError: the file cannot be read, or its text is not the one that #SHA256 states.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.own_code import label, pinned
+        >>> _ = Path("mine.py").write_text("def answer():\\n    return 42\\n")
+        >>> reference = pinned("mine.py:answer", key="--law")
+        >>> label(reference), reference[-8:]
+        ('mine.py:answer', 'b8fbd8d1')
+    """
+    path, function, stated = _parts(reference)
+    whole = (folder or Path()) / path
+    digest = hashlib.sha256(_text(whole, key)).hexdigest()
+    if stated and stated != digest:
+        raise InputError(
+            "has changed since it was named",
+            file=whole,
+            key=key,
+            value=f"{path.name}:{function}",
+            remedy="restore the file, or start again with its present text",
+        )
+    return f"{whole.resolve()}:{function}#{digest}"
+
+
+def label(reference: str) -> str:
+    """Return a reference without folder and SHA-256, for people; anything built in is returned unchanged."""
+    if not is_own(reference):
+        return reference
+    path, function, _ = _parts(reference)
+    return f"{path.name}:{function}"
+
+
+def check_trusted(reference: str, *, file: object, key: str, trust: bool) -> None:
+    """Raise InputError if a file names a function whose code would run without the user's word.
+
+    Example:
+        >>> from surctl.own_code import check_trusted
+        >>> check_trusted("my_law.py:wall", file="a.toml", key="law", trust=False)
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: a.toml: law = 'my_law.py:wall': names Python code; read it, then add --trust to run it
+    """
+    if is_own(reference) and not trust:
+        raise InputError(
+            "names Python code",
+            file=file,
+            key=key,
+            value=label(reference),
+            remedy="read it, then add --trust to run it",
+        )
+
+
+@cache
+def made_by(reference: str, kind: type[Made], *, key: str) -> Made:
+    """Return the object that a function returns when called without arguments; a pinned reference is called once.
+
+    Args:
+        reference: pinned reference, see `pinned`.
+        kind: class of the object.
+        key: option or key that holds the reference, for error messages.
+
+    Raises:
+        InputError: the file has changed, has no such function, fails, or its function returns another type.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.own_code import made_by, pinned
+        >>> _ = Path("mine.py").write_text("def answer():\\n    return 42\\n")
+        >>> made_by(pinned("mine.py:answer", key="--law"), int, key="--law")
+        42
+    """
+    path, function, stated = _parts(reference)
+    text = _text(path, key)
+    if hashlib.sha256(text).hexdigest() != stated:
+        raise InputError("has changed since it was named", file=path, key=key, remedy="start again with its new text")
+    space = _executed(path, stated, key)
+    builder = space.get(function)
+    if not callable(builder):
+        known = [name for name, value in space.items() if callable(value) and not name.startswith("_")]
+        raise InputError("has no such function", file=path, key=key, value=function, remedy=nearest(function, known))
+    made = _guarded(path, function, builder)
+    if not isinstance(made, kind):
+        raise InputError(
+            f"returns {type(made).__name__}, not {kind.__name__}",
+            file=path,
+            key=function,
+            remedy=f"return a surctl {kind.__name__}",
+        )
+    return made
+
+
+@cache
+def _executed(path: Path, digest: str, key: str) -> dict[str, object]:
+    """Run the file as a module of its own, with its folder searched for imports as for a script."""
+    name = f"surctl_own_{path.stem}_{digest[:12]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None, key
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    folder = str(path.parent)
+    sys.path.insert(0, folder)
+    try:
+        _guarded(path, "import", partial(spec.loader.exec_module, module))
+    except BaseException:
+        del sys.modules[name]
+        raise
+    finally:
+        sys.path.remove(folder)
+    return vars(module)
+
+
+def called(reference: str, function: Callable[..., Any], *arguments: object) -> Any:
+    """Call a function of the file that a reference names; an error of its own becomes one line with file and line.
+
+    Example:
+        >>> from surctl.own_code import called
+        >>> called("mine.py:answer", lambda: 1 / 0)
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: mine.py: answer: fails with ZeroDivisionError: division by zero; correct the file
+    """
+    path, name, _ = _parts(reference)
+    return _guarded(path, name, lambda: function(*arguments))
+
+
+def _guarded(path: Path, key: str, call: Callable[[], Any]) -> Any:
+    try:
+        return call()
+    except InputError as error:
+        raise error.inside(path, error.key or key) from None
+    except SurctlError:
+        raise
+    except Exception as error:
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        raise InputError(
+            f"fails with {type(error).__name__}: {error}",
+            file=path if line is None else f"{path}, line {line}",
+            key=key,
+            remedy="correct the file",
+        ) from error
+
+
+def _parts(reference: str) -> tuple[Path, str, str]:
+    path, _, rest = reference.rpartition(_MARK)
+    function, _, digest = rest.partition("#")
+    return Path(f"{path}{_MARK[:-1]}"), function, digest
+
+
+def _text(path: Path, key: str) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"cannot be read ({error.strerror})", file=path, key=key, remedy="give FILE.py:FUNCTION"
+        ) from None
