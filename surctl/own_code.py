@@ -17,11 +17,13 @@ from typing import Any, TypeVar
 
 from surctl.errors import InputError, SurctlError, nearest
 
-__all__ = ["called", "check_trusted", "is_own", "label", "made_by", "pinned"]
+__all__ = ["called", "check_trusted", "is_own", "label", "made_by", "own_file", "pinned"]
 
 Made = TypeVar("Made")
 
 _MARK = ".py:"
+_TRUTH = "truth value of a CasADi"  # of the error if Python's `if` is used on an expression
+_LONGEST = 200  # characters of an error of the user's code in the message
 
 
 def is_own(reference: str) -> bool:
@@ -76,6 +78,17 @@ def label(reference: str) -> str:
     return f"{path.name}:{function}"
 
 
+def own_file(reference: str) -> str:
+    """Return FILE.py:FUNCTION with the absolute path, without SHA-256: for error messages and commands.
+
+    Example:
+        >>> from surctl.own_code import own_file
+        >>> own_file("/home/ann/my_law.py:wall#2cf24dba")
+        '/home/ann/my_law.py:wall'
+    """
+    return reference.partition("#")[0]
+
+
 def check_trusted(reference: str, *, file: object, key: str, trust: bool) -> None:
     """Raise InputError if a file names a function whose code would run without the user's word.
 
@@ -122,7 +135,8 @@ def made_by(reference: str, kind: type[Made], *, key: str) -> Made:
     space = _executed(path, stated, key)
     builder = space.get(function)
     if not callable(builder):
-        known = [name for name, value in space.items() if callable(value) and not name.startswith("_")]
+        here = space["__name__"]
+        known = [name for name, value in space.items() if getattr(value, "__module__", None) == here]
         raise InputError("has no such function", file=path, key=key, value=function, remedy=nearest(function, known))
     made = _guarded(path, function, builder)
     if not isinstance(made, kind):
@@ -179,11 +193,13 @@ def _guarded(path: Path, key: str, call: Callable[[], Any]) -> Any:
     except Exception as error:
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        text = " ".join(str(error).split())
+        text = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
         raise InputError(
-            f"fails with {type(error).__name__}: {error}",
+            f"fails with {type(error).__name__}: {text}",
             file=path if line is None else f"{path}, line {line}",
             key=key,
-            remedy="correct the file",
+            remedy="use casadi.if_else" if _TRUTH in text else "correct the file",
         ) from error
 
 

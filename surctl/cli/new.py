@@ -1,4 +1,4 @@
-"""`surctl new`: write a commented vehicle, scenario, study or task file for the user to edit."""
+"""`surctl new`: write a commented vehicle, scenario, study, task or law file for the user to edit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,13 @@ _NEXT = {
     "scenario": ("surctl lint {}", "surctl simulate {}"),
     "study": ("surctl lint {}", "surctl study {}"),
     "task": ("python {}",),
+    "law": (
+        "python {}",
+        "surctl new scenario open-water",
+        "surctl simulate open-water.toml --law {}:@IDENTIFIER@",
+    ),
 }
+_IN_PYTHON = ("task", "law")
 
 
 @click.command
@@ -30,24 +36,24 @@ _NEXT = {
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write a commented file to start from: a vehicle, a scenario, a study, or a task in Python.
+    """Write a commented file to start from: a vehicle, a scenario, a study, or a task or a control law in Python.
 
     The file works without changes.
 
-    Examples: surctl new vehicle my-robot; surctl new scenario harbour --out sites/harbour.toml
+    Examples: surctl new vehicle my-robot; surctl new scenario harbour --out sites/harbour.toml; surctl new law my-law
     """
     from surctl.errors import InputError
     from surctl.files import quoted
 
     template = next(_TEMPLATES.glob(f"{kind}.*"))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
-    if kind == "task" and not identifier.isidentifier():
-        raise InputError("cannot name a task", key="name", value=name, remedy="begin with a letter")
+    if kind in _IN_PYTHON and not identifier.isidentifier():
+        raise InputError(f"cannot name a {kind}", key="name", value=name, remedy="begin with a letter")
     text = template.read_text(encoding="utf-8").replace("@NAME@", quoted(name)).replace("@IDENTIFIER@", identifier)
-    suffix = ".py" if kind == "task" else ".toml"
+    suffix = ".py" if kind in _IN_PYTHON else ".toml"
     target = write_new(out or path_of(name, suffix), text, force=force)
     shown = shlex.quote(str(target))
-    then = [command.format(shown) for command in _NEXT[kind]]
+    then = [command.format(shown).replace("@IDENTIFIER@", identifier) for command in _NEXT[kind]]
     result = {"kind": kind, "name": name, "file": str(target)}
     finish(result, [f"wrote {target}"], as_json=as_json, passed=True, then=then)
 

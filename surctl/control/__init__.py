@@ -1,7 +1,7 @@
 """The controller: gain files, velocity control, and control laws, each as one object."""
 
 from surctl.control.baselines import Situation
-from surctl.control.build import MODES, build_law
+from surctl.control.build import MODES, build_law, build_law_of
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GAINS, LIBRARY, Gains, GainSpec, load_gains, write_gains
 from surctl.control.law import (
@@ -50,6 +50,7 @@ __all__ = [
     "Situation",
     "TaskLevel",
     "build_law",
+    "build_law_of",
     "in_real",
     "law_inputs",
     "law_parameters",

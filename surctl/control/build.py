@@ -39,18 +39,18 @@ from surctl.control.ports import (
 from surctl.control.reference import learnt, path_following
 from surctl.control.registry import law_ref, law_source
 from surctl.control.routines import limited, sensing
-from surctl.control.source import LawSource, check_decision
+from surctl.control.source import LawSource, decision_of, thrust_of
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.stored import law_bytes, law_from
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
 from surctl.ir import Layout, Port, Recording, cached_bytes, fold, source_digest, tabulated, without_libm
-from surctl.own_code import called, is_own, label
+from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, Mode, check_fallback, nsb_symbolic
 from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
 
-__all__ = ["MODES", "build_law"]
+__all__ = ["MODES", "build_law", "build_law_of"]
 
 DEFAULT_EQUIPMENT = Equipment()
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -197,7 +197,10 @@ def _cached_law(chosen: _Configuration) -> Law:
     A law of the user's own is built in every process: a digest of its file does not cover what the file imports.
     """
     if is_own(chosen.law):
-        return _built(chosen)
+        try:
+            return _built(chosen)
+        except InputError as error:
+            raise (error if error.file else error.inside(own_file(chosen.law))) from None
     try:
         sources = source_digest(*_SOURCES)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached law
@@ -213,14 +216,30 @@ def _cached_law(chosen: _Configuration) -> Law:
     return built[0] if built else law_from(stored)
 
 
+def build_law_of(source: LawSource) -> Law:
+    """Return the law of a source for true positions, in its first priority mode; it is not cached.
+
+    Example:
+        >>> from surctl.control import LAWS, build_law_of
+        >>> build_law_of(LAWS["closed_form"]).name
+        'surctl_closed_form'
+    """
+    mode = (source.modes or MODES)[0]
+    contacts = CONTACT_SLOTS if source.slots is None else source.slots
+    truth = (0.05, contacts, False, DEFAULT_EQUIPMENT, True)
+    chosen = _Configuration(source.name, "corrected", mode, *truth, "los", "simple", "predict", False, "exact")
+    return _decide(source, chosen, law_inputs(contacts, sonar=False))
+
+
 def _built(c: _Configuration) -> Law:
-    if not (c.sonar and law_source(c.law).scans):
+    source = law_source(c.law)
+    if not (c.sonar and source.scans):
         decision_inputs = law_inputs(c.contacts, sonar=c.sonar, depths=c.depths)
-        return _decide(c, decision_inputs, sonar=c.sonar, moving=c.moving)
+        return _decide(source, c, decision_inputs, sonar=c.sonar, moving=c.moving)
     decision_inputs = scan_inputs(c.contacts + SECTORS, sensors=c.equipment.array.size, depths=c.depths)
     inputs = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
     return _with_perception(
-        _decide(c, decision_inputs), build_perception(c.equipment, inputs, decision_inputs, dt=c.dt)
+        _decide(source, c, decision_inputs), build_perception(c.equipment, inputs, decision_inputs, dt=c.dt)
     )
 
 
@@ -231,14 +250,15 @@ def _with_perception(decide: Law, perception: PerceptionStage) -> Law:
     return replace(decide, state=state, inputs=perception.inputs, block=block, perception=perception)
 
 
-def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, moving: bool = True) -> Law:
+def _decide(
+    source: LawSource, chosen: _Configuration, inputs: Layout, *, sonar: bool = False, moving: bool = True
+) -> Law:
     """Return the law without perception; for a law that scans with sonars, this is the part after perception.
 
     In a law with perception, the decision assumes that every contact may move.
     """
     avoidance, mode, dt, guidance = chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
-    source = law_source(chosen.law)
     scans, depths = "unknown" in inputs, "column" in inputs
     state = _state_layout(source, dt, guidance, sonar=sonar, depths=depths)
     listed = scan_telemetry(inputs.port("sonars").shape[0]) if scans else TELEMETRY
@@ -260,7 +280,7 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
         situation = Situation(
             avoidance, desired, perceived, xs, us["eta"], us["nu"], parameters, dt, scan, moving, barrier, movers
         )
-        decision = _decision(source, situation, chosen.law)
+        decision = decision_of(source, situation, chosen.law)
         levels = decision.task_levels()
         clearances = tabulated([[contact.clearance] for contact in perceived.all], 1)
         nearest_clearance = fold("nearest", ca.fmin, ca.SX(100), clearances)
@@ -306,7 +326,7 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
 
     rows = _rows(decision, ps)
     nsb = nsb_symbolic([(level.J, level.reference) for level in levels], damping=source.damping)
-    close = Closing(state, outputs, u, us, p, ps, dt, source.thrust)
+    close = Closing(state, outputs, u, us, p, ps, dt, thrust_of(source, chosen.law))
     arguments = {"x": x, "u": u, "p": p}
     closed = recording.block("law", arguments, close.outputs_of(memory, nsb, ca.SX(0)))
     step_inputs = dict(zip(_STEP_INPUTS, _step_inputs(levels, rows, ps), strict=True))
@@ -335,15 +355,6 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
         movers=movers,
         fallback=fallback,
     )
-
-
-def _decision(source: LawSource, situation: Situation, reference: str) -> Decision:
-    """Return what the law decides; a mistake in a law of the user's own is one line that names its file."""
-    if not is_own(reference):
-        return source.decide(situation)
-    decision = called(reference, source.decide, situation)
-    check_decision(decision, source, file=reference.partition("#")[0])
-    return decision
 
 
 def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 
@@ -15,10 +16,11 @@ from surctl.control.gains import GainSpec
 from surctl.control.ports import PARAMETERS
 from surctl.errors import InputError, nearest
 from surctl.ir import Port, identifier
+from surctl.own_code import called, is_own, own_file
 from surctl.priority import Mode
 from surctl.tasks import Task
 
-__all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "check_decision"]
+__all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "decision_of", "thrust_of"]
 
 PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoidance (20)", "barrier"
 """Parts of a law that the library's claims and linear models are about: it follows the path by (8)-(12); its linear
@@ -111,7 +113,28 @@ def _check_port(name: str, unit: str, *, where: str, taken: frozenset[str]) -> N
         raise InputError("has no unit", key=f"{where}.{name}", remedy='give its unit, "1" if it has none')
 
 
-def check_decision(decision: object, source: LawSource, *, file: object) -> None:
+def decision_of(source: LawSource, situation: Situation, reference: str) -> Decision:
+    """Return what the law decides; a mistake in a law of the user's own is one line that names its file."""
+    if not is_own(reference):
+        return source.decide(situation)
+    decision = called(reference, source.decide, situation)
+    _check_decision(decision, source, file=own_file(reference))
+    return decision
+
+
+def thrust_of(source: LawSource, reference: str) -> Thrust | None:
+    """Return the velocity controller of the law, with checks if it is of the user's own."""
+    if source.thrust is None or not is_own(reference):
+        return source.thrust
+
+    def checked(*arguments: Any) -> tuple[ca.SX, ca.SX]:
+        returned = called(reference, source.thrust, *arguments)
+        return _check_thrust(returned, source, file=own_file(reference))
+
+    return checked
+
+
+def _check_decision(decision: object, source: LawSource, *, file: object) -> None:
     """Raise InputError with one line unless a law's decision has the shapes, units and names of the law.
 
     Args:
@@ -147,3 +170,19 @@ def check_decision(decision: object, source: LawSource, *, file: object) -> None
             raise fail("is no state port of this law", f"state.{name}", f"{nearest(name, known)}")
         if ca.SX(value).numel() != known[name].size:
             raise fail(f"has {ca.SX(value).numel()} numbers", f"state.{name}", f"give {known[name].size}")
+
+
+def _check_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:
+    """Return what a law's function `thrust` returned, if it is thrust (4, 1) and next state (4, 1).
+
+    Raises:
+        InputError: the function returned anything else.
+    """
+    remedy = "return (thrust (4, 1), next state (4, 1))"
+    if not isinstance(returned, tuple) or len(returned) != 2:
+        raise InputError(f"returned {type(returned).__name__}", file=file, key=f"{source.name}.thrust", remedy=remedy)
+    thrust, following = (ca.SX(part) for part in returned)
+    if thrust.shape != (_VELOCITIES, 1) or following.shape != (_VELOCITIES, 1):
+        shapes = f"returned shapes {thrust.shape} and {following.shape}"
+        raise InputError(shapes, file=file, key=f"{source.name}.thrust", remedy=remedy)
+    return thrust, following

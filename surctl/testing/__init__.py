@@ -1,7 +1,8 @@
-"""Conformance checks for custom tasks, limits and QP backends; a failed check reports the error and the point."""
+"""Conformance checks for custom laws, tasks, limits and QP backends; a failed check reports the error and the point."""
 
 from surctl.testing.backends import BACKEND_FAMILIES, BackendReport, check_backend, measure_backend
 from surctl.testing.finding import CheckFailed
+from surctl.testing.laws import LawReport, check_law
 from surctl.testing.limits import LimitReport, check_limit
 from surctl.testing.ranges import Parameter
 from surctl.testing.tasks import TaskReport, check_task
@@ -10,10 +11,12 @@ __all__ = [
     "BACKEND_FAMILIES",
     "BackendReport",
     "CheckFailed",
+    "LawReport",
     "LimitReport",
     "Parameter",
     "TaskReport",
     "check_backend",
+    "check_law",
     "check_limit",
     "check_task",
     "measure_backend",
