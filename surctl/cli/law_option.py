@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-__all__ = ["law_option", "trust_option"]
+__all__ = ["law_option", "law_words", "trust_option"]
 
 law_option = click.option(
     "--law",
@@ -12,6 +12,14 @@ law_option = click.option(
     metavar="NAME",
     help="Law: guarded (default), paper, closed_form, apf, dwa, vo, cbf; or your own, FILE.py:FUNCTION, which is run.",
 )
+
+
+def law_words(reference: str) -> list[str]:
+    """Return the options that select a law in a command to suggest."""
+    from surctl.own_code import own_file
+
+    return ["--law", own_file(reference)]
+
 
 trust_option = click.option(
     "--trust", is_flag=True, help="Run the Python file that FILE names as its law (FILE.py:FUNCTION)."

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.law_option import law_option
+from surctl.cli.law_option import law_option, law_words
 from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 
@@ -196,7 +196,10 @@ def sweep(
     lines += ["", where, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
     about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(gains_path)))
-    then = [f"surctl verify {about}"] if picked is not None else []
+    named = shlex.join(law_words(law))
+    # the claims of `verify` are about parts of the built-in laws
+    then = [f"surctl verify {about}" if law_source(law).parts else f"surctl export {about} {named} --sensing {sensing}"]
+    then = then if picked is not None else []
     data = {
         "axes": {axis.name: axis.values.tolist() for axis in table.axes},
         "units": {axis.name: axis.unit for axis in table.axes} | dict(table.units),
