@@ -139,7 +139,7 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
 
 
 def _proves(kind: str, claim: Mapping[str, Any]) -> str:
-    """Return a sentence that states what an accepted inequality proves; no word of it comes from the file."""
+    """Return a sentence that states what an accepted inequality proves."""
     if kind != "interval":
         return ""
     if not claim["slack"]:

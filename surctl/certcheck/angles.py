@@ -33,7 +33,7 @@ _LINE_OF_ONE = (libmp.fnone, libmp.fone)
 
 
 def _arccot(n: int, bits: int) -> int:
-    """Return arctan(1/n) in units of 2^-bits for n > 1. Each of its fewer than `bits` terms has an error < 2."""
+    """Return arctan(1/n) in units of 2^-bits for n > 1; each of the fewer than `bits` terms has an error < 2 units."""
     power, total, k = (1 << bits) // n, 0, 1
     while power:
         total += -(power // k) if k & 2 else power // k
@@ -54,7 +54,7 @@ def _half_pi(bits: int) -> int:
 
 
 def _ends(value: int) -> Interval:
-    """Return the interval ± _OFF units around a fixed-point number; the number's error is less than _OFF units."""
+    """Return an interval that contains a number known in units with an error of less than _OFF units."""
     low, high = (libmp.from_man_exp(value + off, -_W, BITS, rounding) for off, rounding in ((-_OFF, "f"), (_OFF, "c")))
     return low, high
 
@@ -99,9 +99,9 @@ def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
 
     If x has m bits before the point, x and π/2 are computed in units of 2^-(128 + m). Truncation changes x by less than
     one unit of 2^-(128 + m), and k π/2 with k ≤ 2^m by less than 2^(m+1). So the error of r = x − kπ/2 is less than 3
-    units of 2^-128, plus one unit for the truncation of r; where π/2 − r is used, its error is less than 6 units. The
-    slopes of sine and cosine are at most 1. Together with the error of `_taylor`, the error of the results is less than
-    70 units.
+    units of 2^-128, plus one unit for the truncation of r. Where π/2 − r is used, the error of π/2 − r is less than 6
+    units. The slopes of sine and cosine are at most 1. Together with the error of `_taylor`, the error of the results
+    is less than 70 units.
     """
     if x == libmp.fzero:
         return 0, 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
@@ -121,13 +121,13 @@ def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
 
 
 def _nearly(x: Raw) -> Interval:
-    """Return bounds on sin x and arctan x for |x| ≤ 2^-40; both values lie between x (1 − 2^-80) and x if x ≥ 0."""
+    """Return bounds on sin x and arctan x for |x| ≤ 2^-40: both values lie between x (1 − 2^-80) and x."""
     less, more = libmp.mpf_mul(x, _LESS, BITS, "d"), libmp.mpf_pos(x, BITS, "u")
     return (more, less) if x[0] else (less, more)
 
 
 def _within(a: Interval) -> Interval:
-    """Return the intersection of an interval with [−1, 1], the range of sine and cosine."""
+    # intersection with [−1, 1], the range of sine and cosine
     low = libmp.fnone if libmp.mpf_lt(a[0], libmp.fnone) else a[0]
     return low, libmp.fone if libmp.mpf_gt(a[1], libmp.fone) else a[1]
 
@@ -171,7 +171,7 @@ def _arctan(t: int) -> int:
     at most 1/2, and truncation of root and quotient costs less than 2 units. So after three applications the error of t
     is less than 4 units, and t ≤ tan(π/32) < 0.0985. After 20 terms the terms of the series are below one unit; each
     term has an error of less than 3 units, and the remainder is less than 2. With the error of the argument, the error
-    of the series is less than 66 units; the factor 8 makes it less than 530.
+    of the series is less than 66 units. After multiplication by 8 the error is less than 530 units.
     """
     for _ in range(3):
         t = (t << _W) // (_UNIT + isqrt((_UNIT << _W) + t * t))
@@ -232,7 +232,7 @@ def arccos(x: Interval) -> Interval:
 
 @lru_cache(8192)
 def _arccos_of(x: Raw) -> Interval:
-    """Return the interval of arccos x = atan2(√((1 − x)(1 + x)), x), with the root rounded down and up."""
+    # arccos x = atan2(√((1 − x)(1 + x)), x), with the root rounded down and up
     ends = []
     for rounding in "fc":
         factors = (step(libmp.fone, x, 2 * BITS, rounding) for step in (libmp.mpf_sub, libmp.mpf_add))

@@ -170,7 +170,7 @@ class _Comparison:
         return [self.manifest.values[name] for name in names if name in self.manifest.values]
 
     def _limits(self) -> list[float]:
-        """Return the thrust limits of the law, then of the vehicle [N]; a limit missing in the manifest is left out."""
+        # thrust limits of the law, then of the vehicle [N]; a limit missing in the manifest is left out
         return [*self._gains("thrust_limit")[:2], *self._numbers(*_LIMITS)]
 
     def _unknown(self, what: str) -> None:

@@ -61,7 +61,7 @@ def check(document: Mapping[str, Any]) -> None:
 
 
 def _check_steady(claim: BrakingClaim) -> None:
-    """Check that the period is short enough for the range needed to rise with the speed at the start of a period."""
+    """Check that the control period is so short that the range needed rises with the speed at its start."""
     fastest = claim.fastest + claim.speed_error + claim.current
     steepest = claim.linear[1] + 2 * claim.quadratic[1] * (fastest + claim.sideways)
     if claim.period * steepest > claim.mass[0]:

@@ -170,7 +170,7 @@ def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tup
 
 
 def _check_retreat(claim: BrakingClaim, at: Forces, distance: BrakingDistance) -> None:
-    """Check G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all opening speeds r; the least mass is the worst."""
+    """Check G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all opening speeds r, with the least mass as the worst."""
     most = at.swing / claim.mass[0]
     for k in range(_CELLS):
         slow, quick = most * k / _CELLS, most * (k + 1) / _CELLS

@@ -238,7 +238,7 @@ def _product(a: Jet, b: Jet) -> Jet:
 
 
 def _chain(a: Jet, value: Interval, derivatives: tuple[Interval, Interval]) -> Jet:
-    """Return the jet of a function of a from the function's value and its first and second derivative."""
+    """Return the jet of f(a) from the value and the first and second derivative of f at a."""
     if a.slope is None:
         return Jet(value)
     first, second = derivatives
@@ -327,7 +327,7 @@ def _angle(y: Jet, x: Jet) -> Jet:
 
 
 def _chosen(a: Interval, b: Interval, x: Jet, y: Jet, value: Interval | None) -> Jet:
-    """Return the jet of f = x where a ≤ b, f = y elsewhere; `value` is the range of f if f is continuous, else None."""
+    """Return the jet of f = x where a ≤ b, f = y elsewhere; `value` is the range of f, or None if f may jump."""
     if libmp.mpf_le(a[1], b[0]):
         return x
     if libmp.mpf_gt(a[0], b[1]):

@@ -103,7 +103,7 @@ class ExpressionTable:
         return tree
 
     def _expression(self, rest: list[tuple[str, str]], least: int, depth: int) -> int:
-        """Parse by precedence climbing; a sign before a factor binds weaker than ^ and stronger than * and /."""
+        # precedence climbing; a sign before a factor binds weaker than ^ and stronger than * and /
         if depth > _DEEPEST:
             raise Rejected("an expression is nested too deeply")
         tree = self._factor(rest, depth)

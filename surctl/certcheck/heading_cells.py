@@ -29,14 +29,12 @@ _ROUNDING = 1e-11  # relative rounding error of a 6 × 6 product and its factori
 
 @dataclass(frozen=True)
 class _Form:
-    """Matrices: P; T with T P Tᵀ ≈ I; P⁻¹; S⁻¹ = (ψ, y) part of P⁻¹; regression of ξ on (ψ, y); residual covariance."""
-
-    p: Array
-    change: Array
-    covariance: Array
-    shape: Array
-    regression: Array
-    rest: Array
+    p: Array  # P
+    change: Array  # T with T P Tᵀ ≈ I
+    covariance: Array  # P⁻¹
+    shape: Array  # S, where S⁻¹ is the (ψ, y) part of P⁻¹
+    regression: Array  # of ξ on (ψ, y)
+    rest: Array  # covariance of the residual of the regression
 
 
 def _form(p: Array) -> _Form:
@@ -54,7 +52,7 @@ def _form(p: Array) -> _Form:
 
 
 def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
-    """Return a lower bound on (ψ, y) S (ψ, y)ᵀ, the least V at given (ψ, y), in each cell."""
+    """Return for each cell a lower bound on (ψ, y) S (ψ, y)ᵀ, the least V at a given (ψ, y)."""
     s = form.shape
     at = s[0, 0] * psi**2 + 2 * s[0, 1] * psi * y + s[1, 1] * y**2
     slack = half[0] * np.sqrt(s[0, 0]) + half[1] * np.sqrt(s[1, 1])
@@ -62,7 +60,7 @@ def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
 
 
 def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: Array) -> Array:
-    """Return an upper bound (n,) on |row · ξ|, for row vectors `row`, over V ≤ 1 with (ψ, y) in each cell."""
+    """Return an upper bound (n,) on |row · ξ| for V ≤ 1 with (ψ, y) in each cell."""
     mean = np.einsum("nk,kj->nj", row.mid, form.regression)
     centre = np.abs(mean[:, 0] * psi + mean[:, 1] * y)
     moved = np.abs(mean[:, 0]) * half[0] + np.abs(mean[:, 1]) * half[1]
@@ -72,7 +70,7 @@ def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: 
 
 
 def _pair(share: Array) -> list[Array]:
-    """Return the vertices of the thrust share: [φ, 1], or [1] if no cell reaches the thrust limit."""
+    """Return the vertices of the thrust share φ: [φ, 1], or [1] if no cell reaches the thrust limit."""
     return [np.ones_like(share)] if np.all(share >= 1) else [share, np.ones_like(share)]
 
 
@@ -180,7 +178,6 @@ def _fails(
 
 
 def _product(column: Plane, row: Plane) -> Plane:
-    """Return the outer products column rowᵀ (n, 6, 6)."""
     return column.at(np.s_[:, :, None]) * row.at(np.s_[:, None, :])
 
 
@@ -203,7 +200,7 @@ def _part(form: _Form, loop: Plane) -> tuple[Array, Array, Array, Array]:
 
 
 def _positive(m: Array) -> NDArray[np.bool_]:
-    """Return for each of n matrices (k, k) whether all its Cholesky pivots are positive."""
+    """Return for each of n matrices (k, k) whether all Cholesky pivots are positive."""
     # one array for each matrix entry, so that every step runs over contiguous memory
     n = m.shape[1]
     a = {(i, j): m[:, i, j] for i in range(n) for j in range(i + 1)}

@@ -245,7 +245,7 @@ class Exact:
 
 
 def _spelled(a: Sum) -> str:
-    """Return a text form of a polynomial; equal polynomials have equal texts."""
+    # equal polynomials have equal texts
     text = "+".join(f"{x}" + "".join(f"*{k}^{e}" for k, e in t) for t, x in sorted(a.items()))
     if len(text) > _LONGEST:
         raise Rejected(_TOO_LARGE)

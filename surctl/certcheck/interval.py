@@ -108,7 +108,6 @@ class _Claim:
         return self.expressions.rewritten(roots, change)
 
     def _defined(self, box: Box) -> bool:
-        """Return whether both sides and all constraints, as written in the claim, are defined on a box."""
         try:
             enclose(self.expressions, self.parts, [span(*ends) for ends in box])
         except Undefined:
@@ -116,7 +115,6 @@ class _Claim:
         return True
 
     def check(self) -> None:
-        """Check that the cases cover every choice exactly once, and check each case."""
         branches = self._branches()
         choices = [case["choice"] for case in self.cases]
         if choices != [""]:
@@ -133,7 +131,7 @@ class _Claim:
             _CaseOf(self, case, picked).check()
 
     def _branches(self) -> list[int]:
-        """Return the distinct abs, max, min and select entries, in their order in left, right and constraints."""
+        """Return the distinct abs, max, min and select entries, in the order of left, right and constraints."""
         met, visited, waiting = list[int](), set[int](), list(reversed(self.parts))
         while waiting:
             at = waiting.pop()
@@ -179,7 +177,6 @@ class _CaseOf:
         return chosen, [conditions[at] for at in picked]
 
     def check(self) -> None:
-        """Check the case: signs of multipliers and denominators, identity of the margin, and every leaf of the tree."""
         root = [span(*ends) for ends in self.claim.box]
         for jet in enclose(self.expressions, self.denominators, root):
             if not above(jet.value):
@@ -221,7 +218,6 @@ class _CaseOf:
         return entry.op == "num" and entry.value == 0
 
     def _leaves(self) -> None:
-        """Check every leaf of the tree; the text must end exactly at the last leaf."""
         waiting: list[Box] = [list(self.claim.box)]
         for letter in self.tree:
             if not waiting:
@@ -268,7 +264,7 @@ class _CaseOf:
             return False
 
     def _linear(self, at: int, jet: Jet, box: Box, centre: Sequence[float]) -> Interval:
-        """Return the range of a mean-value form (value at the centre plus slopes times offsets from the centre)."""
+        """Return a range of the expression by the mean-value form: value at the centre plus slopes times offsets."""
         total = enclose(self.expressions, [at], [exact(c) for c in centre])[0].value
         for slope, (low, high), c in zip(jet.slope or [], box, centre, strict=True):
             if slope is not None:
@@ -308,7 +304,7 @@ class _CaseOf:
         return self._small(self._linear(self.numerator, jet, face, centre), wide)
 
     def _tangent(self, box: Box, wide: list[Interval]) -> bool:
-        """Return whether the numerator is concave on the face and one of its tangents is small enough on the face."""
+        """Return whether the numerator is concave on the face and a tangent of the numerator is small enough there."""
         _, face, free = self._face(box, wide)
         point = [_number(x) for x in _listed(self.points.pop())]
         if len(point) != len(face) or any(not low <= x <= high for x, (low, high) in zip(point, face, strict=True)):
@@ -327,7 +323,7 @@ class _CaseOf:
 
 
 def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
-    """Return whether each symmetric matrix in −bend, without zero rows, is positive definite on the free variables."""
+    """Return whether the interval matrix −bend, without zero rows, is positive definite on the free variables."""
     among = [k for k, is_free in enumerate(free) if is_free]
     keep = [k for k in among if not all(bend[k][j] is None or is_zero(bend[k][j]) for j in among)]
     m = [[None if bend[i][j] is None else libmp.mpi_neg(bend[i][j]) for j in keep] for i in keep]
@@ -343,7 +339,6 @@ def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
 
 
 def _range(poly: Sum, exactly: Exact, box: Box) -> Interval:
-    """Return a coarse range of a polynomial in the atoms of an identity."""
     total = rational(Fraction(0))
     for term, number in poly.items():
         product = rational(number)
@@ -383,7 +378,7 @@ def _number(value: object) -> float:
 
 
 def _middle(low: float, high: float) -> float:
-    """Return the mean of both ends, computed as the sum of their halves if the sum of the ends overflows."""
+    # the sum of the ends may overflow
     whole = low + high
     return whole / 2 if math.isfinite(whole) else low / 2 + high / 2
 

@@ -189,8 +189,8 @@ def _thrust_share(
 ) -> Fraction:
     """Return φ, the least share (F − |f|)/d of |δ| ≤ d that thrust limit F and trim force f leave on an axis n.
 
-    n runs over arcs. An arc lies in the triangle of its two ends and the intersection of their tangents. √(nᵀGn) is
-    convex, so that its largest value on the triangle is at a corner.
+    The axis n runs over arcs. Every arc lies in the triangle of its two ends and the intersection of their tangents.
+    The function √(nᵀGn) is convex, so its largest value on the triangle is at a corner.
     """
     share = Fraction(1)
     size = len(covariance)

@@ -139,7 +139,7 @@ def _boat(claim: CruiseClaim, draw: random.Random) -> Vehicle:
 
 
 def _norm(vector: Pair) -> Fraction:
-    """Return |vector| with an error of at most 10^-9; the margin of the bounds covers this error."""
+    # the error is at most 10^-9, which the margin of the bounds covers
     return root_up(_square(vector))
 
 

@@ -104,7 +104,6 @@ def drift_speed(
 
 
 def _parabola(slope: Fraction, bend: Fraction, low: Fraction, high: Fraction) -> Fraction:
-    """Return the largest |slope x + bend x²| on [low, high]."""
     candidates = [low, high]
     if bend and low < (top := -slope / (2 * bend)) < high:
         candidates.append(top)

@@ -275,11 +275,11 @@ def _swing(brakes: Brakes, thrust: float | None) -> float:
 
 
 class _Above(NamedTuple):
-    """Return an upper bound of B' over each step of the speed, and the ends of the steps, starting with 0."""
+    """Upper bound of B' on each step of the speed."""
 
     step: float
-    places: NDArray[np.float64]
-    integrand: NDArray[np.float64]
+    places: NDArray[np.float64]  # ends of the steps, starting with 0
+    integrand: NDArray[np.float64]  # the bound on each step
 
 
 def _above(brakes: Brakes, mass: float, top: float, obstacle: float) -> _Above:

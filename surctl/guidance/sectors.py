@@ -146,23 +146,20 @@ def choose_velocity(
 
 
 class _Best(NamedTuple):
-    """The best candidate so far: course (2, 1), largest violation of a bound [m/s], side, cost, and speed [m/s]."""
-
-    course: ca.SX
-    missed: ca.SX
+    course: ca.SX  # (2, 1)
+    missed: ca.SX  # largest violation of a bound [m/s]
     side: ca.SX
-    least: ca.SX
-    pace: ca.SX
+    least: ca.SX  # cost
+    pace: ca.SX  # speed [m/s]
 
     def or_else(self, course: ca.SX, missed: ca.SX, side: ca.SX, cost: ca.SX, pace: ca.SX) -> _Best:
-        """Return the candidate with the lower cost: either this candidate or the given candidate."""
         other = _Best(course, missed, side, cost, pace)
         return _Best(*(ca.if_else(cost < self.least, b, a) for a, b in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
 class _Search:
-    """The search over all candidates in a fixed order; among candidates with equal cost it chooses the first."""
+    """Search over all candidates in a fixed order; among candidates with equal cost the first is chosen."""
 
     around: Around
     ahead: ca.SX

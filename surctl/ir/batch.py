@@ -80,7 +80,7 @@ class Batch:
 
 
 def _blocks(runs: int, threads: int, lanes: int) -> Iterator[tuple[int, int]]:
-    """Yield groups of consecutive runs as (first run, run after the last); the threads process one group at a time."""
+    """Yield groups of consecutive runs as (first run, run after the last)."""
     size = runs if threads == 1 else max(lanes, min(1024, runs // (16 * threads)))
     for first in range(0, runs, max(1, size)):
         yield first, min(runs, first + size)
@@ -96,7 +96,7 @@ class _Job:
         self.lock, self.stop = threading.Lock(), threading.Event()
 
     def share(self, threads: int) -> None:
-        """Run `work` in `threads` threads; stop all threads when a thread fails or the user interrupts."""
+        # all threads stop when a thread fails or the user interrupts
         with ThreadPoolExecutor(threads) as pool:
             try:
                 for done in [pool.submit(self.work) for _ in range(threads)]:
@@ -105,7 +105,7 @@ class _Job:
                 self.stop.set()
 
     def work(self) -> None:
-        """Process groups of runs until no group is left, with short calls into C."""
+        # between short calls into C, `stop` is tested
         lanes = int(self.library.surctl_lanes())
         # next run, end, whether more may follow, active runs, then for each lane its run and its remaining steps
         book = np.zeros(4 + 2 * lanes, dtype=np.dtype(ctypes.c_long))
@@ -135,7 +135,7 @@ class _Job:
 
 
 def _aligned(size: int) -> Array:
-    """Return an array of zeros whose address is a multiple of the vector length."""
+    # the address must be a multiple of the vector length
     memory = np.zeros(size + _WIDEST)
     skip = (-memory.ctypes.data // memory.itemsize) % _WIDEST
     return memory[skip : skip + size]

@@ -53,11 +53,9 @@ _LONG_LITERAL = 12  # a constant with more characters that is used twice gets a 
 
 @dataclass(frozen=True, slots=True)
 class _Text:
-    """An expression: `rank` is its precedence, `truth` means that it has type int and value 0 or 1."""
-
     text: str
-    rank: int = _ATOM
-    truth: bool = False
+    rank: int = _ATOM  # precedence
+    truth: bool = False  # whether the expression has type int and value 0 or 1
 
 
 def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
@@ -130,7 +128,7 @@ def folded_lines(
 
 
 def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> list[str]:
-    """Return declarations of local variables; successive variables of one type share a declaration."""
+    # successive variables of one type share a declaration
     lines: list[str] = []
     for truth, group in groupby(named, key=itemgetter(0)):
         start = f"{indent}const {'int' if truth else kind} "
@@ -139,7 +137,6 @@ def _declarations(named: Sequence[tuple[bool, str]], kind: str, indent: str) -> 
 
 
 def _statements(each: Sequence[str], indent: str) -> list[str]:
-    """Return the lines of C statements, with as many statements per line as fit."""
     lines: list[str] = []
     for text in each:
         if lines and len(lines[-1]) + 1 + len(text) <= WIDTH:
@@ -169,7 +166,6 @@ class _Folder:
         self.locals: list[tuple[bool, str]] = []  # (whether a truth value, "name = expression")
 
     def fold(self) -> None:
-        """Process the instructions in order."""
         for at, instruction in enumerate(self.instructions):
             text = self._expression(instruction)
             if not self._stays(at, instruction, text):
@@ -193,7 +189,6 @@ class _Folder:
         return self.uses[at] == 1 and len(text.text) <= _LONGEST
 
     def number(self, at: int) -> _Text:
-        """Return the text of a value as a number, converted from a truth value if necessary."""
         text = self.texts[at]
         if not text.truth:
             return text
@@ -252,5 +247,4 @@ class _Folder:
 
 
 def _within(text: _Text, least: int) -> str:
-    """Return the C text of an expression, in parentheses if its rank is below `least`."""
     return text.text if text.rank >= least else f"({text.text})"

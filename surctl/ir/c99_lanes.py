@@ -163,7 +163,7 @@ def _folded_loop(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Re
 
 
 def _vectors(program: Program, lanes: int, feeds: tuple[Feed, ...], real: Real, *, single: bool = False) -> list[str]:
-    """Return the body of the C function with vectors; with `single` only the first vector entry is stored."""
+    # with `single` only the first vector entry is stored
     kind, size = C_TYPE[real], lanes * _WIDTH[real]
     ones = ", ".join([c_literal(1.0, real)] * lanes)
     lines = [
@@ -243,7 +243,7 @@ def _chosen(condition: str, then: str, otherwise: str) -> str:
 
 
 def _lane_by_lane(instruction: Instruction, at: int, masks: set[int], lanes: int, real: Real) -> list[str]:
-    """Return the C lines, one for each vector entry, for an operation that has no vector form in C."""
+    # for an operation that has no vector form in C
     text = expression(instruction, real, operand="w{}[lane]")
     copies = [f"const vec w{a} = {_number(a, masks)};" for a in sorted(set(instruction.args))]
     return [

@@ -71,15 +71,15 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
 
 @dataclass(frozen=True)
 class _Node:
-    """A C function to be written, with its name, the estimated length of its text, and the keys of its callees."""
+    """C function to be written."""
 
     name: str
-    size: int
-    calls: tuple[str, ...]
+    size: int  # estimated length of the text
+    calls: tuple[str, ...]  # keys of the called functions
 
 
 def _nodes(block: Block) -> dict[str, _Node]:
-    """Return all C functions of a program or routine by their key (`key_of`)."""
+    # keys as in `key_of`
     nodes: dict[str, _Node] = {}
     todo = [(block.digest(), block)]
     while todo:
@@ -99,7 +99,7 @@ def _called(block: Block) -> dict[str, Block]:
 
 
 def _size(block: Block) -> int:
-    """Return the estimated number of characters of the function's C text."""
+    # estimated number of characters of the C text
     if isinstance(block, Routine):
         return 300 + 90 * len(block.steps)
     operations = sum(instruction.op not in LEAVES for instruction in block.instructions)
@@ -107,10 +107,8 @@ def _size(block: Block) -> int:
 
 
 def _parted(nodes: Mapping[str, _Node], root: str) -> dict[str, str]:
-    """Return the file of each function outside the root's file; the largest function that can be separated moves first.
-
-    A function with the root's name does the main work of the root, and stays in the root's file.
-    """
+    """Return the file of each function outside the root's file; the largest separable function moves first."""
+    # a function with the root's name does the main work of the root, and stays in the root's file
     files: dict[str, str] = {}
     rest = set(nodes)
     while sum(nodes[key].size for key in rest) > _MOST:

@@ -158,7 +158,6 @@ class Writer:
                 self._block(inner, last=inner is block)
 
     def _block(self, block: Block, *, last: bool) -> None:
-        """Write the C function of a program or routine, unless it is already written."""
         key = block.digest()
         if key in self.named:
             return
@@ -190,7 +189,6 @@ class Writer:
         return emit_c99(program, symbol=name, real=self.real, moves=handed_on(program, strided=True) if apart else ())
 
     def _lanes(self, loop: Loop) -> None:
-        """Write the body of a loop over SIMD lanes."""
         key = key_of(loop)
         if key in self.named or not isinstance(loop.block, Program):
             return
@@ -295,7 +293,7 @@ def _moved(step: Step, places: Places) -> list[str]:
 
 
 def _copy(to: str, source: str, size: int) -> str:
-    """Return C text that copies `size` numbers; `to` and `source` name an array, or the start of an entry in it."""
+    # `to` and `source` name an array, or the start of an entry in an array
     to, source = (text if "[" in text else f"{text}[" for text in (to, source))
     if size <= _FEW:
         return "    " + " ".join(f"{to}{k}] = {source}{k}];" for k in range(size))
@@ -305,8 +303,8 @@ def _copy(to: str, source: str, size: int) -> str:
 def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) -> dict[str, str]:
     """Return, by result name, the inputs that a loop of at most one iteration leaves unchanged if it does not run.
 
-    No copy is needed for these inputs. The result must be a separate local array, because arrays that share its memory
-    would move too.
+    No copy is needed for these inputs. The result must be a separate local array, because arrays that share memory with
+    the result would move too.
     """
     if not isinstance(step, Loop) or step.count > 1 or step.until is None:
         return {}
@@ -358,7 +356,7 @@ def _gather(step: Gather, count: int, local: Mapping[str, str], writer: Writer) 
 def _loop(
     loop: Loop, sizes: Mapping[str, int], local: dict[str, str], writer: Writer, stays: Mapping[str, str]
 ) -> list[str]:
-    """Return the C lines of a loop; results in `stays` are then read through a pointer, which is entered in `local`."""
+    # results in `stays` are later read through a pointer, which replaces their entry in `local`
     state = len(loop.carried)
     function = writer.named[key_of(loop)]
     results = [local[name] for name in loop.results]

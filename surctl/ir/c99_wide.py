@@ -111,11 +111,9 @@ class _Writer:
                 self.overlapping |= {_key(block, ()) for block in blocks}
 
     def name(self, block: Block, strides: tuple[int, ...] = ()) -> str:
-        """Return the name of the C function of a program or routine that was written before."""
         return self.named[_key(block, strides)]
 
     def program(self, program: Program, strides: tuple[int, ...], *, last: bool = False) -> None:
-        """Write the C function of a program, unless a function with the same text exists."""
         name = self._new(program, strides, last)
         if name:
             key = _key(program, strides)
@@ -123,7 +121,6 @@ class _Writer:
             self.chunks.append(text)
 
     def routine(self, routine: Routine, *, last: bool) -> None:
-        """Write the C function of a routine, unless a function with the same text exists."""
         name = self._new(routine, (), last)
         if name:
             text, own = _Text(routine, self).function(name)
@@ -145,7 +142,8 @@ def _key(block: Block, strides: tuple[int, ...]) -> str:
 
 
 def _overlaps(step: Step, local: Mapping[str, str]) -> bool:
-    """Return whether an output may be an input: outer inputs may alias outer outputs; loops update arrays in place."""
+    """Return whether an output array of the step may also be an input array of the step."""
+    # outer inputs may alias outer outputs; loops update arrays in place
     if not isinstance(step, Call):
         return isinstance(step, Loop)
     inputs, outputs = {local[name] for name in step.args}, {local[name] for name in step.results}
@@ -289,7 +287,7 @@ class _Text:
 
 
 def _direct(routine: Routine) -> Mapping[str, int]:
-    """Return the results that the last step may write to the outputs; a program reads all inputs before it writes."""
+    # a program reads all inputs before it writes, so a last step that is a program may write to the outputs
     last = routine.steps[-1] if routine.steps else None
     inputs = {name for name, _ in routine.inputs}
     if not isinstance(last, Call) or not isinstance(last.block, Program) or inputs & set(routine.results):

@@ -80,7 +80,7 @@ def _text(
     before: Sequence[str],
     after: Sequence[str],
 ) -> str:
-    """Return the C function; the lines `before` and `after`, around the other lines, copy the pieces in `moves`."""
+    # the lines `before` and `after` copy the pieces in `moves`
     instructions, stored = remaining(program, moves)
     read = {i.args[0] for i in instructions if i.op == "input"} | {m.input for m in moves}
     lines = [

@@ -116,7 +116,7 @@ def _key(source: str, flags: Sequence[str]) -> str:
 
 
 def _processor() -> str:
-    """Return the properties of the processor on which the compiler flag -march=native depends."""
+    # the compiler flag -march=native depends on these properties
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -125,7 +125,6 @@ def _processor() -> str:
 
 
 def _read(path: Path) -> bytes | None:
-    """Return the cache entry if it can be trusted, otherwise None."""
     try:
         if not (_is_ours(path.parent) and _is_ours(path)):
             return None
@@ -137,7 +136,6 @@ def _read(path: Path) -> bytes | None:
 
 
 def _is_ours(path: Path) -> bool:
-    """Return whether the path belongs to this user, is not a link, and is writable by nobody else."""
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return False
@@ -145,7 +143,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def _write(path: Path, body: bytes) -> str:
-    """Store the cache entry; return "", or the reason if the folder is not writable or belongs to another user."""
+    """Store the cache entry, and return "" or the reason why it cannot be stored."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_ours(path.parent):

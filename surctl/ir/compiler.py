@@ -195,7 +195,7 @@ def compiler_version(compiler: str | None = None) -> str:
 
 @cache
 def _known_version(command: tuple[str, ...], _file: str, _state: tuple[int, ...]) -> str:
-    """Return the compiler version, requested once per process for each command and state of the compiler's file."""
+    # requested once per process for each command and state of the compiler's file
     return _reported_version(command)
 
 

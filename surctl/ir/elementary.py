@@ -117,25 +117,24 @@ def _program(program: Program, *, series: _Series) -> Program:
 
 
 class _Formulas(Numbering):
-    """The instruction list under construction; floats mean constants, ints mean list positions of computed values."""
+    """Instruction list under construction; a float operand is a constant, an int operand a list position."""
 
     def __init__(self, series: _Series) -> None:
         super().__init__()
         self.series = series
 
     def do(self, op: str, *args: int | float) -> int:
-        """Return the list position of one operation; a float operand is a constant."""
         return self.add(op, tuple(self.constant(a) if isinstance(a, float) else a for a in args))
 
     def polynomial(self, z: int, coefficients: tuple[float, ...]) -> int:
-        """Return the list position of a polynomial in z by Horner's rule; the constant coefficient comes first."""
+        # Horner's rule; the constant coefficient comes first
         value: int | float = coefficients[-1]
         for coefficient in coefficients[-2::-1]:
             value = self.do("add", self.do("mul", value, z), coefficient)
         return int(value)
 
     def reduced(self, x: int) -> tuple[int, int]:
-        """Return list positions of (k, r) with x = k π/2 + r and |r| ≤ π/4 up to rounding."""
+        # x = k π/2 + r and |r| ≤ π/4 up to rounding
         inside = self.do("le", self.do("fabs", x), _LARGEST)
         x = self.do("select", inside, x, math.inf)
         k = self.do("floor", self.do("add", self.do("mul", x, _TWO_BY_PI), 0.5))
@@ -147,7 +146,7 @@ class _Formulas(Numbering):
         return k, r
 
     def wave(self, x: int) -> tuple[int, int, int]:
-        """Return list positions of (quadrant 0 to 3, ± sin x, ± cos x); only the signs may be wrong."""
+        """Return list positions of the quadrant (0 to 3), and of sin x and cos x up to their signs."""
         k, r = self.reduced(x)
         z = self.do("sq", r)
         sine = self.do("mul", r, self.do("add", self.do("mul", z, self.polynomial(z, self.series.sin)), 1.0))
@@ -170,7 +169,7 @@ class _Formulas(Numbering):
         return self.do("select", middle, self.do("neg", size), size)
 
     def first_quadrant(self, y: int, x: int) -> int:
-        """Return the list position of atan2 of two non-negative numbers."""
+        """Return the list position of atan2(y, x) for non-negative y and x."""
         # not fmin and fmax, because they may drop a NaN
         steep = self.do("lt", x, y)
         small, large = self.do("select", steep, x, y), self.do("select", steep, y, x)

@@ -60,11 +60,9 @@ class _Folding(Numbering):
     """An instruction list under construction in which no operation has only constant operands."""
 
     def value(self, at: int) -> float | None:
-        """Return the constant at this list position, or None for a computed value."""
         return self.instructions[at].value
 
     def folded(self, op: str, args: tuple[int, ...]) -> int:
-        """Return the list position of the result of an operation, after folding and simplification."""
         known = [self.value(a) for a in args]
         if all(v is not None for v in known):
             with np.errstate(all="ignore"):
@@ -74,15 +72,12 @@ class _Folding(Numbering):
         return self.add(op, args) if simplified is None else simplified
 
     def is_truth(self, at: int) -> bool:
-        """Return whether the value is always 0 or 1."""
         return self.instructions[at].op in _TRUTHS
 
     def op(self, at: int) -> str:
-        """Return the name of the operation at this list position."""
         return self.instructions[at].op
 
     def args(self, at: int) -> tuple[int, ...]:
-        """Return the operands of the operation at this list position."""
         return self.instructions[at].args
 
     def is_true(self, at: int) -> int:
@@ -117,7 +112,7 @@ def _difference(text: _Folding, args: tuple[int, ...]) -> int | None:
 
 
 def _one_condition(text: _Folding, op: str, args: tuple[int, ...]) -> int | None:
-    """Return the sum or difference of two numbers that are 0 unless a common condition holds, as one `select`."""
+    """Return the sum or difference of two `if_else_zero` with one condition as one `if_else_zero`, else None."""
     if all(text.op(a) == "if_else_zero" for a in args) and text.args(args[0])[0] == text.args(args[1])[0]:
         inner = text.folded(op, tuple(text.args(a)[1] for a in args))
         return text.folded("if_else_zero", (text.args(args[0])[0], inner))

@@ -114,7 +114,6 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
 
 
 def _callees(text: str) -> dict[str, set[str]]:
-    """Return, for each function of a C text, the functions of this text that it calls."""
     functions = _FUNCTION.findall(text)
     names = {name for name, _ in functions}
     return {name: set(_CALL.findall(body)) & names for name, body in functions}

@@ -124,14 +124,14 @@ def _dense_size(function: ca.Function, k: int) -> int:
 def _dense_refs(
     function: ca.Function, k: int, stored: Mapping[tuple[int, int], int], builder: _Builder
 ) -> tuple[int, ...]:
-    """Return the list position of each entry of output k, column by column; a structural zero is the constant 0."""
+    # column by column; a structural zero is the constant 0
     sparsity = function.sparsity_out(k)
     at = {entry: nz for nz, entry in enumerate(sparsity.find())}
     return tuple(stored[k, at[entry]] if entry in at else builder.constant(0.0) for entry in range(sparsity.numel()))
 
 
 def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int]:
-    """Pass every instruction to the builder; return the position stored for each (output, nonzero)."""
+    """Pass every instruction to the builder; return the list position of each (output, nonzero)."""
     slot: dict[int, int] = {}  # CasADi reuses work slots: each write gives a slot a new value
     stored: dict[tuple[int, int], int] = {}
     identity, operands, results = function.instruction_id, function.instruction_input, function.instruction_output
@@ -156,14 +156,11 @@ def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int
 
 
 class _Builder(Numbering):
-    """Builder of an instruction list with value numbering and peephole simplifications."""
-
     def __init__(self, name: str) -> None:
         super().__init__()
         self.name = name
 
     def constant(self, value: float) -> int:
-        """Return the list position of a constant, which must not be a NaN."""
         if math.isnan(value):
             raise UnsupportedOperation(
                 "contains a NaN constant", key=self.name, remedy="find the expression that is undefined"
@@ -171,7 +168,6 @@ class _Builder(Numbering):
         return super().constant(value)
 
     def add(self, op: str, args: tuple[int, ...]) -> int:
-        """Return the list position of an operation on earlier values, after the peephole simplifications."""
         chosen = self._as_select(*args) if op == "add" else None
         return super().add(op, args) if chosen is None else super().add("select", chosen)
 

@@ -66,7 +66,7 @@ def _of(program: Program, output: int, least: int = _LEAST) -> Iterator[Move]:
 
 
 def _strided(program: Program, output: int) -> Iterator[Move]:
-    """Yield the copied pieces of an output, each as long as possible, with step 1 in the input or in the output."""
+    """Yield the pieces that an output copies from inputs, as long as possible, with step 1 in input or output."""
     loads = {
         at: i.args
         for at, ref in enumerate(program.output_refs[output])

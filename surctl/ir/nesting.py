@@ -34,10 +34,10 @@ def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key]
 
 @dataclass(frozen=True)
 class _Arguments:
-    """The arrays that a loop reads: its initial state, its tables (one row for each iteration), and fixed arrays."""
+    """Arrays that a loop reads."""
 
     state: tuple[Key, ...]
-    tables: tuple[Key, ...]
+    tables: tuple[Key, ...]  # one row for each iteration
     fixed: tuple[Key, ...]
 
     @property
@@ -65,11 +65,10 @@ class _Emitter:
         return _Body(self, self.name, inputs, self.outputs).block()
 
     def entries(self, j: int) -> Key:
-        """Return the values of the entries of an input of the list; −1 for an entry that is not used."""
+        # −1 for an entry that is not used
         return tuple(self.atoms.get((j, e), -1) for e in range(self.regions.program.inputs[j][1]))
 
     def stacked(self, k: int) -> list[int]:
-        """Return the indices of those stacked arrays of loop k that are used."""
         loop = self.regions.loops[k]
         results = loop.results[len(loop.state) :]
         return [at for at, j in enumerate(results) if any(v >= 0 for v in self.entries(j))]
@@ -138,7 +137,6 @@ class _Body:
         self._schedule()
 
     def block(self) -> Block:
-        """Return the region (the body of a loop) as a program or a routine."""
         if not any(node < 0 for node in self.order):
             return self._program(self.name, 0, self.outputs)
         steps: list[Step] = []

@@ -67,7 +67,7 @@ def _fma(a: Value, b: Value, c: Value) -> Any:
 
 
 def _fma_double(*operands: Any) -> float:
-    """Return a b + c with one rounding, computed with rational numbers; it is slow, but correct for every double."""
+    # rational numbers: slow, but the only rounding is the last step, for every double
     a, b, c = map(float, operands)
     if not (math.isfinite(a) and math.isfinite(b)) or (c == 0.0 and 0.0 in (a, b)):
         return a * b + c

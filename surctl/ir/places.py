@@ -158,7 +158,7 @@ class Places:
 
     @cached_property
     def _views(self) -> dict[str, tuple[str, int]]:
-        """Return name of a piece → (array that contains the piece, index of its first entry there)."""
+        """Return, for each piece of an array, the array that contains the piece and the index of its first entry."""
         views: dict[str, tuple[str, int]] = {}
         for step in self.routine.steps:
             for move in inlined(step):
@@ -170,7 +170,7 @@ class Places:
 
     @cached_property
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Return part written directly into a joined array → (the joined array, index of the first entry there)."""
+        """Return, for each part written directly into a joined array, this array and the index of the first entry."""
         parts: dict[str, tuple[str, int]] = {}
         excluded = {*(name for name, _ in self.routine.inputs), *self.routine.results, *self._views}
         for step in self.routine.steps:
@@ -188,12 +188,12 @@ class Places:
 
     @cached_property
     def _final(self) -> dict[str, str]:
-        """Return first name of an array that loops update in place → its last name."""
+        """Return, for the first name of an array that loops update in place, the last name of the array."""
         return {first: name for name, first in self._in_place.items()}
 
     @cached_property
     def _direct(self) -> dict[str, int]:
-        """Return result of the routine → index of the output to which the result is written directly."""
+        """Return, for each result written directly to an output of the routine, the index of the output."""
         results = self.routine.results
         inputs = {name for name, _ in self.routine.inputs}
         direct = {name: results.index(name) for name in results if name not in inputs}
@@ -203,7 +203,7 @@ class Places:
         return direct
 
     def _harmless(self, result: str, source: str) -> bool:
-        """Return whether a result may overwrite an input, as no step reads the input after the loop that carries it."""
+        """Return whether a result may overwrite an input: no step reads the input after the loop that carries it."""
         first = min(at for at, step in enumerate(self.routine.steps) if self._inside(result, step))
         steps = self.routine.steps[first:]
         later = [*(self.root(name) for step in steps for name in reads(step)), *self.routine.results]
@@ -222,7 +222,6 @@ class Places:
         )
 
     def _inside(self, result: str, step: Step) -> bool:
-        """Return whether the step writes to the memory of the given result."""
         for name in writes(step):
             while name != result:
                 final = self._final.get(self._in_place.get(name, name), name)

@@ -189,7 +189,7 @@ class Regions:
         return self.of(node) if node >= 0 else self.parent[~node]
 
     def _needs(self, node: int) -> Iterator[int]:
-        """Yield the nodes on which a node depends; a node is a value, or ~k for loop k."""
+        # a node is a value, or ~k for loop k
         if node < 0:
             loop = self.loops[~node]
             return iter([v for key in (*loop.before, *loop.after) for v in key])
@@ -199,7 +199,6 @@ class Regions:
         return iter(() if self.code[node].op in ("input", "const") else self.code[node].args)
 
     def _uses(self, value: int, users: Mapping[int, Sequence[int]]) -> Iterator[int]:
-        """Yield the regions in which a value is used."""
         for node in users.get(value, ()):
             if node >= 0:
                 yield self.of(node)

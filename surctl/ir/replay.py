@@ -113,7 +113,7 @@ def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]
 
 
 def _rows(array: Value, count: int) -> Value:
-    """Reshape an array (…, count · entries) to (…, count, entries)."""
+    # (…, count · entries) → (…, count, entries)
     return array.reshape(*array.shape[:-1], count, -1)
 
 
@@ -140,19 +140,19 @@ def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
 
 
 def _by_lane(array: Value, lanes: int) -> Value:
-    """Reorder an array (…, entries · lanes), stored entry by entry, to (…, lanes, entries)."""
+    # (…, entries · lanes), stored entry by entry, → (…, lanes, entries)
     return np.swapaxes(array.reshape(*array.shape[:-1], -1, lanes), -1, -2)
 
 
 def _by_entry(array: Value, lanes: int) -> Value:
-    """Reorder an array (…, lanes or 1, entries) to (…, entries · lanes), stored entry by entry."""
+    # (…, lanes or 1, entries) → (…, entries · lanes), stored entry by entry
     array = array if array.ndim > 1 else array[None]  # a program without inputs has no axis of lanes
     full = np.broadcast_to(array, (*array.shape[:-2], lanes, array.shape[-1]))
     return np.swapaxes(full, -1, -2).reshape(*array.shape[:-2], -1)
 
 
 def _cut(array: Value, count: int, lanes: int) -> list[Value]:
-    """Split an array (…, count · lanes · entries) into `count` arrays (…, lanes, entries), one for each iteration."""
+    # (…, count · lanes · entries) → one array (…, lanes, entries) for each iteration
     cut = array.reshape(*array.shape[:-1], count, lanes, -1)
     return [cut[..., turn, :, :] for turn in range(count)]
 
@@ -166,7 +166,6 @@ def _plain(source: Value, width: int, lanes: int) -> Value:
 
 
 def _broadcast(stacked: list[list[Value]]) -> list[list[Value]]:
-    """Return the pieces of each stacked array, broadcast to one batch shape."""
     groups = []
     for parts in zip(*stacked, strict=True):
         batch = np.broadcast_shapes(*(p.shape[:-1] for p in parts))
@@ -211,7 +210,7 @@ _TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_el
 
 
 def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[Any]]:
-    """Return the instruction list as a Python function (inputs, constants, real) → value of every instruction."""
+    """Return a Python function that computes the value of every instruction from inputs and constants."""
     cached = program.__dict__.get("_python")
     if cached is None:
         lines, constants = ["def run(inputs, constants, real):", "    zero, one = real(0), real(1)"], 0
@@ -236,7 +235,6 @@ def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[A
 
 
 def _operand(program: Program, at: int, *, truth: bool) -> str:
-    """Return the Python text of an operand, as a truth value if `truth`, otherwise as a number."""
     is_truth = program.instructions[at].op in _TRUE
     if truth == is_truth:
         return f"v{at}"

@@ -56,7 +56,7 @@ def source_digest(*packages: str) -> str:
 
 
 def _sources(package: str) -> Iterator[tuple[str, bytes]]:
-    """Yield (name, content) of each file of a package, or of the one file of a single module."""
+    """Yield (name, content) of each file of a package, or of the only file of a single module."""
     spec = importlib.util.find_spec(package)
     if spec is None:
         raise ImportError("there is no such package")

@@ -82,7 +82,7 @@ def read_block(text: str) -> Block:
 
 @contextmanager
 def _without_collection() -> Iterator[None]:
-    """Switch off garbage collection, which would scan all programs and routines repeatedly while they are read."""
+    # garbage collection would scan all programs and routines repeatedly while they are read
     searching = gc.isenabled()
     gc.disable()
     try:
@@ -113,7 +113,7 @@ def _read(body: str) -> Block:
 
 
 def _program(lines: Sequence[str], first: int) -> Program:
-    """Return the program in these lines; the first of them is line `first` of the text."""
+    # the first of these lines is line `first` of the text
     name = _name(lines, first, "program")
     inputs = _inputs(lines, first, "in{}")
     start = 1 + len(inputs)
@@ -139,7 +139,7 @@ def _program(lines: Sequence[str], first: int) -> Program:
 def _instructions(
     lines: Sequence[str], inputs: Sequence[tuple[str, int]], first: int
 ) -> tuple[list[Instruction], dict[str, int]]:
-    """Return the instructions, and the position of each by its name; the loop is fast, for tens of thousands."""
+    # the loop must be fast, for tens of thousands of instructions
     instructions: list[Instruction] = []
     places: dict[str, int] = {}
     at = 0
@@ -182,7 +182,7 @@ def _load(word: str, inputs: Sequence[tuple[str, int]]) -> Instruction:
 
 
 def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> Routine:
-    """Return the routine in these lines; `blocks` has the earlier programs and routines, by name and digest."""
+    # `blocks` has the earlier programs and routines, by name and digest
     name = _name(lines, first, "routine")
     inputs = _inputs(lines[:-1], first, "in")
     steps: list[Step] = []
@@ -202,7 +202,7 @@ def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> R
 
 
 def _step(words: list[str], blocks: Mapping[str, Block]) -> Step:
-    """Return the step in these words; comparison with the routine's text later detects extra or misplaced words."""
+    # comparison with the routine's text later detects extra or misplaced words
     equals = words.index("=")
     results, kind, rest = _names(words[:equals]), words[equals + 1], words[equals + 2 :]
     if kind == "gather":
@@ -233,7 +233,6 @@ def _name(lines: Sequence[str], first: int, kind: str) -> str:
 
 
 def _inputs(lines: Sequence[str], first: int, mark: str) -> list[tuple[str, int]]:
-    """Return (name, size) from each input line after the first line."""
     inputs: list[tuple[str, int]] = []
     for at, line in enumerate(lines[1:], first + 1):
         words = line.split(" ")

@@ -35,7 +35,7 @@ _open: ContextVar[Recording | None] = ContextVar("recording", default=None)
 
 @dataclass(frozen=True)
 class _Loop:
-    """One traced loop in terms of symbols (`regions.Traced` uses list positions); tables are stored row by row."""
+    """One traced loop as expressions; `regions.Traced` has list positions instead."""
 
     name: str
     depth: int
@@ -43,14 +43,13 @@ class _Loop:
     own: tuple[ca.SX, ...]
     results: tuple[ca.SX, ...]
     state: tuple[ca.SX, ...]
-    tables: tuple[ca.SX, ...]
+    tables: tuple[ca.SX, ...]  # stored row by row
     next: tuple[ca.SX, ...]
     rows: tuple[ca.SX, ...]
     until: int | None
 
     @property
     def expressions(self) -> tuple[ca.SX, ...]:
-        """Return all expressions from which the loop is computed."""
         return (*self.state, *self.tables, *self.next, *self.rows)
 
 
@@ -159,7 +158,7 @@ class Recording:
         return results, [ca.reshape(s, part.numel(), count).T for s, part in zip(stacked, collected, strict=True)]
 
     def _reached(self, outputs: Vectors) -> list[_Loop]:
-        """Return the loops that the outputs need, in the order in which these loops were traced."""
+        # in the order in which the loops were traced
         of = {s.element_hash(): k for k, loop in enumerate(self._loops) for r in loop.results for s in ca.symvar(r)}
         reached: set[int] = set()
         todo = list(outputs)

@@ -70,7 +70,7 @@ def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedo
 
 
 def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Array, cutoff: float) -> LevelSolution:
-    """Minimise ‖J v − x‖ over all v = start + Z y that satisfy the constraint rows."""
+    """Return, by an active-set method, the minimiser of ‖J v − x‖ over v = start + Z y subject to the rows."""
     rows = rows.holding(start)
     scale = float(np.linalg.norm(J, 2))
     v, active, multipliers = start, np.zeros(len(rows.names)), np.zeros(len(rows.names))
@@ -95,7 +95,7 @@ def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Arr
 
 
 def _as_far_as(v: Array, step: Array, rows: Polyhedron, active: Array) -> tuple[float, int | None]:
-    """Return the largest fraction ≤ 1 of the step that violates no constraint row, and the blocking row (or None)."""
+    """Return the largest fraction ≤ 1 of the step that violates no row, and the index of the blocking row, if any."""
     rate = rows.A @ step
     with np.errstate(invalid="ignore"):
         slack = np.where(rate > 0.0, rows.upper, rows.lower) - rows.A @ v

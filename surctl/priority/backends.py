@@ -35,8 +35,7 @@ Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
 
 
 class _Solvers(Mapping[str, Kernel]):
-    """Solvers by name: three are always known; any other name imports qpsolvers, which loads each installed solver."""
-
+    # three names are always known; any other name imports qpsolvers, which loads every installed solver
     _known: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel, "own": own_kernel})
 
     @cached_property
@@ -163,10 +162,11 @@ def _nearest(
     *,
     guess: Array | None = None,
 ) -> LeastDistance:
-    """Solve like `solve_least_distance`, with A x in its bounds up to a tolerance relative to 1 + max |target|.
+    """Return the point x nearest to the target with lower ≤ A x ≤ upper and A_eq x = b_eq.
 
-    If the solver finds no solution, the rows of A with a nonzero multiplier in `guess` (m,) are tried as the active
-    set; the resulting point must pass the check of the optimality conditions too.
+    The inequalities hold up to a tolerance relative to 1 + max |target|. If the solver finds no solution, the rows of A
+    with a nonzero multiplier in `guess` (m,) are tried as the active set. The resulting point must also pass the check
+    of the optimality conditions.
     """
     nothing = np.zeros(lower.size)
     base, free = _eliminate(target, A_eq, b_eq)
@@ -203,7 +203,7 @@ def _nearest(
 
 
 def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[Array | None, Array]:
-    """Return the x with A_eq x = b_eq nearest to the target (None if there is none), and a null-space basis (d, n)."""
+    """Return the point nearest to the target with A_eq x = b_eq, if any, and a null-space basis (d, n) of A_eq."""
     if A_eq is None or b_eq is None or A_eq.shape[0] == 0:
         return target, np.eye(target.size)
     space = row_space(A_eq)
@@ -214,7 +214,6 @@ def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[A
 
 
 def _checked(solution: KernelSolution, G: Array, lower: Array, upper: Array, *, tolerance: Array) -> KernelSolution:
-    """Return the solution if it passes `holds`, else its polished form if that passes `holds`, else status "failed"."""
     if solution.y is None:
         return solution
     for candidate in (solution, _polish(solution, G, lower, upper)):
@@ -241,7 +240,7 @@ def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolera
 
 
 def _polish(solution: KernelSolution, G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Turn the constraint rows with a nonzero multiplier into equalities, and solve these equalities exactly."""
+    """Return the solution with the rows that have a nonzero multiplier as equalities, solved exactly."""
     active = np.flatnonzero(np.abs(solution.multipliers) > 1e-6 * (1.0 + np.abs(solution.multipliers).max()))
     bound = np.where(solution.multipliers[active] > 0.0, upper[active], lower[active])
     if not np.isfinite(bound).all():

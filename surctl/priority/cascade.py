@@ -81,19 +81,13 @@ def named_multipliers(rows: Polyhedron, multipliers: Array, *, above: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """State after some levels: remaining freedom, constraint rows, and the nearest point to the target in both.
-
-    multipliers: (m,) Lagrange multipliers at the point `inside`. held: multipliers of the constraint rows that limit
-    the level. confirmed: whether `inside` passed the optimality check.
-    """
-
     freedom: Freedom
     rows: Polyhedron
-    inside: Array
-    multipliers: Array
+    inside: Array  # nearest point to the target in the remaining freedom that satisfies the constraint rows
+    multipliers: Array  # (m,) Lagrange multipliers at `inside`
     iterations: int
-    held: Mapping[str, float]
-    confirmed: bool
+    held: Mapping[str, float]  # multipliers of the constraint rows that limit the level
+    confirmed: bool  # whether `inside` passed the optimality check
 
 
 def solve_cascade(
@@ -144,7 +138,7 @@ def solve_cascade(
 def _met(
     level: Level, target: Array, rows: Polyhedron, *, freedom: Freedom, backend: Backend, cutoff: float
 ) -> _Place | None:
-    """Return the state with the level met as well as the higher levels allow; None if the limits prevent this."""
+    """Return the state after meeting the level as well as higher levels allow, or None if the limits prevent this."""
     goal = level.exact
     narrow = freedom.narrowed(level.J[goal], level.lower[goal], cutoff=cutoff)
     more = _with_set_rows(level, rows, ~goal)
@@ -152,7 +146,7 @@ def _met(
 
 
 def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cutoff: float) -> _Place:
-    """Return the state with the level met as well as the constraint rows allow, and J v of the level fixed."""
+    """Return the state after meeting the level as well as the limits allow; J v of the level is then fixed."""
     solution = solve_level(level, place.inside, place.rows, freedom=place.freedom, cutoff=cutoff)
     value = level.J @ solution.v
     off = np.abs(level.miss(solution.v)) > _MISSED * (1.0 + np.abs(value))
@@ -169,7 +163,6 @@ def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cu
 
 
 def _with_set_rows(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) -> Polyhedron:
-    """Return the constraint rows extended by the chosen rows of a set-based level."""
     if not chosen.any():
         return rows
     one = level.lower.size == 1
@@ -180,7 +173,7 @@ def _with_set_rows(level: Level, rows: Polyhedron, chosen: NDArray[np.bool_]) ->
 def _nearest(
     freedom: Freedom, rows: Polyhedron, target: Array, *, backend: Backend, inside: Array | None = None
 ) -> _Place | None:
-    """Return the state at the point nearest to the target; if solvers fail, at `inside`; None without either."""
+    # if all solvers fail, the state is at `inside`, which is known to be feasible
     solution = freedom.nearest(target, rows, backend=backend)
     spent = solution.iterations
     if solution.x is None and inside is not None:

@@ -83,7 +83,7 @@ def _solution(
 
 
 def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> Solution:
-    """Return the candidate with the least actuator violation, if actuator limits conflict or all solvers fail."""
+    """Return the candidate with the least violation of actuator limits, if they conflict or all solvers fail."""
     hard = rows.mask("actuator")
     solution = Freedom.whole(free.size).nearest(free, rows.only(hard), backend=backend)
     options = [rows.clamp(option) for option in (solution.x, free, np.zeros(free.size)) if option is not None]

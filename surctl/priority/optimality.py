@@ -57,7 +57,7 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
 
 
 def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
-    """Return whether `target` is the point from which the last projection of the mode starts."""
+    """Return whether the last projection starts from `target` in the mode of the settings."""
     n = problem.width
     if settings.mode == "lexicographic":
         return not target.any()
@@ -80,7 +80,7 @@ def _size(level: Level) -> float:
 
 
 def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> tuple[Array, Array]:
-    """Add the normals of the level: both signs of a row of J with a fixed value, otherwise those of its bounds."""
+    """Add the level's normals: both signs of a row of J with a fixed value, otherwise normals of its finite bounds."""
     J = level.J / _size(level)
     fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(level.J @ v)))
     value = level.J @ v
@@ -111,7 +111,8 @@ def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
 
 
 def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: NDArray[np.bool_], tol: float) -> bool:
-    """Return whether normals of soft limits, with weights of sum 1, balance those of hard limits (Farkas)."""
+    """Return whether no smaller violation of the soft rows is feasible (Farkas' lemma)."""
+    # normals of soft rows, with weights of sum 1, must balance normals of hard rows
     pushing, near = _bounds(rows, v, soft)
     holding, far = _bounds(rows, v, hard)
     weight = np.append(np.ones(near.size), np.zeros(far.size))
@@ -121,7 +122,7 @@ def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: N
 
 
 def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and the distance (p,) of v to each."""
+    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and v's distances (p,) from them."""
     value = rows.A @ v
     above, below = np.isfinite(rows.upper), np.isfinite(rows.lower)
     if chosen is not None:
@@ -132,7 +133,7 @@ def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None)
 
 
 def _in_cone(goal: Array, normals: Array, gaps: Array, tol: float) -> bool:
-    """Return whether goal (d,) is a combination of normals (p, d) with weights ≥ 0 and a sum of weight · gap of 0."""
+    """Return whether goal (d,) is a sum of normals (p, d) with weights ≥ 0 for which Σ weight · gap = 0."""
     from scipy.optimize import nnls
 
     size = float(np.abs(goal).max(initial=0.0))

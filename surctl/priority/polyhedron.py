@@ -136,7 +136,7 @@ def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
 
 
 def _lengths(A: Array) -> Array:
-    """Return the length (m,) of each row of A; 1 for a row of zeros."""
+    # a row of zeros gets length 1
     largest = np.abs(A).max(axis=1, initial=0.0)
     largest[largest == 0.0] = 1.0
     scaled = A / largest[:, None]  # without this scaling the square of a row of 1e155 would overflow
@@ -146,13 +146,12 @@ def _lengths(A: Array) -> Array:
 
 
 def _is_zero(A: Array) -> NDArray[np.bool_]:
-    """Return a mask (m, 1) of the rows of A that count as zero."""
     zero: NDArray[np.bool_] = np.abs(A).max(axis=1, initial=0.0, keepdims=True) <= ZERO_ROW
     return zero
 
 
 def _box(A: Array, lower: Array, upper: Array, kinds: tuple[Kind, ...]) -> tuple[Array, Array]:
-    """Return the bounds of each velocity; if two limits contradict each other, both bounds are their midpoint."""
+    # if two limits of a velocity contradict each other, both bounds are their midpoint
     low, high = np.full(A.shape[1], -math.inf), np.full(A.shape[1], math.inf)
     for i in np.flatnonzero(np.count_nonzero(A, axis=1) == 1):
         if kinds[i] != "actuator":

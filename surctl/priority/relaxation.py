@@ -72,9 +72,7 @@ def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Rela
 def _least_uniform(
     rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...], inside: Array
 ) -> tuple[Array, float, LevelSolution, tuple[str, ...]]:
-    """Find the least t ≥ 0 by which limits of `kind` must open.
-
-    Return the point at which this t suffices, t, the solver result, and the constraint rows that limit t.
+    """Return a point, the least t ≥ 0 by which limits of `kind` must open, the result, and the rows that limit t.
 
     The search for t is a task in the variables (v, t) with desired value t = 0. `inside` satisfies the hard constraint
     rows.

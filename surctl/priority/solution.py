@@ -92,7 +92,7 @@ class PrioritySolution:
         )
 
     def _losses(self) -> str:
-        """Return a sentence on which tasks are not fully met and by how much, grouped by the limits that cause it."""
+        """Return a sentence on which tasks are not fully met, by how much, and the limits that cause this."""
         bind = tuple(name for name, _ in self.binding)
         lost: dict[tuple[str, ...], list[str]] = {}
         for name, residual in self.residuals.items():

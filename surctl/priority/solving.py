@@ -130,7 +130,6 @@ _MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend],
 def _damped(
     level: Level, target: Array, rows: Polyhedron, *, damping: float, backend: Backend, inside: Array | None = None
 ) -> CascadeSolution | None:
-    """Return the result of the damped last projection as a `CascadeSolution`."""
     spent = 0
     if inside is None:
         start = Freedom.whole(target.size).nearest(target, rows, backend=backend)
@@ -144,7 +143,6 @@ def _damped(
 
 
 def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, solution: Solution) -> PrioritySolution:
-    """Return the solution as a `PrioritySolution` with names and residuals."""
     limited = solution.status == "optimal" and problem.levels[0].name in solution.causes
     status: Outcome = "limited" if limited else solution.status
     fallback: Literal[1, 2, 3] = 1 if status == "optimal" else 2 if status == "limited" else 3

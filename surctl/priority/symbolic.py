@@ -53,7 +53,7 @@ def projection(w: ca.SX, J: ca.SX, x: ca.SX, *, damping: float = 0.0) -> ca.SX:
 
 
 def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
-    """Solve (J Jᵀ + λ²I) y = rhs for y (k, 1) by LDLᵀ; y is 0 for dependent rows and zero rows of J."""
+    """Return the solution y (k, 1) of (J Jᵀ + λ²I) y = rhs by LDLᵀ; y is 0 for dependent rows and zero rows of J."""
     G = ca.densify(J @ J.T + damping**2 * ca.SX.eye(J.shape[0]))
     L, inverse = _factorise(G, damping**2)
     k = G.shape[0]
@@ -69,11 +69,9 @@ def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
 
 
 def _factorise(G: ca.SX, least: float) -> tuple[list[list[ca.SX]], list[ca.SX]]:
-    """Return the rows of the unit lower triangular L, and the inverse pivots (0 where a pivot vanishes).
-
-    With damping no pivot vanishes, since every pivot is at least λ² (`least`) up to rounding. The code states this
-    bound explicitly, which helps proofs about the expression.
-    """
+    """Return the rows of the unit lower triangular L, and the inverse pivots (0 where a pivot vanishes)."""
+    # with damping every pivot is at least λ² (`least`) up to rounding; stating this bound helps proofs about the
+    # expression
     k = G.shape[0]
     L: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]
     pivots: list[ca.SX] = []

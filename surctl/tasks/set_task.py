@@ -119,7 +119,7 @@ class SetTask:
         )
 
     def _distances(self) -> tuple[ca.SX, ca.SX]:
-        """Return (lower − σ, upper − σ), (k, 1) each; for an angle, along the shorter arc."""
+        # for an angle, along the shorter arc
         lower, upper = ca.SX(self.lower), ca.SX(self.upper)
         if not self.angular:
             return lower - self.sigma, upper - self.sigma
@@ -127,7 +127,7 @@ class SetTask:
         return error - half, error + half
 
     def _rate_of(self, i: int, distance: ca.SX, absent: float) -> ca.SX:
-        """Return one bound of the slab, or `absent` if the set does not have this bound."""
+        """Return a bound on the rate of σ, or `absent` if the set does not have this bound."""
         if distance.is_constant() and math.isinf(float(distance)):
             return ca.SX(absent)
         return ca.SX(self.rate)[i] + ca.SX(self.gain)[i] * distance
@@ -149,7 +149,7 @@ class SetTask:
         return column
 
     def _check_pair(self, i: int) -> None:
-        """Raise InputError if two numeric bounds do not define a set or an arc; expressions are not checked."""
+        # expressions are not checked
         lower, upper = ca.SX(self.lower)[i], ca.SX(self.upper)[i]
         if not (lower.is_constant() and upper.is_constant()):
             return

@@ -151,7 +151,7 @@ def _wrong(task: Task, field: str, problem: str, remedy: str, value: object = No
 
 
 def _column_of(task: Task, field: str, size: int) -> ca.SX:
-    """Return the field as a column (size, 1); a single number is used for all entries."""
+    # a single number is used for all entries
     try:
         column = as_column(getattr(task, field))
     except ValueError:
@@ -173,5 +173,4 @@ def _check_gain(task: Task) -> None:
 
 
 def _numbers(column: ca.SX) -> list[float]:
-    """Return the entries of a column that are plain numbers."""
     return [float(column[i]) for i in range(column.numel()) if column[i].is_constant()]

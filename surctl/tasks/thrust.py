@@ -132,13 +132,12 @@ class ThrustLimit:
         )
 
     def _divided(self, force: ca.SX) -> ca.SX:
-        """Return M⁻¹ force, (4,)."""
         mass = ca.SX(self.mass)
         return force / ca.diag(mass) if mass.sparsity().is_diag() else ca.solve(mass, force)
 
 
 def _mass_matrix(name: str, mass: Expression) -> ca.SX:
-    """Return M as a matrix (4, 4); it is sparse if only the diagonal is given."""
+    # sparse if only the diagonal is given
     try:
         matrix = as_expression(mass)
     except ValueError:

@@ -306,7 +306,7 @@ def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
 
 
 def _beside(ux: float, uy: float, side: float) -> tuple[float, float]:
-    """Return the unit vector turned by 1e-9 rad, to the left if `side` is 1 and to the right if `side` is −1."""
+    """Return the unit vector turned by 1e-9 rad, to the left for `side` = 1 and to the right for `side` = −1."""
     return ux - side * _BESIDE * uy, uy + side * _BESIDE * ux
 
 

@@ -146,7 +146,6 @@ class AssembledStep(PriorityStep):
 
 
 def _fused(stack: Program, step: Routine) -> Routine:
-    """Return a routine that evaluates the stack function and then the priority step; it outputs the results of both."""
     inputs = tuple(name for name, _ in stack.inputs)
     between = tuple(name for name, _ in step.inputs)
     outputs = tuple(name for name, _ in step.outputs)
@@ -215,7 +214,6 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
 
 
 def _known(inputs: Mapping[str, ca.SX]) -> set[int]:
-    """Return the hashes of all scalar symbols among the inputs."""
     known: set[int] = set()
     for name, symbol in inputs.items():
         for scalar in ca.vertsplit(symbol):
@@ -250,7 +248,7 @@ def _table(rows: Sequence[LimitRow]) -> ca.SX:
 
 
 def _box(rows: Sequence[LimitRow]) -> ca.SX:
-    """Return the lower and upper bound of each velocity; if two limits conflict, both bounds are their midpoint."""
+    # if two limits of a velocity conflict, both bounds are their midpoint
     low, high = [ca.SX(-ca.inf)] * _N, [ca.SX(ca.inf)] * _N
     for row in rows:
         entries = [j for j in range(_N) if not row.a[j].is_zero()]

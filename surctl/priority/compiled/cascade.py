@@ -36,8 +36,7 @@ _STATE = ("stop", "v", "base", "N", "rows", "held", "hold", "active", "multiplie
 
 
 class _Sizes:
-    """Sizes: n velocities, k rows of the largest J, m constraint rows, of which the last are for set-based levels."""
-
+    # n: velocities; k: rows of the largest J; m: constraint rows, with the rows of set-based levels last
     def __init__(self, shape: StackShape, rows: int) -> None:
         self.shape, self.n, self.k, self.limit_rows = shape, shape.n, shape.tallest, rows
         self.sets = sum(level.is_set for level in shape.levels)
@@ -46,20 +45,16 @@ class _Sizes:
 
     @property
     def state(self) -> tuple[tuple[str, int], ...]:
-        """Return names and sizes of the variables that each level passes to the next.
-
-        stop: 1 if nothing is left to do. v: velocity that satisfies the constraint rows. base, N: the remaining freedom
-        v = base + N y. rows: constraint rows of length 1 after opening. held, hold: numbers and multipliers of the
-        constraint rows that limit levels. active, multipliers: numbers and multipliers of the active constraint rows in
-        the last projection. limited: whether level 1 was not reachable. count: number of iterations.
-        """
+        """Return the names and sizes of the variables that a level passes to the next level."""
+        # held, hold: numbers and multipliers of the constraint rows that limit levels. active, multipliers: numbers and
+        # multipliers of the active constraint rows in the last projection. limited: whether level 1 was not reachable.
         n = self.n
         sizes = (1, n, n, n * n, self.m * self.row, n, n, n, n, 1, 1)
         return tuple(zip(_STATE, sizes, strict=True))
 
     @property
     def level(self) -> tuple[tuple[str, int], ...]:
-        """Padded inputs of one level. is_set, first: flags. slot: position of the row of a set-based level."""
+        # every level is padded to the largest level; slot: position of the constraint row of a set-based level
         return (
             ("J_i", self.k * self.n),
             ("lower_i", self.k),
@@ -98,7 +93,7 @@ def cascade(shape: StackShape, rows: int) -> Routine:
 
 
 def _arrange(sizes: _Sizes) -> Program:
-    """Instruction list (J, lower, upper, rows) → padded levels, flags, slots, zeros, rows with free slots."""
+    """Return a program that pads all levels to equal size and appends empty rows for the set-based levels."""
     shape, n, k = sizes.shape, sizes.n, sizes.k
     flat, levels = shape.symbols()
     rows = ca.SX.sym("rows", sizes.limit_rows * sizes.row)
@@ -125,7 +120,7 @@ def _arrange(sizes: _Sizes) -> Program:
 
 
 def _begin(sizes: _Sizes) -> Program:
-    """Instruction list (v, active, multipliers, status, count, sound) → initial state of the levels without `rows`."""
+    # the outputs are the initial values of `_STATE` without `rows`
     n = sizes.n
     v, active, multipliers = (ca.SX.sym(name, n) for name in ("v", "active", "multipliers"))
     status, count, sound = (ca.SX.sym(name) for name in ("status", "count", "sound"))
@@ -138,7 +133,7 @@ def _begin(sizes: _Sizes) -> Program:
 
 
 def _level(sizes: _Sizes) -> Routine:
-    """Routine for one level: test whether the level is reachable; if not, meet it as well as the limits allow."""
+    """Return a routine for one level: if the level is not reachable, it is met as well as the limits allow."""
     n, k, m = sizes.n, sizes.k, sizes.m
     space = Space(n, n)
     level = tuple(pair for pair in sizes.level if pair[1])
@@ -181,11 +176,11 @@ def _zero() -> Program:
 
 
 def _free(sizes: _Sizes) -> Program:
-    """Instruction list: (v, base, N, J, lower, upper, is_set) → remaining freedom and inputs of `limited_level`.
+    """Return a program for the remaining freedom after a level, and the inputs of `limited_level`.
 
-    The outputs are: base (n + 1) and N for the case that the level is reached; N without the directions of the level;
-    the directions Q, the task T Q and the matrix Pᵀ·scale of the level inside N (see `decomposition`); the desired
-    value of J v; 1/scale²; the constraint row of a set-based level.
+    Outputs: base (n + 1) and N if the level is reached; N without the directions of the level; the directions Q, the
+    task T Q and the matrix Pᵀ·scale of the level inside N (see `decomposition`); the desired value of J v; 1/scale²;
+    the constraint row of a set-based level.
     """
     n, k = sizes.n, sizes.k
     v, base, N, J = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("N", n * n), ca.SX.sym("J", k * n)
@@ -218,7 +213,6 @@ def _free(sizes: _Sizes) -> Program:
 
 
 def _added(sizes: _Sizes) -> Program:
-    """Instruction list (rows, row[, slot]) → the constraint rows, with `row` written to its slot."""
     rows, row = ca.SX.sym("rows", sizes.m * sizes.row), ca.SX.sym("row", sizes.row)
     slot = ca.SX.sym("slot", sizes.sets)
     first = sizes.limit_rows * sizes.row
@@ -229,10 +223,7 @@ def _added(sizes: _Sizes) -> Program:
 
 
 def _tried(sizes: _Sizes) -> Program:
-    """Instruction list (solver result, freedom searched, state, first) → reached, state for `limited_level`, limited.
-
-    The output `reached` is 1 if the level was reached; `limited_level` is then skipped.
-    """
+    # the first output is 1 if the level was reached; `limited_level` is then skipped
     n = sizes.n
     point, numbers, u = ca.SX.sym("point", n + 1), ca.SX.sym("numbers", n), ca.SX.sym("u", n)
     end, feasible, spent, first = (ca.SX.sym(name) for name in ("end", "feasible", "spent", "first"))
@@ -257,7 +248,7 @@ def _tried(sizes: _Sizes) -> Program:
 
 
 def _end(sizes: _Sizes) -> Program:
-    """Instruction list (v, limited, status of the limits alone) → v, status, target of the last projection (0)."""
+    # the last output is the target of the last projection, which is 0 in this mode
     v, limited, status = ca.SX.sym("v", sizes.n), ca.SX.sym("limited"), ca.SX.sym("status")
     outcome = ca.if_else(limited, ca.fmax(status, LIMITED), status)
     return lower(ca.Function("end_levels", [v, limited, status], [v, outcome, ca.SX.zeros(sizes.n)]))

@@ -84,10 +84,8 @@ def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
 
 
 def _direction(row: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
-    """Return the unit vector along the part of a row of J orthogonal to earlier directions; 0 if this part is 0.
-
-    Two orthogonalisation passes suffice (Parlett 1998, 6.9).
-    """
+    """Return the unit vector along the part of a row orthogonal to earlier directions, or 0 if this part is 0."""
+    # two orthogonalisation passes suffice (Parlett 1998, 6.9)
     q = _outside(row, Q, N)
     length = ca.sqrt(ca.sumsqr(q))
     alive = length > CUTOFF
@@ -108,7 +106,7 @@ def _outside(vector: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
 
 
 def _orthonormal_columns(left: list[list[ca.SX]]) -> tuple[list[ca.SX], list[list[ca.SX]], list[ca.SX]]:
-    """Return P, T and 1/diag T of a k × k matrix, by modified Gram–Schmidt, with two passes for each column."""
+    """Return P, T and 1/diag T of a k × k matrix P T, by modified Gram–Schmidt with two passes for each column."""
     k = len(left)
     P: list[ca.SX] = []
     T: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]

@@ -65,11 +65,9 @@ def _sum() -> Program:
 
 
 def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
-    """Steps J, lower, upper → J_1, attainable part of x_1; two clearly independent rows of J_1 attain any x_1.
-
-    The bounded fallback ignores two rows of J_1 that are not clearly independent, since the attainable part of x_1 is
-    then costly to compute.
-    """
+    """Return the steps that compute J_1 and the attainable part of x_1."""
+    # two clearly independent rows of J_1 attain any x_1; the bounded fallback ignores other rows, since their
+    # attainable part is costly to compute
     k, stack = shape.levels[0].rows, ("J", "lower", "upper")
     if k != 2:
         return (Call(_first(shape), stack, ("J_1", "x_1")),)
@@ -90,7 +88,7 @@ def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
 
 
 def _plain(shape: StackShape) -> Program:
-    """Instruction list (J, lower, upper) → two-row J_1, x_1, whether the rows are similar in length, not parallel."""
+    """Return a program for J_1 with two rows, x_1, and whether the rows are of similar length and not parallel."""
     flat, levels = shape.symbols()
     J = levels[0].J
     a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
@@ -100,7 +98,7 @@ def _plain(shape: StackShape) -> Program:
 
 
 def _independent(shape: StackShape) -> Program:
-    """Instruction list (J, lower, upper) → two-row J_1 and x_1; zeros for nearly parallel or very unequal rows."""
+    # two nearly parallel or very unequal rows become zeros
     flat, levels = shape.symbols()
     J, x = levels[0].J, levels[0].lower
     a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
@@ -111,7 +109,7 @@ def _independent(shape: StackShape) -> Program:
 
 
 def _first(shape: StackShape) -> Program:
-    """Instruction list (J, lower, upper) → J_1, attainable x_1 (without the part of the residual that no v changes)."""
+    """Return a program for J_1 and the attainable part of x_1, without the part of the residual that no v changes."""
     flat, levels = shape.symbols()
     J, x = levels[0].J, levels[0].lower
     k = J.shape[0]
@@ -135,7 +133,7 @@ def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, f
 
 
 def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
-    """Routine (J_1, x_1, rows, solution) → the solution, its list of active rows headed by those that limit task 1."""
+    """Return a routine that puts the rows that limit task 1 at the head of the solution's list of active rows."""
     solution = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     fixed = (("rows", rows * (n + 3)), ("v", n), ("opening", 1), ("pull", n), ("Z", n * n))
     add = Routine(
@@ -162,7 +160,6 @@ def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
 
 
 def _pull(n: int, k: int) -> Program:
-    """Instruction list (J_1, x_1, v, status) → whether no limit binds the task, Jᵀ(x − J v), identity matrix."""
     J, x, v, status = ca.SX.sym("J", k * n), ca.SX.sym("x", k), ca.SX.sym("v", n), ca.SX.sym("status")
     matrix = as_matrix(J, n)
     met = ca.logic_not(ca.logic_or(ca.eq(status, LIMITED), ca.eq(status, RELAXED)))
@@ -202,7 +199,7 @@ def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool, fa
 
 
 def _side(shape: StackShape, precision: Precision) -> Program:
-    """Instruction list (J, lower, upper, old solution, new solution) → next task, better solution, whether finished."""
+    """Return a program that chooses the better of two solutions and the next desired value of a set-based level."""
     n, (flat, levels) = shape.n, shape.symbols()
     sizes = (n, n, n, 1, 1, 1)
     old = [ca.SX.sym(f"{name}_old", size) for name, size in zip(_SOLUTION, sizes, strict=True)]
@@ -223,7 +220,8 @@ def _side(shape: StackShape, precision: Precision) -> Program:
 
 
 def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) -> tuple[Step, ...]:
-    """Steps: `safe_step` without a task, which opens soft limits if necessary, then `safe_step` over (v, s)."""
+    """Return the steps of the last projection with damping, in the variables (v, s) with J v − λs = x."""
+    # the first `safe_step`, without a task, opens soft limits if necessary
     n, level = shape.n, shape.levels[0]
     q, wide = level.rows, shape.n + level.rows
     p, m = (1, rows + 1) if level.is_set else (q, rows)
@@ -246,10 +244,7 @@ def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) 
 
 
 def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
-    """Instruction list (w, J, lower, upper, rows, box) → inputs of `safe_step` over (v, s).
-
-    A set-based level becomes a constraint row and not a task.
-    """
+    """Return a program for the inputs of `safe_step` over (v, s); a set-based level becomes a constraint row."""
     n, (flat, levels) = shape.n, shape.symbols()
     level = levels[0]
     q = level.J.shape[0]
@@ -270,11 +265,8 @@ def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
 
 
 def _narrow(n: int, wide: int, rows: int, damping: float) -> Program:
-    """Instruction list (solution without task, solution over (v, s)) → v of the second, or of the first if that failed.
-
-    At most n active constraint rows are independent, so n slots are enough. The multipliers belong to the damped
-    problem.
-    """
+    """Return a program for v of the solution over (v, s) or, if that failed, of the solution without a task."""
+    # at most n active rows are independent, so n slots are enough; the multipliers belong to the damped problem
     plain = [ca.SX.sym(f"{name}_plain", size) for name, size in zip(_SOLUTION, (n, n, n, 1, 1, 1), strict=True)]
     full = [ca.SX.sym(f"{name}_wide", size) for name, size in zip(_SOLUTION, (wide,) * 3 + (1, 1, 1), strict=True)]
     slots, multipliers = [ca.SX(0)] * n, [ca.SX(0)] * n

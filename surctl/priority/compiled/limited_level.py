@@ -90,7 +90,7 @@ def _nothing(n: int) -> Program:
 
 
 def _again(n: int, k: int, m: int) -> Routine:
-    """Routine for one pass: call `safe_step` from v, find the constraint rows that limit the level, test optimality."""
+    """Return a routine for one pass: `safe_step` from v, the rows that limit the level, and a test of optimality."""
     state = (("v", n), ("numbers", n), ("u", n), ("count", 1), ("converged", 1))
     fixed = (
         ("rows", m * (n + 3)), ("N", n * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k), ("square", 1),
@@ -119,7 +119,7 @@ def _again(n: int, k: int, m: int) -> Routine:
 
 
 def _lack(n: int, k: int) -> Program:
-    """Instruction list (v, turn, J, x) → desired value of T Q y, zero vector, infinite box bounds, 0."""
+    # lack: desired value of T Q y
     v, turn, J, x = ca.SX.sym("v", n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
     lack = as_matrix(turn, k) @ (x - as_matrix(J, n) @ v)
     anywhere = ca.vertcat(-HUGE * ca.SX.ones(n), HUGE * ca.SX.ones(n))
@@ -127,14 +127,13 @@ def _lack(n: int, k: int) -> Program:
 
 
 def _moved(n: int) -> Program:
-    """Instruction list (v, N, y, status) → v + N y with opening 0, or v if `safe_step` found no point."""
+    # v does not change if `safe_step` found no point
     v, N, y, status = ca.SX.sym("v", n), ca.SX.sym("N", n * n), ca.SX.sym("y", n), ca.SX.sym("status")
     step = ca.if_else(status <= LIMITED, as_matrix(N, n) @ y, 0)
     return lower(ca.Function("moved", [v, N, y, status], [ca.vertcat(v + step, 0)]))
 
 
 def _pulled(n: int, k: int) -> Program:
-    """Instruction list (v, point, feasible, task, turn, J, x) → new v (point if feasible), gradient, moved."""
     v, point, feasible = ca.SX.sym("v", n), ca.SX.sym("point", n + 1), ca.SX.sym("feasible")
     task, turn, J, x = ca.SX.sym("task", k * n), ca.SX.sym("turn", k * k), ca.SX.sym("J", k * n), ca.SX.sym("x", k)
     chosen = ca.if_else(feasible, point[:n], v)
@@ -145,7 +144,6 @@ def _pulled(n: int, k: int) -> Program:
 
 
 def _converged(n: int) -> Program:
-    """Instruction list (rest, pull, multipliers, square, moved, counts) → scaled multipliers, count, converged."""
     rest, pull, part = (ca.SX.sym(name, n) for name in ("rest", "pull", "part"))
     square, moved = ca.SX.sym("square"), ca.SX.sym("moved")
     counts = [ca.SX.sym(name) for name in ("count", "spent", "more")]
@@ -155,14 +153,14 @@ def _converged(n: int) -> Program:
 
 
 def _frozen(n: int, k: int) -> Program:
-    """Instruction list (v, base, Q) → the base of the remaining freedom if the level keeps the value of J v."""
+    """Return a program for the base of the remaining freedom on which the level keeps its value of J v."""
     v, base, Q = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("Q", k * n)
     directions = as_matrix(Q, n)
     return lower(ca.Function("frozen", [v, base, Q], [ca.vertcat(base + directions.T @ (directions @ (v - base)), 0)]))
 
 
 def _chosen(n: int) -> Program:
-    """Instruction list → the point nearest to 0 with the value of the level; if rounding leaves no such point, v."""
+    # the point nearest to 0 with the level's value of J v; v if rounding leaves no such point
     v, base, N = ca.SX.sym("v", n), ca.SX.sym("base", n + 1), ca.SX.sym("N", n * n)
     point, act, press = ca.SX.sym("point", n + 1), ca.SX.sym("act", n), ca.SX.sym("press", n)
     end, feasible, count, spent = (ca.SX.sym(name) for name in ("end", "feasible", "count", "spent"))

@@ -96,7 +96,6 @@ class PriorityStep:
     def _take(
         self, mode: Mode, n: int, levels: tuple[LevelShape, ...], inputs: Sequence[Array], outputs: Sequence[Array]
     ) -> None:
-        """Store the arrays of a step under their names."""
         self.mode, self.levels = mode, levels
         J, self.lower, self.upper, rows, box = inputs
         self.J, self.rows, self.box = J.reshape(-1, n), rows.reshape(-1, n + 3), box.reshape(2, n)
@@ -177,7 +176,7 @@ class PriorityStep:
         return tuple(pairs)
 
     def _row(self, place: int) -> tuple[str, Array]:
-        """Return name and normal of an active constraint row; numbers above m refer to set-based levels."""
+        # places after the constraint rows refer to set-based levels
         if place < len(self.rows):
             name = self.row_names[place] if place < len(self.row_names) else f"row {place}"
             return name, self.rows[place, :-3]

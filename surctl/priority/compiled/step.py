@@ -120,14 +120,11 @@ def priority_step(
 
 @dataclass(frozen=True)
 class _Settings(Settings):
-    """`Settings` with the additional options of a compiled step; see `priority_step`."""
-
     precision: Precision = FLOAT64
     named: bool = True
     fallback: Fallback = "exact"
 
     def __post_init__(self) -> None:
-        """Check the settings, and that the mode has this fallback."""
         super().__post_init__()
         check_fallback(self.fallback, mode=self.mode, damping=self.damping)
 
@@ -147,7 +144,7 @@ def _filter(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ..
 
 
 def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
-    """Steps of mode projected: each sweep projects v on the levels from the lowest to level 2, then on level 1."""
+    """Return the steps of mode projected: a sweep projects v on the levels from lowest to 2, then on level 1."""
     n, damping, fixed = shape.n, settings.damping, (*_STACK, "rows", "box")
     carried = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)
@@ -184,14 +181,13 @@ def _with_target(n: int) -> Program:
 
 
 def _unlimited(n: int) -> Program:
-    """Instruction list: v → the outputs of a step without limits."""
     v = ca.SX.sym("v", n)
     empty, none = ca.SX.zeros(n), ca.SX.zeros(1)
     return lower(ca.Function("unlimited", [v], [v, empty, empty, none, ca.SX(MET), none, v]))
 
 
 def _finish(n: int, *, boxed: bool) -> Program:
-    """Instruction list (outputs, sound, box) → finite outputs; without a finite v, v is 0 moved into the box."""
+    # if v is not finite, the result is 0 moved into the box
     flat = [ca.SX.sym(name, size) for name, size in zip(OUTPUTS, (n, n, n, 1, 1, 1, n), strict=True)]
     v, active, multipliers, opening, status, count, target = flat
     sound, box = ca.SX.sym("sound"), ca.SX.sym("box", 2 * n)

@@ -56,7 +56,6 @@ def largest(vector: ca.SX) -> ca.SX:
 
 
 def _unit_pull(n: int, precision: Precision) -> Program:
-    """Instruction list: pull → (pull scaled to largest entry 1, opening 0), largest entry, whether the pull is zero."""
     pull = ca.SX.sym("pull", n)
     size = largest(pull)
     none = ca.logic_not(size > precision.priced)
@@ -65,7 +64,7 @@ def _unit_pull(n: int, precision: Precision) -> Program:
 
 
 def _touching(n: int, precision: Precision) -> Program:
-    """Instruction list: constraint row → bounds on directions: 0 at a bound that v touches, otherwise infinite."""
+    """Return a program for a row's bounds on directions from v: 0 at a bound that v touches, otherwise infinite."""
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
     inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
@@ -76,7 +75,7 @@ def _touching(n: int, precision: Precision) -> Program:
 
 
 def _scaled(n: int) -> Program:
-    """Instruction list: multipliers and rest in units of the pull; if the solver failed, the rest is the whole pull."""
+    # if the solver failed, the rest is the whole pull
     point, active, weights = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("weights", n)
     end, size, pull = ca.SX.sym("end"), ca.SX.sym("size"), ca.SX.sym("pull", n)
     good = ca.eq(end, OPTIMAL)

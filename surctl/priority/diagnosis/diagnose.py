@@ -91,7 +91,7 @@ def _check_numbers(samples: int, threshold: float, starts: int, seed: int) -> No
 
 
 def _equality(stack: Stack, survey: Survey) -> Equality:
-    """Test the commutator condition: first on the expressions, then on samples, then by local searches if it fails."""
+    """Test the commutator condition on the expressions, then on samples, and search locally where samples fail."""
     structural = commuting_levels(stack)
     norms = commutator_norms(survey.values.jacobians)
     largest: dict[str, float] = {}
@@ -118,7 +118,7 @@ def _equality(stack: Stack, survey: Survey) -> Equality:
 
 
 def _commuting(i: int, values: Values) -> Array:
-    """Return a measure: 1 − commutator norm (N,) of level i; never negative for 4 velocities."""
+    # never negative: for 4 velocities the norm is at most 1
     closeness: Array = 1.0 - commutator_norms(values.jacobians)[:, i]
     return closeness
 
@@ -190,7 +190,6 @@ def _levels(survey: Survey) -> tuple[LevelReport, ...]:
 
 
 def _tolerance(J: Array, x: Array, v: Array) -> Array:
-    """Return the largest residuals (N,) that count as zero."""
     size = np.linalg.norm(J, 2, axis=(1, 2)) * np.linalg.norm(v, axis=1)
     tolerance: Array = _MET * (1.0 + np.linalg.norm(x, axis=1) + size)
     return tolerance

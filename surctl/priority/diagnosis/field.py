@@ -145,7 +145,7 @@ def _value(field: Field, measure: Measure, unit: Array) -> Array:
 
 
 def _slope(field: Field, measure: Measure, u: Array, *, scale: float) -> tuple[float, Array]:
-    """Return (measure/scale)² and its gradient (f,), from one call of the measure for all difference points."""
+    """Return (measure/scale)² and its gradient (f,) at a point u of the unit box."""
     steps = _STEP * np.eye(u.size)
     around = np.clip(np.vstack([u[None], u + steps, u - steps]), 0.0, 1.0)
     # where the measure is undefined it is capped at a value just high enough to shorten a step that ends there

@@ -140,7 +140,7 @@ def _fresh(name: str, names: list[str]) -> str:
 
 
 def _corners(bounds: Bounds, size: int, *, key: str, names: Sequence[str]) -> tuple[Array, Array]:
-    """Return the lower and upper corner, (size,) each; for parameters, a single number applies to all entries."""
+    # for parameters, a single number applies to all entries
     try:
         lower, upper = (np.array(part, dtype=float).reshape(-1) for part in bounds)
     except (TypeError, ValueError):

@@ -80,7 +80,6 @@ def _own(survey: Survey, i: int) -> dict[Symptom, Measure]:
 
 
 def _regular(survey: Survey, i: int, point: Array) -> bool:
-    """Return whether task i by itself is far from singular at the point (d,)."""
     here = survey.field.at(point[None])
     return all(measure(here)[0] > survey.threshold for measure in _own(survey, i).values())
 
@@ -88,7 +87,6 @@ def _regular(survey: Survey, i: int, point: Array) -> bool:
 def _singularity(
     survey: Survey, i: int, symptom: Symptom, measure: Measure, counts: Callable[[Array], bool]
 ) -> list[Singularity]:
-    """Return the finding for one measure: search results below the threshold that `counts` accepts; empty if none."""
     ends = [end for end in survey.search(measure) if end[1] <= survey.threshold and counts(end[0])]
     if not ends:
         return []
@@ -107,7 +105,6 @@ def _singularity(
 
 
 def _apart(survey: Survey, points: list[Array]) -> list[Array]:
-    """Remove points that lie within 1 % of the region of an earlier point."""
     region = survey.field.region
     width = np.where(region.upper > region.lower, region.upper - region.lower, 1.0)
     distinct: list[Array] = []

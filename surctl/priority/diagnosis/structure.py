@@ -54,8 +54,8 @@ def orthogonal_pairs(stack: Stack) -> set[tuple[int, int]]:
 def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
     """Return whether AᵀA maps the span of the rows of higher levels, given as columns (n, 1), into itself.
 
-    The span is range(P) of the constant rows, plus the parts of the other rows outside range(P). The result remains
-    valid if the dimension of the span varies from pose to pose.
+    P is the projector on the constant rows. The span is range(P) plus the parts of the other rows outside range(P). The
+    result is also valid if the dimension of the span varies from pose to pose.
     """
     P = _projector([np.array(ca.DM(row)).ravel() for row in above if row.is_constant()], A.shape[1])
     outside = ca.SX(ca.sparsify(ca.DM(np.eye(A.shape[1]) - P)))
@@ -72,7 +72,6 @@ def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
 
 
 def _projector(rows: list[Array], n: int) -> Array:
-    """Return the projector (n, n) on the span of constant rows; entries within rounding of 0 or ±1 are set exactly."""
     if not rows:
         return np.zeros((n, n))
     basis = row_space(np.array(rows)).rows
@@ -89,7 +88,6 @@ def _eigenvalues(A: ca.SX) -> list[float]:
 
 
 def _clean(expression: ca.SX) -> ca.SX:
-    """Return the expression without entries that are zero or constants of the size of rounding errors."""
     entries = ca.SX(*expression.shape)
     simple = ca.simplify(expression)
     for i, j in zip(*simple.sparsity().get_triplet(), strict=True):

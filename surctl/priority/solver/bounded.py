@@ -81,7 +81,7 @@ def _over_rows(
     *,
     results: tuple[str, ...],
 ) -> Loop:
-    """Loop over all constraint rows, one after another even if several rows are stored side by side."""
+    """Return a loop over all constraint rows, one after another even if several rows are stored side by side."""
     width, lanes = sizes.n + 3, sizes.lanes
     together = lanes if lanes > 1 else math.gcd(sizes.m, _TOGETHER)
     block = ca.SX.sym("rows", together * width)
@@ -98,11 +98,11 @@ def _over_rows(
 
 
 def _start(sizes: Sizes) -> Program:
-    """Instruction list (point, end, target, box) → near, limits (2,), worst (2,), hard (2,), stands, first.
+    """Return a program for the initial values of the bounded stage.
 
-    near: the target in the box. limits: allowed violation of a hard constraint row by near, and by v = 0. worst, hard:
-    initial value 0 of the largest violations. stands: whether the box contains v = 0. first: the start of the
-    projections, inside the box.
+    Outputs: the target moved into the box; the allowed violation of a hard row by this point and by v = 0; the initial
+    values 0 of the largest violations of all rows and of the hard rows; whether the box contains v = 0; the start of
+    the projections.
     """
     n, precision = sizes.n, sizes.precision
     point, end = ca.SX.sym("point", n + 1), ca.SX.sym("end")
@@ -131,7 +131,7 @@ def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Return the state after one row in the first sweep, with the largest violations by near and by v = 0 so far."""
+    """Project on one row in the first sweep, and update the largest violations by `near` and by v = 0."""
     (point, worst, hard), (near,) = state, fixed
     after: list[tuple[ca.SX, ca.SX]] = []
     for k, (above, below) in enumerate((_misses(row, dot(row[:-3], near)), (-row[-2], row[-3]))):
@@ -141,10 +141,11 @@ def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
 
 
 def _choose(sizes: Sizes) -> Program:
-    """Instruction list (near, limits, stands, worst, hard) → safe, slack (2,), sound; 1, 0.
+    """Return a program that chooses the safe point: `near` or v = 0.
 
-    slack: allowed violation of a soft row and of a hard row in the remaining computation, equal to the violation by the
-    safe point plus rounding. sound: whether the safe point satisfies the hard rows.
+    Outputs: the safe point; the violation of a soft row and of a hard row that stays allowed, which is the violation by
+    the safe point plus rounding; whether the safe point satisfies the hard rows; the initial values 1 and 0 of
+    `_step_fraction`.
     """
     near, limits, stands = ca.SX.sym("near", sizes.n), ca.SX.sym("limits", 2), ca.SX.sym("stands")
     worst, hard = ca.SX.sym("worst", 2), ca.SX.sym("hard", 2)
@@ -163,19 +164,16 @@ def _choose(sizes: Sizes) -> Program:
 
 
 def _sweep_again(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Return the state after one constraint row in the second sweep of projections."""
     return [_moved(state[0], row, _SWEEPS[1])]
 
 
 def _moved(point: ca.SX, row: ca.SX, part: float) -> ca.SX:
-    """Return the point moved towards the feasible side of the constraint row by a fraction of the violation."""
     value = dot(row[:-3], point)
     missed = value - ca.fmin(ca.fmax(value, row[-3]), row[-2])
     return point - (part * missed) * row[:-3]
 
 
 def _inside(sizes: Sizes) -> Program:
-    """Instruction list (point (n,), near, box) → the point moved into the box; near if the point is not finite."""
     n = sizes.n
     point, near, box = ca.SX.sym("point", n), ca.SX.sym("near", n), ca.SX.sym("box", 2 * n)
     finite = ca.SX(1)
@@ -186,7 +184,7 @@ def _inside(sizes: Sizes) -> Program:
 
 
 def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Return the fraction of the path safe → goal with a violation of at most slack, and the largest goal violation."""
+    """Update the fraction of the path safe → goal with violations of at most slack, and the largest goal violation."""
     (part, missed), (safe, goal, slack) = state, fixed
     from_, to = dot(row[:-3], safe), dot(row[:-3], goal)
     above, below = _misses(row, from_)
@@ -199,7 +197,6 @@ def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[c
 
 
 def _end(sizes: Sizes) -> Program:
-    """Instruction list (near, safe, goal, slack, sound, part, missed) → point (n + 1,), no active rows, status."""
     n = sizes.n
     near, safe, goal = (ca.SX.sym(name, n) for name in ("near", "safe", "goal"))
     slack, sound, part, missed = ca.SX.sym("slack", 2), ca.SX.sym("sound"), ca.SX.sym("part"), ca.SX.sym("missed")

@@ -102,7 +102,7 @@ def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _sum(terms: list[ca.SX]) -> ca.SX:
-    """Return the sum of the terms, added in pairs, which shortens the chain of dependent additions."""
+    # adding in pairs shortens the chain of dependent additions
     while len(terms) > 1:
         terms = [a + b for a, b in zip(terms[::2], terms[1::2], strict=False)] + terms[len(terms) // 2 * 2 :]
     return terms[0]
@@ -153,24 +153,20 @@ def which() -> Program:
 
 @dataclass(frozen=True)
 class _Slots:
-    """Active constraint rows in slots: normals (d,) each, multipliers, signed row numbers; empty slots at the end."""
+    """Active constraint rows in slots; empty slots have number 0 and are at the end."""
 
-    normals: list[ca.SX]
+    normals: list[ca.SX]  # (d,) each
     multipliers: list[ca.SX]
-    numbers: list[ca.SX]
+    numbers: list[ca.SX]  # signed row numbers
 
 
 @dataclass(frozen=True)
 class _Triangle:
-    """Factors normals = Q R by modified Gram–Schmidt without square roots: Q orthogonal, R unit upper triangular.
+    """Factors Q R of the normals, by modified Gram–Schmidt without square roots; R has a unit diagonal."""
 
-    Attributes:
-        Q: columns. R: entries above the diagonal. inverse: 1/‖q‖² of each column q of Q, 0 in an empty slot.
-    """
-
-    Q: list[ca.SX]
-    R: list[list[ca.SX]]
-    inverse: list[ca.SX]
+    Q: list[ca.SX]  # orthogonal columns
+    R: list[list[ca.SX]]  # entries above the diagonal
+    inverse: list[ca.SX]  # 1/‖q‖² of each column q of Q, 0 in an empty slot
 
     @staticmethod
     def of(slots: _Slots) -> _Triangle:
@@ -188,10 +184,9 @@ class _Triangle:
         return _Triangle(Q, R, inverse)
 
     def split(self, normal: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
-        """Return (part of the normal outside the span of Q, coordinates in Q); two passes suffice (Parlett 1998, 6.9).
-
-        If the last slot is in use, every normal lies in the span, so the first result may ignore the last slot.
-        """
+        """Return the part of the normal outside the span of Q, and the coordinates of the rest in Q."""
+        # two passes suffice (Parlett 1998, 6.9); if the last slot is in use, every normal lies in the span, so
+        # `outside` may ignore the last slot
         outside, inside = normal, [ca.SX(0)] * len(self.Q)
         for _ in range(2):
             for j, q in enumerate(self.Q[:-1]):
@@ -202,7 +197,7 @@ class _Triangle:
         return outside, inside
 
     def solve(self, rhs: list[ca.SX]) -> list[ca.SX]:
-        """Solve R r = rhs by back substitution; the entries of r for empty slots are 0."""
+        # R r = rhs by back substitution; the entries of r for empty slots are 0
         r = list(rhs)
         for j in reversed(range(len(r))):
             for k in range(j + 1, len(r)):
@@ -212,11 +207,11 @@ class _Triangle:
 
 @dataclass(frozen=True)
 class _Entering:
-    """The row to process, signed so that normal · v ≤ bound: signed row number, normal with respect to y, violation."""
+    """Constraint row to process, with the sign that makes its violated bound an upper bound."""
 
-    number: ca.SX
-    normal: ca.SX
-    missed: ca.SX
+    number: ca.SX  # signed row number
+    normal: ca.SX  # with respect to y
+    missed: ca.SX  # violation
 
     @staticmethod
     def of(space: Space, row: ca.SX, number: ca.SX, *, point: ca.SX, M: ca.SX | None) -> _Entering:
@@ -231,22 +226,14 @@ class _Entering:
 
 @dataclass(frozen=True)
 class _Place:
-    """Relation of the entering constraint row to the active constraint rows.
+    """Relation of the entering constraint row to the active constraint rows."""
 
-    Attributes:
-        outside: whether the normal of the entering row is sufficiently outside the span of the active normals.
-        whole, full: if outside, the step of the multiplier and the displacement (d,) of y that satisfy the entering
-            constraint row.
-        rate: displacement (d,) of y for a unit step of the multiplier. r: decrease of the active multipliers for a unit
-            step. ratios: multipliers divided by r.
-    """
-
-    outside: ca.SX
-    whole: ca.SX
-    full: ca.SX
-    rate: ca.SX
-    r: list[ca.SX]
-    ratios: list[ca.SX]
+    outside: ca.SX  # whether the normal of the entering row is sufficiently outside the span of the active normals
+    whole: ca.SX  # if outside: step of the multiplier that satisfies the entering row
+    full: ca.SX  # if outside: displacement (d,) of y that satisfies the entering row
+    rate: ca.SX  # displacement (d,) of y for a unit step of the multiplier
+    r: list[ca.SX]  # decrease of the active multipliers for a unit step
+    ratios: list[ca.SX]  # multipliers divided by r
 
     @staticmethod
     def of(slots: _Slots, entering: _Entering, precision: Precision) -> _Place:
@@ -267,8 +254,6 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Step:
-    """Step length, and the resulting change of the slots of active rows."""
-
     length: ca.SX
     displacement: ca.SX
     full: ca.SX

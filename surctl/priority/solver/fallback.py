@@ -85,7 +85,7 @@ def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallbac
 
 
 def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Steps that check the result of stage 1, and run the lower stages if stage 1 fails."""
+    """Return the steps that check the result of stage 1, and run the lower stages if stage 1 failed."""
     carried = ("point", "active", "multipliers", "status", "count", "none")
     after = tuple(f"{name}_down" for name in carried)
     return (
@@ -96,7 +96,7 @@ def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
 
 
 def _bounded_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Steps that check the result of stage 1, if there is one, and run the stage of constant cost if stage 1 fails."""
+    """Return the steps that check the result of stage 1, and run the stage of constant cost if stage 1 failed."""
     end = ca.SX.sym("end")
     failed = lower(ca.Function("failed", [end], [ca.logic_not(ca.eq(end, OPTIMAL))]))
     one = lower(ca.Function("done", [ca.SX.sym("failed")], [ca.SX.ones(1)]))
@@ -121,7 +121,7 @@ def _zero() -> Program:
 
 
 def _down(sizes: Sizes) -> Routine:
-    """Routine: body of a loop that runs once if stage 1 fails; it makes up to two passes over the lower stages."""
+    """Return the body of a loop that runs once if stage 1 failed, with up to two passes over the lower stages."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("box", 2 * n))
@@ -138,17 +138,13 @@ def _down(sizes: Sizes) -> Routine:
 
 
 def _near(n: int) -> Program:
-    """Instruction list → the target moved into the box, without and with t = 0 appended: start of stages 2 and 3."""
     target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
     near = ca.vertcat(*(into(target[i], box[i], box[n + i]) for i in range(n)))
     return lower(ca.Function("near", [target, box], [near, ca.densify(ca.vertcat(near, 0))]))
 
 
 def _judge(sizes: Sizes) -> Program:
-    """Instruction list (point, solver status, feasible, J, x) → MET or 0.
-
-    MET: every row of J v = x holds to rounding, relative to the length of the row.
-    """
+    # MET: every row of J v = x holds to rounding, relative to the length of the row
     n, p = sizes.n, sizes.p
     point, end, feasible = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("feasible")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -164,11 +160,8 @@ def _judge(sizes: Sizes) -> Program:
 
 
 def _finish(sizes: Sizes) -> Program:
-    """Instruction list (point, status, safe, target, J, x, box) → v inside the box and always finite, opening, status.
-
-    A point that results from a non-finite task or target does not count as a solution. If no stage found a solution
-    (status 0), a point of stage 3 that satisfies the opened constraint rows is accepted.
-    """
+    # a point from a non-finite task or target is no solution; if no stage found a solution (status 0), a point of stage
+    # 3 that satisfies the opened constraint rows is accepted
     n, p, huge = sizes.n, sizes.p, sizes.precision.huge
     point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)
     target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)

@@ -117,7 +117,7 @@ def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
 
 
 def _reduce(space: Space) -> Program:
-    """Instruction list (row, origin, Z) → constraint row on y: Z.T a, lower and upper reduced by a · origin."""
+    # the constraint row on y, for v = origin + Z y
     n, d = space.n, space.d
     row, origin, Z = ca.SX.sym("row", n + 3), ca.SX.sym("origin", n), ca.SX.sym("Z", n * d)
     value = ca.dot(row[:n], origin)
@@ -126,7 +126,6 @@ def _reduce(space: Space) -> Program:
 
 
 def _search(space: Space, rows: int, cap: int | None) -> Routine:
-    """Routine (constraint rows, start, skip[, M]) → (point, numbers, multipliers, status, count)."""
     free = (("M", space.n * space.d),) if space.mapped and not space.opening else ()
     space = space if free else Space(space.n, space.d, space.opening, mapped=False, precision=space.precision)
     width = space.row
@@ -167,7 +166,6 @@ def _state(space: Space) -> tuple[tuple[str, int], ...]:
 
 
 def _start(space: Space) -> Program:
-    """Instruction list (start, skip) → the state before the violations are first evaluated."""
     base, skip = ca.SX.sym("base", space.point), ca.SX.sym("skip")
     d = space.d
     zeros = [ca.SX.zeros(size, 1) for size in (d * d, d, d, 2)]
@@ -176,7 +174,7 @@ def _start(space: Space) -> Program:
 
 
 def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
-    """Steps that find the most violated row at point{tag}: first in each lane of parallel rows, then among lanes."""
+    """Return the steps that find the most violated row at point{tag}: first in each lane, then among the lanes."""
     lanes = lanes_of(rows, space.precision)
     names = [f"best{tag}" if left == 1 else f"best{tag}_of_{left}" for left in (8, 4, 2, 1) if left <= lanes]
     halves: list[Step] = []
@@ -194,7 +192,7 @@ def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
 
 
 def _turn(space: Space, rows: int) -> Routine:
-    """Routine for one iteration with the pending or most violated constraint row; it then evaluates all violations."""
+    """Return a routine for one iteration with the pending row, if any, or else with the most violated row."""
     state, lanes = _state(space), lanes_of(rows, space.precision)
     free = (("M", space.n * space.d),) if space.mapped else ()
     names = tuple(name for name, _ in state[:-2])

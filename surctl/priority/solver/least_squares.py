@@ -44,7 +44,7 @@ def least_squares(sizes: Sizes) -> Routine:
 
 
 def _begin(sizes: Sizes) -> Program:
-    """Instruction list → the initial state, J and x divided by the length of the longest row of J, zero multipliers."""
+    # J and x are divided by the length of the longest row of J
     n, p = sizes.n, sizes.p
     near, opening = ca.SX.sym("near", n), ca.SX.sym("opening")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -59,7 +59,7 @@ def _begin(sizes: Sizes) -> Program:
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """Routine for one proximal step, followed by the direct solution with the active rows of the step."""
+    """Return a routine for one proximal step, followed by the direct solution with the active rows of the step."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("delta", 1), ("status", 1), ("count", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p))
@@ -82,13 +82,12 @@ def _turn(sizes: Sizes) -> Routine:
 
 
 def _unsolved() -> Program:
-    """Instruction list: solver status → 0, whether the solver found no point."""
     end = ca.SX.sym("end")
     return lower(ca.Function("unsolved", [end], [ca.SX.zeros(1), ca.logic_not(ca.eq(end, OPTIMAL))]))
 
 
 def _polish(sizes: Sizes) -> Routine:
-    """Routine: body of a loop that runs once if the solver found a point; it computes the direct solution."""
+    """Return the body of a loop that runs once if the solver found a point; it computes the direct solution."""
     n, p = sizes.n, sizes.p
     state = (("candidate", n + 1), ("good", 1), ("feasible", 1), ("stop", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p), ("numbers", n))
@@ -105,7 +104,7 @@ def _polish(sizes: Sizes) -> Routine:
 
 
 def _weigh(sizes: Sizes) -> Program:
-    """Instruction list (point, δ, J, x) → base and Z (in v) of the problem in (v, (J v − x)/δ), and 0."""
+    """Return a program for base and Z (in v) of the problem in (v, (J v − x)/δ)."""
     n, p = sizes.n, sizes.p
     point, delta = ca.SX.sym("point", n + 1), ca.SX.sym("delta")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -117,15 +116,15 @@ def _weigh(sizes: Sizes) -> Program:
 
 
 def _indices(n: int) -> Program:
-    """Instruction list: signed row numbers → row indices; −1 for an empty slot."""
+    # −1 for an empty slot
     numbers = ca.SX.sym("numbers", n)
     return lower(ca.Function("indices", [numbers], [ca.fabs(numbers[j]) - 1 for j in range(n)]))
 
 
 def _direct(sizes: Sizes) -> Program:
-    """Instruction list (candidate, numbers, J, x, active rows) → minimiser of ‖J v − x‖ on these rows, whether optimal.
+    """Return a program for the minimiser of ‖J v − x‖ on the active rows, and whether the minimiser is optimal.
 
-    The minimiser is optimal if J.T (x − J v) is a combination of the active normals with multipliers of the right sign.
+    The minimiser is optimal if Jᵀ(x − J v) is a combination of the active normals with multipliers of the right sign.
     """
     n, p = sizes.n, sizes.p
     candidate, numbers = ca.SX.sym("candidate", n + 1), ca.SX.sym("numbers", n)
@@ -160,7 +159,7 @@ def _direct(sizes: Sizes) -> Program:
 
 
 def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.SX:
-    """Return the rows of J restricted to the free directions; a row that is only rounding noise is set to zero."""
+    # a row of J restricted to the free directions may be only rounding noise
     rows = []
     for k in range(matrix.shape[0]):
         left = ca.sumsqr(projected[k, :]) > precision.cutoff**2 * ca.sumsqr(matrix[k, :])
@@ -169,7 +168,6 @@ def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.
 
 
 def _decide(sizes: Sizes) -> Program:
-    """Instruction list: stop if the direct solution is optimal and feasible (1) or none exists (3); else reduce δ."""
     n = sizes.n
     point, active, delta = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("delta")
     status, count = ca.SX.sym("status"), ca.SX.sym("count")
@@ -190,7 +188,7 @@ def _decide(sizes: Sizes) -> Program:
 
 
 def _end(sizes: Sizes) -> Program:
-    """Instruction list (status, δ, feasible) → whether the point is optimal or the result of a proximal step."""
+    # the point must be optimal or the result of a proximal step
     status, delta, feasible = ca.SX.sym("status"), ca.SX.sym("delta"), ca.SX.sym("feasible")
     stepped = ca.logic_or(ca.eq(status, OPTIMAL), delta < sizes.precision.delta)
     return lower(ca.Function("least_squares_end", [status, delta, feasible], [ca.logic_and(stepped, feasible)]))

@@ -50,14 +50,13 @@ def opened(sizes: Sizes) -> Routine:
 
 
 def _begin(n: int, precision: Precision) -> Program:
-    """Instruction list (near, skip) → the point (near, 0), γ, the stop flag, solved = 0, count = 0."""
     near, skip = ca.SX.sym("near", n), ca.SX.sym("skip")
     outputs = [ca.vertcat(near, 0), ca.SX(precision.pull), skip, ca.SX.zeros(1), ca.SX.zeros(1)]
     return lower(ca.Function("open_begin", [near, skip], list(map(ca.densify, outputs))))
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """Routine for one proximal step; a step that fails ends the loop and leaves the point unchanged."""
+    """Return a routine for one proximal step; a step that fails ends the loop and leaves the point unchanged."""
     n = sizes.n
     steps = (
         Call(_pull(n), ("low", "gamma"), ("base", "go")),
@@ -81,14 +80,13 @@ def _size(point: ca.SX) -> ca.SX:
 
 
 def _pull(n: int) -> Program:
-    """Instruction list (point, γ) → the target (v, t − γ·size) of the least-distance problem, and 0."""
     point, gamma = ca.SX.sym("point", n + 1), ca.SX.sym("gamma")
     base = ca.vertcat(point[:n], point[n] - gamma * _size(point))
     return lower(ca.Function("pull", [point, gamma], [base, ca.SX.zeros(1)]))
 
 
 def _judge(n: int, precision: Precision) -> Program:
-    """Instruction list → the state after a step; the loop stops if t can hardly decrease further or the step failed."""
+    # the loop stops if t can hardly decrease further, or if the step failed
     low, gamma, ends, solved = ca.SX.sym("low", n + 1), ca.SX.sym("gamma"), ca.SX.sym("ends"), ca.SX.sym("solved")
     count, after, why, spent = ca.SX.sym("count"), ca.SX.sym("after", n + 1), ca.SX.sym("why"), ca.SX.sym("spent")
     good = ca.eq(why, OPTIMAL)
@@ -108,14 +106,14 @@ def _judge(n: int, precision: Precision) -> Program:
 
 
 def _clean(n: int, precision: Precision) -> Program:
-    """Instruction list (point, solved) → target of the last step, whether to skip the last step."""
+    # the target of the last step, and whether to skip the last step
     low, solved = ca.SX.sym("low", n + 1), ca.SX.sym("solved")
     base = ca.vertcat(low[:n], low[n] - precision.pull * _size(low))
     return lower(ca.Function("clean", [low, solved], [base, ca.logic_not(solved)]))
 
 
 def _widened(n: int, precision: Precision) -> Program:
-    """Instruction list → result of the last step (else of the loop, else the input) with a margin; solved; count."""
+    # the result of the last step, else of the loop, else the input; the opening gets a margin
     low, solved, cleaned = ca.SX.sym("low", n + 1), ca.SX.sym("solved"), ca.SX.sym("cleaned", n + 1)
     end, point = ca.SX.sym("end"), ca.SX.sym("point", n + 1)
     count, spent = ca.SX.sym("count"), ca.SX.sym("spent")

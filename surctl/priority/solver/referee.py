@@ -67,7 +67,7 @@ def examine(trials: Trials, v: Array, opening: Array) -> list[Finding]:
 
 
 def _one_sided(rows: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return G, h of the constraints G z ≤ h; the last column of G belongs to the opening, which widens both bounds."""
+    """Return G, h of the constraints G z ≤ h; the last entry of z is the opening, which widens both bounds."""
     above, below = np.isfinite(upper), np.isfinite(lower)
     turned = np.column_stack([-rows[below, :-1], rows[below, -1]])
     return np.vstack([rows[above], turned]), np.concatenate([upper[above], -lower[below]])
@@ -85,7 +85,7 @@ def _least_opening(G: Array, h: Array) -> float:
 def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, float]:
     """Return by how much ‖J v − x‖ exceeds a lower bound of its minimum, and the largest sum of multipliers.
 
-    The bound comes from the tangent of ‖J v − x‖ at v, or, if this bound is loose, at a better point: the best
+    The bound comes from the tangent of ‖J v − x‖ at v. If this bound is loose, the tangent is taken at the best
     combination of v and the solutions of the linear programmes so far (Frank and Wolfe 1956, fully corrective).
     """
     from scipy.optimize import linprog

@@ -69,13 +69,13 @@ def _one() -> Program:
 
 
 def _load(sizes: Sizes) -> Program:
-    """Instruction list (flag, row) → flag: 1 if all rows of this lane so far have length 1 or 0; the row."""
+    # yes: 1 if all rows of this lane so far have length 1 or 0
     yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
     return lower(ca.Function("load", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0), row]))
 
 
 def _look(sizes: Sizes) -> Program:
-    """Instruction list (flag, row) → flag: 1 if all constraint rows so far have length 1 or 0."""
+    # yes: 1 if all constraint rows so far have length 1 or 0
     yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
     return lower(ca.Function("look", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0)]))
 
@@ -93,7 +93,7 @@ def _every(lanes: int) -> Program:
 
 
 def _scaling(sizes: Sizes) -> Routine:
-    """Routine: body of a loop that runs once if some constraint row has a length other than 0 or 1."""
+    """Return the body of a loop that runs once if some constraint row has a length other than 0 or 1."""
     n = sizes.n
     row = ca.SX.sym("row", n + 3)
     square = ca.sumsqr(row[:n])

@@ -165,7 +165,6 @@ def _length(a: Array) -> float:
 def _rows(
     n: int, A: ArrayLike, lower: ArrayLike, upper: ArrayLike, soft: ArrayLike | None, names: tuple[str, ...] | None
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return the checked constraint rows (m, n + 3) and their names."""
     normals = _array("A", A, (None, n))
     m = len(normals)
     named = tuple(f"row {i}" for i in range(m)) if names is None else names

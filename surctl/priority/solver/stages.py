@@ -56,11 +56,8 @@ def exact_stage(sizes: Sizes) -> Routine:
 
 
 def _reflected(sizes: Sizes, d: int) -> Program:
-    """Instruction list (target, J, x, skip) → origin, start, Z for the solver in n − p unknowns; sufficient; skip.
-
-    sufficient: whether this solver is enough (J has independent rows, or stage 1 is skipped). skip: whether to skip
-    this solver.
-    """
+    """Return a program for origin, start and Z of the solver in n − p unknowns, and two flags."""
+    # first flag: this solver is enough (J has independent rows, or stage 1 is skipped); second flag: skip this solver
     n, p = sizes.n, sizes.p
     target, J, x, skip = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("skip")
     left = reflect(as_matrix(J, n), x, target, sizes.precision)
@@ -75,14 +72,13 @@ def _reflected(sizes: Sizes, d: int) -> Program:
 
 
 def _padded(n: int, d: int) -> Program:
-    """Instruction list: active rows and multipliers of the solver in n − p unknowns, extended by empty slots."""
     pair = [ca.SX.sym("active", d), ca.SX.sym("multipliers", d)]
     wide = [ca.densify(ca.vertcat(a, ca.SX.zeros(n - d, 1))) for a in pair]
     return lower(ca.Function("padded", pair, wide))
 
 
 def _otherwise(sizes: Sizes) -> Routine:
-    """Routine: body of a loop that runs once if rows of J are dependent; it calls the solver in n unknowns instead."""
+    """Return the body of a loop that runs once if rows of J are dependent; it calls the solver in n unknowns."""
     n, p = sizes.n, sizes.p
     sizes_of = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("ends", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
@@ -95,7 +91,7 @@ def _otherwise(sizes: Sizes) -> Routine:
 
 
 def _dependent(sizes: Sizes) -> Routine:
-    """Routine: variant of `exact_stage` for any J; a row of J that depends on earlier rows is skipped."""
+    """Return a variant of `exact_stage` for any J; a row of J that depends on earlier rows is skipped."""
     n, p = sizes.n, sizes.p
     target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
     matrix = as_matrix(J, n)
@@ -150,7 +146,7 @@ def lower_stages(sizes: Sizes) -> Routine:
 
 
 def _again(sizes: Sizes) -> Routine:
-    """Routine: body of a loop that runs once if stage 2 found a value of J v; stage 1 with this value, then a check."""
+    """Return the body of a loop that runs once if stage 2 found a value of J v: stage 1 with this value of J v."""
     n, p = sizes.n, sizes.p
     state = (
         ("point", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1), ("feasible", 1), ("no", 1),
@@ -166,7 +162,7 @@ def _again(sizes: Sizes) -> Routine:
 
 
 def _opening_turn(sizes: Sizes) -> Routine:
-    """Routine: body of a loop that runs once if stage 2 found no point; it computes the smallest opening."""
+    """Return the body of a loop that runs once if stage 2 found no point; it computes the smallest opening."""
     n = sizes.n
     state = (("point", n + 1), ("solved", 1), ("feasible", 1), ("count", 1), ("yes", 1))
     after = tuple(f"{name}_next" for name, _ in state)
@@ -178,18 +174,16 @@ def _opening_turn(sizes: Sizes) -> Routine:
 
 
 def _done(flag: str) -> Program:
-    """Instruction list: flag → 1, which ends the loop after one pass."""
+    # the output 1 ends the loop after one pass
     return lower(ca.Function("done", [ca.SX.sym(flag)], [ca.SX.ones(1)]))
 
 
 def _opening(n: int) -> Program:
-    """Instruction list: point → the opening of the point."""
     point = ca.SX.sym("point", n + 1)
     return lower(ca.Function("opening", [point], [point[n]]))
 
 
 def _open_row(sizes: Sizes) -> Program:
-    """Instruction list: row → row with bounds moved outwards by the opening of the point if the row is soft."""
     n = sizes.n
     row, point = ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
     widening = row[n + 2] * point[n]
@@ -198,7 +192,6 @@ def _open_row(sizes: Sizes) -> Program:
 
 
 def _value(sizes: Sizes) -> Program:
-    """Instruction list (least-squares point, end, J) → J v, whether no point exists, whether a point exists, 0."""
     n, p = sizes.n, sizes.p
     point, end, J = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("J", p * n)
     good = ca.eq(end, OPTIMAL)
@@ -207,7 +200,7 @@ def _value(sizes: Sizes) -> Program:
 
 
 def _outcome(sizes: Sizes) -> Program:
-    """Instruction list: the better of two results of stage 2; if both failed, the point of stage 3 and its opening."""
+    # the better of two results of stage 2; if both failed, the point of stage 3 and its opening
     n = sizes.n
     point, count, safe = ca.SX.sym("point", n + 1), ca.SX.sym("count"), ca.SX.sym("safe")
     yes, feasible, wide = ca.SX.sym("yes"), ca.SX.sym("feasible"), ca.SX.sym("wide", n + 1)
