@@ -247,7 +247,7 @@ def calibration_rows(results: Sequence[SensorCalibration]) -> str:
 
 
 def _columns(table: Recorded) -> tuple[str, str, float]:
-    """Return the names of the two distance columns, and the factor that converts their unit to metres."""
+    # the ratio equals the speed of sound of air divided by that of water, or the inverse
     there = [unit for unit, pair in zip(_UNITS, _PAIRS, strict=True) if set(pair) <= set(table.columns)]
     if len(there) > 1:
         raise InputError(
