@@ -168,8 +168,7 @@ def build_law(
 
 @dataclass(frozen=True)
 class _Configuration:
-    """The checked arguments of `build_law`; equal arguments give the same law object."""
-
+    # checked arguments of `build_law`; equal arguments give the same law object
     law: LawName
     avoidance: AvoidanceForm
     mode: Mode
@@ -187,7 +186,6 @@ class _Configuration:
 
 @cache
 def _cached_law(chosen: _Configuration) -> Law:
-    """Return the law from the cache on disk, or build it if no process with this source code has stored it."""
     try:
         sources = source_digest(*_SOURCES)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached law
@@ -215,7 +213,6 @@ def _built(c: _Configuration) -> Law:
 
 
 def _with_perception(decide: Law, perception: PerceptionStage) -> Law:
-    """Return the complete law: perception, followed by the decision on the outputs of perception."""
     state = Layout((*decide.state.ports, *perception.state.ports))
     block = sensing(decide.block, decide.state, perception)
     return replace(decide, state=state, inputs=perception.inputs, block=block, perception=perception)
@@ -322,13 +319,13 @@ def _decide(chosen: _Configuration, inputs: Layout, *, sonar: bool = False, movi
 
 
 def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
-    """Return the limit rows l ≤ a·v ≤ u: first those of the velocity box, then those of the barriers."""
+    # first the rows of the velocity box, then those of the barriers: l ≤ a·v ≤ u
     most = ca.vertcat(p["cap"], p["cap"], CLIMB, yaw_limit(p))
     return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
 
 
 def _step_inputs(decision: Decision, rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
-    """Return J row by row; references; limit rows (a, lower, upper, whether it may be relaxed); velocity box."""
+    # J row by row; references; limit rows (a, lower, upper, whether the row may be relaxed); velocity box
     flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
     box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
     J = ca.vertcat(*(level.J for level in decision.levels))
