@@ -247,7 +247,7 @@ def calibration_rows(results: Sequence[SensorCalibration]) -> str:
 
 
 def _columns(table: Recorded) -> tuple[str, str, float]:
-    # the ratio equals the speed of sound of air divided by that of water, or the inverse
+    """Return the names of the two distance columns, and the factor that converts their unit to metres."""
     there = [unit for unit, pair in zip(_UNITS, _PAIRS, strict=True) if set(pair) <= set(table.columns)]
     if len(there) > 1:
         raise InputError(
@@ -267,6 +267,7 @@ def _columns(table: Recorded) -> tuple[str, str, float]:
 
 
 def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]]]:
+    """Yield the data lines of each sensor and medium, in the order of their first lines in the file."""
     count = len(table.lines)
     names = [[c.strip() for c in table.columns.get(key, [""] * count)] for key in ("sensor", "medium")]
     rows: dict[tuple[str, str], list[int]] = {}
@@ -284,7 +285,7 @@ def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]
 
 
 def _number(value: float) -> str:
-    # text of a TOML float
+    """Return a number as the text of a TOML float."""
     text = f"{value:.6g}"
     return text if any(c in text for c in ".en") else text + ".0"
 

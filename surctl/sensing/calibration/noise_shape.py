@@ -117,6 +117,8 @@ class _Cells:
 
 @dataclass(frozen=True, kw_only=True)
 class _Profile:
+    """For each λ: largest restricted likelihood, its noise level, sd at the near end over this level, centred line."""
+
     shape: NDArray[np.float64]
     likelihood: NDArray[np.float64]
     level: NDArray[np.float64]
@@ -142,7 +144,8 @@ def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
 
 
 def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    # text of a TOML float
+    """Return the factors t < 1 < t' on the level that lower ln L by `drop`, from ln t + (1/t² − 1)/2 = drop/dof."""
+
     def lost(t: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.log(t) + 0.5 * (t**-2 - 1.0) - drop / dof
 
@@ -158,7 +161,7 @@ def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float
 
 
 def _marginal_line(profile: _Profile, centre: float, dof: int, best: int) -> NDArray[np.float64]:
-    """Sums of 1, x, x², r, x r and r² over the readings that share a weight, with x minus its mean."""
+    """Return (2, 3): intercept at 0 and slope, each with the 2.5 % and 97.5 % points of Student's t averaged over λ."""
     from scipy.special import stdtr  # Student's distribution function, without the overhead of scipy.stats
 
     some = slice(best % _THIN, None, _THIN)  # sufficient for the integral
