@@ -80,7 +80,6 @@ def _lines(one: SensorCalibration) -> list[str]:
 
 
 def _noise(one: SensorCalibration) -> list[str]:
-    """Return lines of text with the result of the test whether the noise depends on the range."""
     from surctl.sensing.calibration.estimation import LEAST_ROWS_OF_SLOPE
 
     f = one.calibration
@@ -97,7 +96,6 @@ def _noise(one: SensorCalibration) -> list[str]:
 
 
 def _percentages() -> tuple[dict[str, Any], list[str]]:
-    """Return the recomputed percentages of the paper's Table II, as data and as lines of text."""
     from surctl.sensing import table_ii
     from surctl.sensing.calibration.table2 import MEDIA
 

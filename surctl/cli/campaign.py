@@ -202,7 +202,7 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
 
 
 def _claim(case: Case) -> SafetyClaim:
-    """Return the safety claim of the law's barrier, for the unchanged scenario and the vehicle's parameter ranges."""
+    # for the unchanged scenario and the vehicle's parameter ranges
     from math import inf
 
     from surctl.simulation import safety_claim, turn_rate
@@ -268,7 +268,7 @@ SAME = 1e-9
 
 
 def _typed() -> dict[str, bool]:
-    """Return, for each parameter of the command by name, whether it was given on the command line."""
+    # by parameter name: whether the parameter was given on the command line
     context = click.get_current_context()
     default = (click.core.ParameterSource.DEFAULT, click.core.ParameterSource.DEFAULT_MAP)
     return {name: context.get_parameter_source(name) not in default for name in context.params}

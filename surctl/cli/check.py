@@ -65,7 +65,7 @@ def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_j
 
 
 def _shown(claim: Mapping[str, Any]) -> list[str]:
-    """Return the checked entries of the claim as text, without its wording, which the checker does not verify."""
+    # without the wording of the claim, which the checker does not verify
     lines = []
     for key, value in claim.items():
         if key == "statement" or value in ([], "", 0.0):
@@ -79,7 +79,7 @@ def _shown(claim: Mapping[str, Any]) -> list[str]:
 
 
 def _entry(value: Any) -> str:
-    """Return one entry of a claim as text; a variable is shown with its bounds."""
+    # a variable is shown with its bounds
     if isinstance(value, dict) and {"name", "lower", "upper", "unit"} <= set(value):
         return f"{value['name']} in [{value['lower']}, {value['upper']}] {value['unit']}"
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

@@ -241,7 +241,6 @@ _RUN_OPTIONS = (
 
 
 def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
-    """Return the command that starts the exported controller as a process, and the command that simulates with it."""
     words = [context.params["scenario"]]
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
     for name in _RUN_OPTIONS:

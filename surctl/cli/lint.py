@@ -28,7 +28,7 @@ _NEXT = {
 
 
 def _file_findings(loaded: object) -> list[Finding]:
-    """Return findings about the entries of a vehicle or a region claim that cannot work."""
+    # entries that cannot work
     from surctl.simulation import Finding
     from surctl.vehicle import Vehicle
     from surctl.verification.region import RegionStatement

@@ -235,7 +235,7 @@ def _pictures(table: SweepTable, sobol: Sensitivity | None, out: Path) -> list[P
 def _locus(
     cases: Sequence[Case], gains: Gains, parameter: str, swept: NDArray[np.float64], at: Mapping[str, float]
 ) -> Locus:
-    """Return the poles of the first vehicle at its largest cruise speed over one parameter, about the point `at`."""
+    # poles of the first vehicle at its largest cruise speed, about the point `at`
     import numpy as np
 
     from surctl.verification import sweep_locus
@@ -256,7 +256,6 @@ def _locus(
 
 
 def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
-    """Return the text output for the points of the sweep, or for the Sobol' indices."""
     if sobol is not None:
         if sobol.constant:
             return [f"{sobol.column} is constant over these ranges: it does not depend on any axis"]

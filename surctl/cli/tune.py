@@ -235,7 +235,7 @@ def tune(
 
 
 def _region(vehicle: Vehicle) -> list[str]:
-    """Return the region claim to suggest next, if it applies to the vehicle."""
+    # the region claim to suggest next
     from surctl.errors import NotApplicable
     from surctl.verification.assumptions import check_alike
 

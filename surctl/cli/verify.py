@@ -219,7 +219,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
 
 
 def _export(scenario: str | None, vehicle: str, gains: str, certificates: Sequence[Path], law: Law) -> list[str]:
-    """Return the export command with the certificates that apply; empty if the vehicle cannot start the mission."""
+    # with the certificates that apply; empty if the vehicle cannot start the mission
     from surctl.cli.export import MISSION
     from surctl.control import load_gains
     from surctl.errors import InputError
@@ -297,10 +297,7 @@ def _stack(name: str) -> StackConditions:
 def _chosen(
     words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
-    """Return the claims with the given names and files, in this order, and the claims that do not apply.
-
-    Without names and files, the claims are all claims of the library.
-    """
+    # without names and files, the claims are all claims of the library
     from surctl.errors import InputError
     from surctl.verification import applicable_claims, load_claim
 
@@ -319,7 +316,6 @@ def _chosen(
 
 
 def _write_certificates(verdicts: Sequence[Verdict], out: Path | None) -> dict[str, Path]:
-    """Write one file for each certificate; return the files by claim name."""
     from surctl.files import write_file
 
     if out is None:

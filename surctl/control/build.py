@@ -244,7 +244,6 @@ def _built(c: _Configuration) -> Law:
 
 
 def _with_perception(decide: Law, perception: PerceptionStage) -> Law:
-    """Return the complete law: perception, followed by the decision on the outputs of perception."""
     state = Layout((*decide.state.ports, *perception.state.ports))
     block = sensing(decide.block, decide.state, perception)
     return replace(decide, state=state, inputs=perception.inputs, block=block, perception=perception)
@@ -358,7 +357,7 @@ def _decide(
 
 
 def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
-    """Return the limit rows l ≤ a·v ≤ u: first those of the velocity box, then those of the barriers."""
+    # first the rows of the velocity box, then those of the barriers: l ≤ a·v ≤ u
     most = ca.vertcat(p["cap"], p["cap"], CLIMB, yaw_limit(p))
     return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
 

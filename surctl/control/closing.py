@@ -27,7 +27,7 @@ CLIMB = 0.1
 
 
 def _has_degraded(flags: ca.SX) -> ca.SX:
-    """Return whether the bit `DEGRADED` is set in `flags`, where `TRAPPED` is the only higher bit."""
+    # `TRAPPED` is the only bit above `DEGRADED`
     return flags - TRAPPED * (flags >= TRAPPED) >= DEGRADED
 
 

@@ -162,7 +162,7 @@ def dead_end_step(dead_end: DeadEnd, place: Place, movers: Iterable[Mover], miss
 def _searching(
     dead_end: DeadEnd, place: Place, movers: Iterable[Mover], mission: Mission, dt: float
 ) -> tuple[DeadEnd, bool]:
-    """Return the next state without layers, and whether the robot is at the end of the path."""
+    # the next state without layers, and whether the robot is at the end of the path
     x, y = place.eta[:2]
     west, east, south, north = dead_end.searched
     further = place.reached > dead_end.furthest + NEW
@@ -186,7 +186,7 @@ def _searching(
 
 
 def _changing(before: DeadEnd, after: DeadEnd, place: Place, mission: Mission, dead: bool) -> DeadEnd:
-    """Return the next state during a change of depth; `after` already contains the position to hold."""
+    # `after` already contains the position to hold
     returns = before.changing > 1.5
     rise = _goal(before, mission) - place.eta[2]
     if abs(rise) <= AT:
@@ -206,6 +206,6 @@ def _goal(dead_end: DeadEnd, mission: Mission) -> float:
 
 
 def _stops(distance: float, mission: Mission) -> float:
-    """Return the speed [m/s] from which the robot stops within a distance [m]; see `guidance.allowed_closing_speed`."""
+    # speed [m/s]; see `guidance.allowed_closing_speed`
     at = mission.acceleration * mission.reaction
     return sqrt(at * at + 2 * mission.acceleration * max(distance, 0.0)) - at

@@ -170,8 +170,7 @@ def _strays(desired: DesiredMotion, velocity: ca.SX, stop: Stop) -> ca.SX:
 
 
 def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tuple[ca.SX, ca.SX]]:
-    """Return bounds (normal, largest speed along the normal) for unknown space and for untrusted sonars."""
-
+    # (normal, largest speed along the normal), for unknown space and for untrusted sonars
     def before(row: ca.SX) -> tuple[ca.SX]:
         return (ca.vertcat(row[:2], ca.fmax(stop(ca.fmax(row[2], 0), ca.SX(0)), 0)),)
 
@@ -229,10 +228,7 @@ def _sector(contact: Contact, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop) ->
 
 
 def _evaded(contact: Contact, desired: DesiredMotion) -> ca.SX:
-    """Return whether a contact moves and does not come from behind.
-
-    The robot evades a moving contact sideways, unless the contact comes from behind; then the robot outruns it.
-    """
+    # the robot evades a moving contact sideways, but outruns a contact that comes from behind
     speed = ca.sqrt(ca.sumsqr(desired.velocity))
     ahead = ca.dot(desired.velocity, contact.normal) > -_BEHIND * speed
     moves = ca.logic_and(ca.sumsqr(contact.velocity) > _MOVES**2, contact.clearance < FAR)
@@ -240,7 +236,7 @@ def _evaded(contact: Contact, desired: DesiredMotion) -> ca.SX:
 
 
 def _cone(contact: Contact, evaded: ca.SX, point: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]) -> Cone:
-    """Return the collision cone: velocities that meet the contact within the horizon and before the mission's end."""
+    # velocities that meet the contact within the horizon and before the mission's end
     left = ca.sqrt(ca.sumsqr(p["waypoints"][-1, :].T - eta[:2]))
     return collision_cone(
         contact,

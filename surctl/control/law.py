@@ -187,7 +187,7 @@ class Law:
 
     @cached_property
     def _before(self) -> Callable[..., list[Vector]]:
-        """Return the part of the law before the priority solver, evaluated by CasADi."""
+        # the part of the law before the priority solver
         return on_vectors(to_casadi(self.stages.pre).expand())
 
     @cached_property
@@ -251,7 +251,6 @@ class Law:
         return solve(self.problem(x, u, p), mode=self.mode)
 
     def _vectors(self, *vectors: Vector) -> list[Vector]:
-        """Return x, u and p as flat vectors, whose sizes are those of their layouts."""
         flat = []
         for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
             array = np.asarray(vector)

@@ -50,7 +50,7 @@ def _goal(x: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> ca.SX:
 
 
 def _pitch(p: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the depth difference between adjacent layers [m]."""
+    # [m], between adjacent layers
     return 2 * p["hull"] + p["margin"]
 
 

@@ -59,12 +59,12 @@ def paper_law(
 
 
 def _sub_task_speed(contact: Contact, p: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the speed towards the contact [m/s] that σ̇ = −κ σ requires."""
+    # the speed towards the contact [m/s] that σ̇ = −κ σ requires
     return p["kappa"] * (contact.clearance - p["margin"])
 
 
 def _urgency(contact: Contact, speed: ca.SX) -> ca.SX:
-    """Return the time to contact [s]; the time is very large if the robot does not approach the contact."""
+    # time to contact [s], very large if the robot does not approach the contact
     rate = ca.fmax(speed - contact.closing, 1e-3)
     return ca.fmax(contact.clearance, 0) / rate
 
@@ -115,7 +115,7 @@ def _avoidance_velocity(
 
 
 def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[str, ca.SX], *, dt: float) -> ca.SX:
-    """Return a velocity limited to (19): speed within a·t, course within √(a/R_OB)·t (E17) of the last command."""
+    # (19): speed within a·t, course within √(a/R_OB)·t (E17) of the last command
     acceleration = weakest_acceleration(p)
     previous = ca.sqrt(ca.sumsqr(last))
     step = acceleration * dt

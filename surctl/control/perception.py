@@ -154,7 +154,7 @@ class _Builder:
 
     @cached_property
     def _small(self) -> Layout:
-        """Return the layout of the state without the last thrust and the map."""
+        # without the last thrust and the map
         own = self._own.ports("own_") if self._own else ()
         movers = self._movers.ports("mover_") if self._movers else ()
         n = self.equipment.array.size
@@ -164,12 +164,11 @@ class _Builder:
 
     @cached_property
     def state(self) -> Layout:
-        """Return the layout of the whole perception state."""
         return Layout((LAST_THRUST, *self._small.ports, *self._map.ports("map_")))
 
     @cached_property
     def _perceived(self) -> Layout:
-        """Return the layout of the values that are known before the map is evaluated."""
+        # values that are known before the map is evaluated
         sonars = self.outputs.port("sonars")
         slots = self._movers.slots if self._movers else 0
         known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles at the present time"),) if slots else ()
@@ -179,14 +178,14 @@ class _Builder:
         return Layout((*pose, uncertainty, self.outputs.port("placed"), *known, sonars, *column))
 
     def _split(self) -> Program:
-        """Return an instruction list that splits the state into three parts: small states, map cells, map corner."""
+        # three parts: small states, map cells, map corner
         x = ca.SX.sym("x", self.state.size)
         parts = {name: x[self.state.slice(f"map_{name}")] for name in ("cells", "corner")}
         small = x[: LAST_THRUST.size + self._small.size]
         return lower_named("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
 
     def _anew(self) -> Program:
-        """Return an instruction list that keeps the map's corner, or moves it far away if the map is to be cleared."""
+        # to clear the map, its corner is moved far away
         corner, anew = ca.SX.sym("corner", 2), ca.SX.sym("anew")
         nowhere = self.state.port("map_corner").default
         return lower_named("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
@@ -205,7 +204,7 @@ class _Builder:
         return recording.block("measure", inputs, outputs)
 
     def _measured(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """Return the inputs and outputs of the block `measure`."""
+        # inputs and outputs of the block `measure`
         array, local_map = self.equipment.array, self._map
         small = ca.SX.sym("small", LAST_THRUST.size + self._small.size)
         x = self._small.split(small[LAST_THRUST.size :])
@@ -354,7 +353,7 @@ def _least(values: ca.SX) -> ca.SX:
 
 
 def _listed(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
-    """Return the new firings, one in each slot; an empty slot neither clears nor marks map cells."""
+    # one firing in each slot; an empty slot neither clears nor marks map cells
     size = sum(k for _, k, _ in READING)
     empty = ca.vertcat(ca.SX.zeros(size - 2), -1, 0)
     listed, count = [empty] * slots, ca.SX(0)

@@ -202,10 +202,6 @@ def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:
     The robot turns towards the side on which the site is wider beside the first segment of the path, or left if both
     sides are equally wide. The robot may have to pass an obstacle near the start on the wider side; with this direction
     of turning, the edges of the beams scan the wider side first.
-
-    Args:
-        path: reference path in {E}.
-        walls: x_min, x_max, y_min, y_max of the site in {E} [m].
     """
     start, leg = path.waypoints[0], path.waypoints[1] - path.waypoints[0]
     x, y = (walls[0] + walls[1]) / 2 - start[0], (walls[2] + walls[3]) / 2 - start[1]

@@ -49,7 +49,7 @@ def _simple(p: Mapping[str, ca.SX], dt: float) -> Stop:
 
 
 def _inertia(p: Mapping[str, ca.SX], dt: float) -> Stop:
-    """Return the bound from the closed form of `guidance.braking`, for the worst case of the parameter ranges."""
+    # closed form of `guidance.braking`, for the worst case of the parameter ranges
     least = p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1])
     lightest, heaviest, most, lag, linear, quadratic = ca.vertsplit(p["stopping"])
     brakes = BrakeSymbols(lightest, heaviest, least, most, lag, linear, quadratic, ca.SX(dt))
@@ -88,8 +88,7 @@ def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float =
 
 
 def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:
-    """Return the largest excess of a velocity over a bound [m/s] and the normal of this bound; zeros without excess."""
-
+    # [m/s] and the normal of the bound; zeros if no bound is exceeded
     def further(excess: ca.SX, normal: ca.SX, row: ca.SX) -> list[ca.SX]:
         over = ca.dot(velocity, row[:2]) - row[2]
         return [ca.fmax(excess, over), ca.if_else(over > excess, row[:2], normal)]

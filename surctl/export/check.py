@@ -271,7 +271,7 @@ def _tried(
 
 
 def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[np.bool_]:
-    """Return whether the results of each step (T,) have the same bytes; any two NaN count as equal."""
+    # (T,): the results have the same bytes; any two NaN count as equal
     equal = have == want
     rows: NDArray[np.bool_] = equal.all(axis=1)
     for k in np.flatnonzero(~rows):
@@ -314,7 +314,7 @@ def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controlle
 
 
 def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, ...]:
-    """Return options that make the emulator count instructions; empty if the counter cannot be built."""
+    # the plugin makes the emulator count instructions; no options if the counter cannot be built
     if shutil.which("arm-none-eabi-nm") is None:
         return ()
     source = Path(str(files("surctl.export").joinpath("templates", "count_steps.c")))

@@ -102,7 +102,7 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
 
 
 def _without_gains(block: Block, constants: Vector) -> Block:
-    """Return the law's program or routine with these constants in place of its third input, which is then empty."""
+    # the constants replace the third input, which is then empty
     x, u, p = block.inputs
     folded = _with_constant_input(block, 2, constants)
     return replace(folded, inputs=(x, u, (p[0], 0)))

@@ -109,7 +109,7 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
 
 
 def _check_files(name: str) -> None:
-    """Raise InputError if the names of two files or macros of the bundle would collide, on any file system."""
+    # on some file system, two files or macros of the bundle would have the same name
     small = name.lower()
     if small in FILES:
         raise InputError(

@@ -67,7 +67,7 @@ def fault_cases(law: Exportable, within: Envelope | None = None, *, real: Real =
 
 
 def _jumps(law: Exportable, within: Envelope, u: Vector) -> Iterator[Fault]:
-    """Yield faults in which an input changes by more than its rate allows, up or down, within its range."""
+    # an input changes by more than its rate allows, within its range
     first = law.state.size + law.inputs.size + law.gains.size + len(_AFTER)
     members = [member for member, _ in entries(law.inputs)]
     for rate in within.rates:
@@ -106,7 +106,7 @@ def fault_failures(law: Exportable, controller: Controller, records: Records) ->
 
 
 def _in_python(law: Exportable, within: Envelope, record: Vector, fault: Fault) -> tuple[int, bool]:
-    """Return (status, whether the step is refused with zero thrust and an unchanged state) of a fault in Python."""
+    # (status, whether the step is refused with zero thrust and an unchanged state)
     if fault.status is not None:
         return fault.status, True
     faulty, ends = record.copy(), np.cumsum([law.state.size, law.inputs.size])

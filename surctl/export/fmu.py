@@ -118,7 +118,7 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
 
 
 def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str]) -> bytes:
-    """Return the content of modelDescription.xml."""
+    # modelDescription.xml
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -181,7 +181,7 @@ def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequen
 
 
 def _members(layout: Layout) -> Iterator[tuple[str, str]]:
-    """Yield (name, description) of every number; indices in names start at 1, as FMI requires."""
+    # (name, description); indices start at 1, as FMI requires
     for port in layout:
         said = f"[{port.unit}] {port.meaning}"
         if port.size == 1:

@@ -156,7 +156,7 @@ _LOOP = 4  # from this many inputs with equal rates on, a loop is shorter
 
 
 def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str]]]:
-    """Return groups of successive inputs with equal rates as (rate, first index in `last`, C member accesses)."""
+    # successive inputs with equal rates: (rate, first index in `last`, C member accesses)
     members = [member for member, _ in entries(layout)]
     groups: list[tuple[Rate, int, list[str]]] = []
     for k, rate in enumerate(envelope.rates):
@@ -171,7 +171,7 @@ def _alike(layout: Layout, envelope: Envelope) -> list[tuple[Rate, int, list[str
 
 
 def _each(members: list[str], first: int) -> list[tuple[str, str]]:
-    """Return (loop header, C text of the difference) of a group; `@` marks where the assignment begins."""
+    # (loop header, C text of the difference); `@` marks where the assignment begins
     if len(members) < _LOOP:
         return [("", f"@{member} - state->last[{first + k}];") for k, member in enumerate(members)]
     stem, at = members[0].rstrip("]").rsplit("[", 1)

@@ -146,7 +146,6 @@ class Line:
         return Reply(struct.unpack_from("<i", body)[0], tau, state, telemetry, body[4:])
 
     def _exchange(self, kind: int, sequence: int, body: bytes, expected: int, length: int) -> bytes:
-        """Send one message; return the payload of the reply, which must have the expected kind and length."""
         deadline = time.monotonic() + self.patience
         try:
             self.wire.settimeout(self.patience)

@@ -188,7 +188,7 @@ class LinkedLaw:
         self._telemetry = np.zeros(self.law.outputs.size - thrust(self.law).size)
 
     def _shipped(self, identity: str) -> tuple[Exportable, Vector]:
-        """Return the exported law and its gains; its variant with constant gains if `identity` is the variant's id."""
+        # the variant with constant gains if `identity` is its id
         if not isinstance(self.law, Law):
             return self.law, self.p
         if self.law.perception is None:
@@ -214,7 +214,6 @@ class LinkedLaw:
         )
 
     def _request(self, u: Vector) -> None:
-        """Send one request and receive its reply, with the simulated losses and delay."""
         to, back = (number < self.faults.loss for number in self._noise.uniforms(2))
         if to:
             self._lost[0] += 1
@@ -249,7 +248,7 @@ class LinkedLaw:
         )  # fmt: skip
 
     def _differing(self) -> NDArray[np.intp]:
-        """Return the indices of the replies that differ from Python in some byte; a NaN may have any bits."""
+        # replies that differ from Python in some byte; a NaN may have any bits
         if not self._log:
             return np.zeros(0, dtype=np.intp)
         X, U = (np.array([row[k] for row in self._log]) for k in (0, 1))

@@ -86,13 +86,13 @@ def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Lay
 
 
 def _steady(vehicle: Vehicle) -> Vector:
-    """Return the speed (4,) [m/s, rad/s] of each axis at which drag equals the largest thrust."""
+    # (4,) [m/s, rad/s]: drag equals the largest thrust
     linear, quadratic, most = vehicle.linear_drag, vehicle.quadratic_drag, vehicle.thrust_limit
     return np.asarray(2 * most / (linear + np.sqrt(linear**2 + 4 * quadratic * most)), dtype=float)
 
 
 def _integral(vehicle: Vehicle, fast: Vector) -> Vector:
-    """Return the bound (4,) of the velocity loops' integrals, at which the thrust saturates and integration stops."""
+    # (4,): the thrust saturates at the bound, and integration stops
     drag = vehicle.linear_drag * fast + vehicle.quadratic_drag * fast**2
     return np.asarray((vehicle.thrust_limit + drag) / vehicle.mass + 100.0 * fast, dtype=float)
 
@@ -106,7 +106,6 @@ def _box(layout: Layout, known: Mapping[str, list[tuple[float, float]]]) -> Vect
 
 
 def _rates(inputs: Layout, fast: Vector) -> tuple[Rate, ...]:
-    """Return the largest rates of change of pose and velocity, if the law has these as inputs."""
     rates: list[Rate] = []
     if "eta" in inputs:
         first = inputs.slice("eta").start

@@ -206,7 +206,7 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
 
 
 def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]:
-    """Return hashes of the library's claims about parts of this law, for its gains, cruise speed and speed cap."""
+    # hashes of the library's claims about parts of this law, for its gains, cruise speed and speed cap
     values = {row["name"]: row["values"][0] for row in rows if len(row["values"]) == 1}
     if "cruise" in values:
         values["speed"] = values["cruise"]
@@ -233,7 +233,7 @@ def _has_part(law: Law, claim: str) -> bool:
 
 
 def _stated(claim: Claim) -> dict[str, Any]:
-    """Return the statement of a claim in the form in which its certificate contains the statement."""
+    # the form in which a certificate contains the statement
     left, right, *constraints = (text_of(part) for part in statement_of(claim).parts)
     ranges = [
         {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)} for v in claim.variables

@@ -26,16 +26,13 @@ _NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64
 
 @dataclass(frozen=True, eq=False)
 class _Same(Around):
-    """Base of a law that wraps another law, whose gains and instruction list it shares."""
-
+    # shares gains and instruction list with the wrapped law
     @property
     def gains(self) -> Layout:
-        """Return the layout of the gains p (np,)."""
         return self.law.gains
 
     @property
     def block(self) -> Block:
-        """Return the program or routine of the wrapped law."""
         return self.law.block
 
 

@@ -111,7 +111,7 @@ class Controller:
         return FaultResults(status, rows[:, 1 : 1 + n_tau], changed)
 
     def _output(self, options: list[str], sent: bytes, count: int, width: int) -> bytes:
-        """Run the program; return its output bytes, `count` results of `width` numbers each."""
+        # `count` results of `width` numbers each
         raw = _run([*self.command, *options], sent, count)
         if len(raw) != self._dtype.itemsize * count * width:
             raise SurctlError(f"{Path(self.command[0]).name} returned {len(raw)} bytes for {count} records")

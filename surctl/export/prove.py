@@ -190,7 +190,7 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
 
 
 def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
-    """Return the options of Eva, with or without the proof that all numbers are finite (see the module docstring)."""
+    # options of Eva, with or without the proof that all numbers are finite (see the module docstring)
     within = bundle.envelope or anywhere(law)
     if (np.abs(within.state) < _ANY).all() and isinstance(law.block, Program):
         return _BOUNDED
@@ -227,7 +227,7 @@ def _first_error(log: str) -> str:
 
 
 def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
-    """Return the text of the analysed program, proof.c."""
+    # proof.c
     name, real = bundle.name, bundle.real
     within = bundle.envelope or anywhere(law).fitted(law, real)
     lines = [f"state.x[{k}] = {_any(bounds, real)};" for k, bounds in enumerate(within.state)]

@@ -92,7 +92,7 @@ _PARTS: Mapping[str, tuple[str, str]] = MappingProxyType(
 
 
 def _law_files(name: str, parts: Parts) -> list[tuple[str, str, str]]:
-    """Return (file name, description of the contents, C text) of each part of the law."""
+    # (file name, description of the contents, C text)
     named = {part: _PARTS.get(part, (f"law_{part}", f"{part}, a part of the law")) for part in parts.files}
     return [(f"{name}_{named[part][0]}.c", named[part][1], text) for part, text in parts.files.items()]
 
@@ -130,7 +130,6 @@ def _environment() -> Environment:
 
 
 def _words(real: Real) -> dict[str, Any]:
-    """Return the names of C types, constants and functions in the precision `real`."""
     double = real == "float64"
     return {
         "real": C_TYPE[real],
@@ -143,7 +142,6 @@ def _words(real: Real) -> dict[str, Any]:
 def _values(
     law: Exportable, gains: Vector, within: Envelope, name: str, identity: str, tests: SelfTest, real: Real
 ) -> dict[str, Any]:
-    """Return the values of all variables of the templates."""
     n_tau = thrust(law).size
     literal = partial(c_literal, real=real)
     return {
@@ -204,7 +202,6 @@ def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:
 
 
 def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
-    """Return the values of the template variables that describe the guard."""
     boxes = ((law.state, within.state), (law.inputs, within.inputs), (law.gains, within.gains))
     ranges = {
         port.name: range_text(box[layout.slice(port.name)]) for layout, box in boxes for port in layout if port.size
@@ -232,7 +229,7 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
 
 
 def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
-    """Return (index of an input, number outside its range) for the self-test; None if no input has a range."""
+    # (index of an input, number outside its range), for the self-test
     largest = 1e38
     for at, (_, high) in enumerate(within.inputs):
         if high < largest:
@@ -241,7 +238,7 @@ def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
 
 
 def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
-    """Return the bytes of RAM of each struct or array, without compiler temporaries; a number has `width` bytes."""
+    # bytes, without compiler temporaries; a number has `width` bytes
     other = law.inputs.size + law.gains.size + law.outputs.size
     arrays = 0 if isinstance(law.block, Program) else memory(law.block) - 2 * law.state.size
     held = {"state": 2 * law.state.size + len(within.rates), "structs": other, "arrays": arrays}
@@ -273,7 +270,7 @@ def _rows(table: Vector, real: Real) -> list[str]:
 
 
 def _decimal(value: float, real: Real) -> str:
-    """Return a self-test number as decimal text; the sign of a zero is left out, because it is not compared."""
+    # the sign of a zero is left out, because it is not compared
     return repr(value + 0.0) if real == "float64" else f"{np.float32(value + 0.0)!s}f"
 
 

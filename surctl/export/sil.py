@@ -233,7 +233,7 @@ def compare_runs(
 
 
 def _named_gains(law: Exportable, run: Records) -> dict[str, Vector]:
-    """Return the gains of the first record by port name; the bundle is built with these gains."""
+    # the bundle is built with the gains of the first record
     if not np.all(np.isfinite(run.P[0])):
         raise InputError("the first record's gains are not finite", key="records.P", remedy="give finite gains")
     return law.gains.unpack(run.P[0])
@@ -278,7 +278,7 @@ def _on_its_own(controller: Controller, run: Records) -> Records:
 
 
 def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
-    """Return whether C must be loaded at each step (T,): the first step, and any whose state does not follow."""
+    # (T,): C is loaded at the first step and at each step whose state does not follow from the previous step
     load = np.zeros(len(run), dtype=bool)
     load[0] = True
     for k in range(1, len(run)):
@@ -287,7 +287,7 @@ def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
 
 
 def _difference(mine: Vector, theirs: Vector) -> Difference:
-    """Return the largest differences over all steps, computed for `_BLOCK` steps at a time to bound the memory."""
+    # `_BLOCK` steps at a time, to bound the memory
     absolute = relative = worst = 0.0
     step = None
     for first in range(0, len(mine) if mine.size else 0, _BLOCK):
@@ -301,7 +301,7 @@ def _difference(mine: Vector, theirs: Vector) -> Difference:
 
 
 def _gap(have: Vector, want: Vector) -> Vector:
-    """Return |have − want|; 0 for two equal or two NaN entries, inf if only one of the two entries is finite."""
+    # 0 for two equal or two NaN entries, inf if only one of the two entries is finite
     same = (have == want) | (np.isnan(have) & np.isnan(want))
     with np.errstate(invalid="ignore"):
         gap: Vector = np.where(same, 0.0, np.abs(have - want))

@@ -87,7 +87,7 @@ def trial_steps(
 
 
 def _anywhere(rows: Vector, at: NDArray[np.intp], box: Vector, rng: np.random.Generator) -> None:
-    """Replace the bounded numbers of these steps by random numbers in their range, more often near the old value."""
+    # random numbers in the range, more often near the old value
     bounded = np.flatnonzero(np.abs(box).max(axis=1) < 1e30)
     low, high = box[bounded].T
     part = np.clip(rows[np.ix_(at, bounded)], low, high)
@@ -96,7 +96,7 @@ def _anywhere(rows: Vector, at: NDArray[np.intp], box: Vector, rng: np.random.Ge
 
 
 def _switches(run: Records) -> NDArray[np.bool_]:
-    """Return whether an integer of state or input changes after each step (T,), which shows that the law switches."""
+    # (T,): an integer of state or input changes after the step, which shows that the law switches
     rows = np.hstack([run.X, run.U])
     whole = np.all(rows == np.floor(rows), axis=0)
     flips = (rows[1:, whole] != rows[:-1, whole]).any(axis=1)
@@ -104,7 +104,7 @@ def _switches(run: Records) -> NDArray[np.bool_]:
 
 
 def _shift(rows: Vector, at: NDArray[np.intp], rng: np.random.Generator, real: Real, *, share: float) -> None:
-    """Move each number of these steps, with probability `share`, to the next float of `real` up or down."""
+    # with probability `share`, to the next float of `real` up or down
     part = rows[at].astype(np.float64 if real == "float64" else np.float32)
     up = rng.random(part.shape) < 0.5
     near = np.nextafter(part, np.where(up, np.inf, -np.inf).astype(part.dtype))

@@ -137,7 +137,7 @@ def _draw_plan(ax: Axes, run: Run) -> None:
 
 
 def _draw_strip(ax: Axes, run: Run) -> None:
-    """Draw the clearance over the whole run as background; each frame adds a time cursor."""
+    # background of every frame; each frame adds a time cursor
     dress(ax, x="time [s]", y="clearance [m]")
     time = run.record.time
     ax.plot(time, finite(run.record.clearance), color=ROBOT, linewidth=1.2)
@@ -147,7 +147,7 @@ def _draw_strip(ax: Axes, run: Run) -> None:
 
 
 def _moving(run: Run, step: int, plan: Axes, strip: Axes, heading: Text, speed: int) -> Iterator[tuple[Axes, Artist]]:
-    """Yield the artists that one frame draws over the fixed background, lowest first."""
+    # lowest first
     record, radius = run.record, run.vehicle["radius"]
     length, width, _ = run.scenario.site
     water = Rectangle((0, 0), length, width, transform=plan.transData)
@@ -195,7 +195,7 @@ def _handles(run: Run) -> list[Line2D | Patch]:
 
 
 def _gif(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
-    """Return a GIF whose frames all use the palette of the first frame, which contains every colour."""
+    # every frame uses the palette of the first frame, which contains every colour
     begun = next(pictures)
     nearest, colours = _palette(begun)
     first, *rest = (_indexed(nearest[_cells(p)], colours) for p in chain([begun], pictures))
@@ -206,7 +206,7 @@ def _gif(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
 
 
 def _cells(picture: NDArray[np.uint8]) -> NDArray[np.int_]:
-    """Return the index of each pixel's colour among 32³ colours."""
+    # index of the colour among 32³ colours
     fine = picture.astype(int) >> 3
     cells: NDArray[np.int_] = (fine[..., 0] << 10) | (fine[..., 1] << 5) | fine[..., 2]
     return cells

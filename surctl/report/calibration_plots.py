@@ -92,7 +92,6 @@ def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
 
 
 def _share(true: NDArray[np.float64], outliers: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the indices of at most `_DOTS` evenly spaced measurements, and of every outlier."""
     even = np.linspace(0, len(true) - 1, min(len(true), _DOTS)).astype(np.intp)
     return np.union1d(even, outliers)
 

@@ -190,7 +190,6 @@ def runs_section(data: ReportData) -> Section:
 
 
 def _simulate_command(data: ReportData, run: Run) -> str:
-    """Return the command that repeats the run; if there is no such command, return the report's command."""
     same = run.gains.values == data.gains.values
     gains = gains_argument(data.gains, data.gains_file) if same else gains_argument(run.gains, "")
     return simulate_command(run, gains) or data.command
@@ -216,7 +215,7 @@ def _run_row(run: Run, decides: bool) -> tuple[Cell | str, ...]:
 
 
 def _surface_notes(data: ReportData) -> list[Block]:
-    """Return a note for each hull that would stand out of the water; the model has no buoyancy (erratum E16)."""
+    # the hull would stand out of the water, but the model has no buoyancy (erratum E16)
     heights = {}
     for run in data.runs:
         above = run.scenario.depth + run.vehicle["radius"]
@@ -233,7 +232,7 @@ def _surface_notes(data: ReportData) -> list[Block]:
 
 
 def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
-    """Return (number, run, whether the run counts) for the first run of each kind and all runs that do not arrive."""
+    # the first run of each kind, and all runs that do not arrive; (number, run, whether the run counts)
     kinds, chosen = set(), []
     for place, (run, decides) in enumerate(zip(data.runs, data.decides, strict=True), start=1):
         kind = (run.scenario.name, run.vehicle.name, run.law.name, run.law.mode, run.sensing)
@@ -244,13 +243,11 @@ def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
 
 
 def _to_play(data: ReportData) -> tuple[int, Run] | None:
-    """Return (number from 1, run) of the run that the report plays; see `decisive_section`."""
     deciding = [(place, run) for place, run, decides in _to_draw(data) if decides]
     return min(deciding, key=lambda one: one[1].metrics.reached, default=None)
 
 
 def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
-    """Return a picture of how much each priority level was relaxed; empty if no level was relaxed."""
     timeline = priority_timeline(run)
     if not timeline.eventful:
         return ()

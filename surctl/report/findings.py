@@ -36,7 +36,6 @@ def findings_section(data: ReportData) -> Section:
 
 
 def _where(data: ReportData, vehicle: str) -> str:
-    """Return the vehicle as text, with cruise speed and speed limit if these are known."""
     if data.speeds is None:
         return vehicle
     cruise, cap = data.speeds
@@ -100,7 +99,7 @@ def _claim_row(data: ReportData, v: Verdict) -> Row:
 
 
 def _beyond(v: Verdict, beyond: str) -> str:
-    """Return what a verdict does not cover; for a refuted claim, return the corrected claim if there is one."""
+    # for a refuted claim, `beyond` names the corrected claim
     if v.verdict == "refuted":
         return f"{beyond[0].upper()}{beyond[1:]}." if beyond else "–"
     dynamics = "dynamics, thrust limits, current" if v.claim.paper else "all other steps of the safety argument"
@@ -108,7 +107,7 @@ def _beyond(v: Verdict, beyond: str) -> str:
 
 
 def _domain(claim: Claim) -> str:
-    """Return the intervals of the claim's variables as text; variables with equal intervals are listed together."""
+    # variables with equal intervals are listed together
     same: dict[str, list[str]] = {}
     for x in claim.variables:
         unit = "" if x.unit == "1" else f" {x.unit}"

@@ -116,13 +116,13 @@ def _slice(
 
 
 def _ticks(axis: SweptAxis) -> tuple[list[int], list[str]]:
-    """Return (positions, texts) of the axis labels, no more labels than are legible."""
+    # no more labels than are legible
     places = list(range(0, len(axis.values), -(-len(axis.values) // _TICKS)))
     return places, [f"{axis.values[k]:.4g}" for k in places]
 
 
 def _range(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the range of the colour scale; it is never empty, even if all values are equal or none is finite."""
+    # never empty, even if all values are equal or none is finite
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0

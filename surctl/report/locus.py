@@ -84,7 +84,7 @@ def _mark(ax: Axes, poles: NDArray[np.complex128], marker: str, colour: str, lab
 
 
 def _grid(ax: Axes, edge: float) -> None:
-    """Draw rays of equal damping and circles of equal natural frequency."""
+    # rays of equal damping, circles of equal natural frequency
     ax.grid(visible=False)
     for damping in _DAMPING:
         slope = np.sqrt(1 - damping**2) / damping

@@ -77,7 +77,7 @@ def loop_responses(
 def _frequency_response(
     A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], omega: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return the frequency response c (jω − A)⁻¹ b at each of k frequencies, (k,)."""
+    # c (jω − A)⁻¹ b, (k,)
     pencils = 1j * omega[:, None, None] * np.eye(len(A)) - A
     response: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(omega), *b.shape))))[
         :, 0, 0
@@ -125,7 +125,7 @@ def plot_bode(loops: Sequence[LoopResponse], ax: tuple[Axes, Axes] | None = None
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return the unwrapped phase [deg] of a frequency response, which starts in (−270, 90]."""
+    # unwrapped [deg], starting in (−270, 90]
     phase = np.rad2deg(np.unwrap(np.angle(response)))
     return np.asarray(phase - 360 * np.ceil((phase[0] - 90) / 360), dtype=float)
 

@@ -55,7 +55,7 @@ def plot_marked_bode(loop: LoopResponse, margins: LoopMargins) -> Figure:
 
 
 def _nearest_turn(loop: LoopResponse, phase: NDArray[np.float64], margins: LoopMargins) -> float:
-    """Return the phase −180° + k · 360° that is nearest to the phase at which the gain crosses 1."""
+    # −180° + k · 360°, nearest to the phase at which the gain crosses 1
     at = margins.crossover_rad_s or float(loop.omega[-1])
     here = float(np.interp(at, loop.omega, phase))
     return -180.0 + 360.0 * round((here + 180.0) / 360.0 - 1e-9)
@@ -141,7 +141,7 @@ def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
 
 
 def _rim(alpha: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return gain and phase [deg] of f = (2 + δ)/(2 − δ) on the upper half of the boundary |δ| = α."""
+    # f = (2 + δ)/(2 − δ) on the upper half of the boundary |δ| = α
     delta = alpha * np.exp(1j * np.linspace(0, np.pi, 181))
     factor = (2 + delta) / (2 - delta)
     return np.abs(factor), np.abs(np.rad2deg(np.angle(factor)))

@@ -133,7 +133,7 @@ def render_sections(
 
 
 def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequence[Section]) -> list[Check]:
-    """Return the summary lines, failed checks first, each with the nearest anchor that the page has."""
+    # failed checks first, each with the nearest anchor that the page has
     there = {section.anchor for section in sections} | {h.anchor for section in sections for h in section.headings}
     linked = []
     for line in summary:
@@ -144,7 +144,6 @@ def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequen
 
 
 def _counted(lines: Sequence[Check]) -> str:
-    """Return the heading of the folded summary lines, with the numbers of checks that hold and of notes."""
     hold = sum(line.good is True for line in lines)
     notes = len(lines) - hold
     parts = [f"{hold} {'check holds' if hold == 1 else 'checks hold'}"] if hold else []
@@ -153,7 +152,7 @@ def _counted(lines: Sequence[Check]) -> str:
 
 
 def _sections(data: ReportData, runs: Section | None) -> tuple[Section, ...]:
-    """Return the sections in order: decisive run, margins and claims, folded details, parameters; no empty sections."""
+    # decisive run, margins and claims, folded details, parameters
     decisive = decisive_section(data)
     sections = [] if decisive is None else [decisive]
     if data.margins or data.linear or data.verdicts or data.inapplicable:
@@ -182,7 +181,6 @@ def _subject(data: ReportData) -> str:
 
 
 def _outcome(data: ReportData) -> tuple[str, str]:
-    """Return (class, text) of the first line of the report."""
     failed = sum(line[0] is False for line in data.summary)
     if failed:
         return "bad", f"✗ {failed} {'check fails' if failed == 1 else 'checks fail'}."

@@ -80,7 +80,7 @@ def _snapshots(run: Run) -> list[int]:
 
 
 def _closest(run: Run) -> int:
-    """Return the control period with the least distance to an obstacle, whose sonar beams are most informative."""
+    # the sonar beams are most informative here
     positions = run.record.eta[:, :2]
     nearest = [
         min((body.shape.nearest(at)[0] for body in bodies), default=np.inf)
@@ -124,7 +124,7 @@ def body_middle(body: Body) -> NDArray[np.float64]:
 
 
 def _draw_obstacles(ax: Axes, run: Run, steps: list[int]) -> None:
-    """Draw obstacles at the times of the hulls; moving obstacles are fainter earlier, drifting ones are outlines."""
+    # at the times of the hulls; moving obstacles are fainter earlier, drifting obstacles are outlines
     for name in dict.fromkeys(body.name for bodies in run.record.obstacles for body in bodies):
         history = {k: b for k, bodies in enumerate(run.record.obstacles) for b in bodies if b.name == name}
         middles = np.array([body_middle(body) for body in history.values()])
@@ -145,7 +145,6 @@ def _draw_obstacles(ax: Axes, run: Run, steps: list[int]) -> None:
 
 
 def _height_text(heights: Heights) -> str:
-    """Describe in words the interval of z that an obstacle covers."""
     if isinf(heights.bottom):
         return f"below z {heights.top:g} m"
     return f"above z {heights.bottom:g} m" if isinf(heights.top) else f"z {heights.bottom:g} to {heights.top:g} m"
@@ -158,7 +157,7 @@ def _draw_body(ax: Axes, body: Body, *, alpha: float, filled: bool) -> None:
 
 
 def _name(ax: Axes, run: Run, body: Body, name: str) -> None:
-    """Write the name of an obstacle beside it, on the side towards the middle of the site."""
+    # beside the obstacle, on the side towards the middle of the site
     patch = body_outline(body.shape).get_extents()  # in data units, because the patch is not in any axes yet
     x, y = body_middle(body)
     up = y < run.scenario.site[1] / 2
@@ -176,7 +175,7 @@ def _label(ax: Axes, at: NDArray[np.float64], text: str, colour: str, ground: st
 
 
 def _draw_track(ax: Axes, run: Run) -> None:
-    """Draw the path and the trajectory; the trajectory is highlighted where the law avoids."""
+    # the trajectory is highlighted where the law avoids
     points = run.scenario.path.waypoints
     ax.plot(points[:, 0], points[:, 1], color=INK, linestyle="--", linewidth=1.1, zorder=3)
     track = run.record.eta[:, :2]
@@ -205,7 +204,6 @@ def _draw_hull(ax: Axes, run: Run, k: int) -> None:
 
 
 def _draw_beams(ax: Axes, run: Run, k: int) -> None:
-    """Draw the sonar beams at one control period, and the moving obstacles at that time."""
     x, y = run.record.eta[k, :2]
     length, width, _ = run.scenario.site
     water = Rectangle((0, 0), length, width, transform=ax.transData)

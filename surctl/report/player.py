@@ -65,7 +65,7 @@ def player_frames(run: Run, *, apart: float = _APART) -> str:
 
 
 def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
-    """Return name, outline and centres of each obstacle: one centre per frame, or a single centre if it is fixed."""
+    # one centre per frame, or a single centre if the obstacle is fixed
     entries: list[dict[str, object]] = []
     for name in dict.fromkeys(body.name for bodies in frames for body in bodies):
         history = [next((body for body in bodies if body.name == name), None) for bodies in frames]
@@ -83,7 +83,7 @@ def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
 
 
 def _beams(run: Run, steps: Sequence[int]) -> list[dict[str, object]]:
-    """Return apex and axis of each sonar beam in {B}, with the filtered ranges of the sonar."""
+    # apex and axis in {B}; a negative length means no echo
     if run.sensing != "sonar":
         return []
     array, ranges = run.scenario.sensors.array_on(run.vehicle["radius"]), run.telemetry("ranges")[steps]

@@ -87,7 +87,7 @@ def _listed(rows: list[str]) -> str:
 
 
 def _longest(timeline: PriorityTimeline) -> list[int]:
-    """Return the indices of the constraint rows `(n·v ≤ b)` to show, in the law's order."""
+    # constraint rows (n·v ≤ b), in the law's order
     counts = (timeline.binding | (timeline.missed > NOTICEABLE)).sum(axis=0)
     return sorted(np.argsort(-counts, kind="stable")[:_MOST].tolist())
 

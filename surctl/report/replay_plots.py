@@ -99,7 +99,7 @@ def plot_replay_sensor(replayed: Replay, sensor: int, ax: Axes | None = None) ->
 def _strip(
     ax: Axes, time: NDArray[np.float64], where: NDArray[np.bool_], *, colour: str, hatch: str | None, label: str
 ) -> None:
-    """Draw a strip along the bottom of the panel; hatching distinguishes the two strips without colour."""
+    # hatching distinguishes the two strips without colour
     ax.fill_between(
         time, 0.0, _STRIP, where=where.tolist(), step="post", transform=ax.get_xaxis_transform(), label=label,
         facecolor=colour if hatch is None else _FAINT_BAD, edgecolor=colour, hatch=hatch, linewidth=0.0, zorder=3,

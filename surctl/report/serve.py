@@ -71,7 +71,7 @@ def serve(bench: Bench, *, port: int | None = None, ready: Callable[[str], None]
 
 
 async def _run(server: Any, door: socket.socket, ready: Callable[[], None]) -> bool:
-    """Serve until the server ends; return whether Ctrl-C ended it. Without this handler marimo would ask the user."""
+    # returns whether Ctrl-C ended the server; without this handler marimo would ask the user
     stopped = False
 
     def stop(*_: object) -> None:

@@ -131,7 +131,7 @@ def _limits(ax: Axes, limits: NDArray[np.float64]) -> None:
 
 
 def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:
-    """Return axes over the run's time, shaded dark where the law avoids and light where it returns to the path."""
+    # shaded dark where the law avoids and light where it returns to the path
     if ax is None:
         ax = new_figure(6.0, 3.0).add_subplot()
     dress(ax, x="time [s]", y=f"{title} [{unit}]")

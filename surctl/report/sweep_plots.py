@@ -122,7 +122,7 @@ def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
 
 
 def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the two ends of a scale (least and largest finite value), which differ even if all values are equal."""
+    # the ends differ even if all values are equal
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0
@@ -137,7 +137,7 @@ def _collection(lines: NDArray[np.float64], colour: str, width: float, strength:
 
 
 def _upright(ax: Axes, titles: Sequence[str], ends: Sequence[tuple[float, float]]) -> None:
-    """Draw one vertical scale for each quantity, with the end values on the scale and the name below."""
+    # end values on the scale, name below
     ax.set_xlim(-0.3, len(titles) - 0.7)
     ax.set_ylim(-0.09, 1.09)
     ax.set_yticks([])
@@ -152,7 +152,7 @@ def _upright(ax: Axes, titles: Sequence[str], ends: Sequence[tuple[float, float]
 
 
 def _lines(text: str) -> str:
-    """Break a title into lines short enough to fit beside the neighbouring titles."""
+    # short enough to fit beside the neighbouring titles
     words, lines = text.split(), [""]
     for word in words:
         if lines[-1] and len(lines[-1]) + 1 + len(word) > 15:

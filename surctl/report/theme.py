@@ -85,12 +85,11 @@ def head(figure: Figure, text: str, *, x: float = 0.5, ha: Literal["left", "cent
 
 
 def _wraps(text: str) -> bool:
-    """Return whether matplotlib may break a title into lines; matplotlib measures any title with a $ as a formula."""
+    # matplotlib measures any title with a $ as a formula
     return "$" not in text
 
 
 def _broken(text: str, figure: Figure, *, share: float) -> str:
-    """Break a title that matplotlib must not break, into lines of at most `share` of the figure width."""
     if _wraps(text):
         return text
     return fill(text, width=int(share * 72 * figure.get_size_inches()[0] / (0.75 * _TITLE)))

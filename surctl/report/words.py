@@ -82,7 +82,6 @@ def verify_command(
 
 
 def _vehicle_argument(vehicle: Vehicle) -> str | None:
-    """Return the name of the file that contains exactly this vehicle; None if there is no such file."""
     try:
         same = bool(vehicle.source) and load_vehicle(vehicle.source).parameters == vehicle.parameters
     except InputError:
@@ -91,6 +90,6 @@ def _vehicle_argument(vehicle: Vehicle) -> str | None:
 
 
 def _short(source: str, library: Path) -> str:
-    """Return the bare name of a built-in file, or the unchanged path of any other file."""
+    # bare name of a built-in file
     path = Path(source)
     return path.stem if path.parent == library else source

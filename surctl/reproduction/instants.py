@@ -102,7 +102,7 @@ def _passed(simulations: Simulations, name: str) -> Result:
 
 
 def _apart(run: Run, time: float) -> float:
-    """Return the distance [m] from the robot's centre to that of the nearest moving body at a time [s]; inf if none."""
+    # [m], between the centres of robot and moving body; inf without a moving body
     k = int(np.argmin(np.abs(run.record.time - time)))
     centres = [b.shape.center for b in run.record.obstacles[k] if b.moving and isinstance(b.shape, Disc | Box)]
     return min((float(np.hypot(*(np.asarray(c) - run.record.eta[k, :2]))) for c in centres), default=float("inf"))

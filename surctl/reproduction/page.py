@@ -82,7 +82,7 @@ def _table(group: str, rows: list[Row]) -> Section:
 
 
 def _trajectories(runs: list[Run]) -> Section:
-    """Return the HTML section with plan view and coordinates of each scenario, as in Figs. 6, 8, 11, 13, 15."""
+    # as in Figs. 6, 8, 11, 13, 15
     blocks: list[Block] = []
     for run in runs:
         name, m = run.scenario.name, run.metrics
@@ -102,7 +102,7 @@ def _trajectories(runs: list[Run]) -> Section:
 
 
 def _series(runs: list[Run]) -> Section:
-    """Return the HTML section with the four speeds of the moving obstacle, as in Figs. 17 and 19."""
+    # as in Figs. 17 and 19
     blocks: list[Block] = []
     for series in _SERIES:
         chosen = [run for run in runs if run.scenario.name.startswith(series)]
@@ -124,7 +124,7 @@ def _series(runs: list[Run]) -> Section:
 
 
 def _errors(runs: list[Run]) -> Section:
-    """Return the HTML section with the position errors of the three simulations and of the pool, as in Fig. 20."""
+    # as in Fig. 20
     pictures = []
     for where, names in (
         ("simulation", ("tank-static", "tank-moving", "tank-speed-015")),

@@ -152,7 +152,7 @@ def _arrivals(simulations: Simulations, name: str, sensing: Sensing) -> Result:
 
 
 def _hull(simulations: Simulations, name: str) -> Result:
-    """Return the result with the printed hull; `safe` is None, so the comparison cannot fail."""
+    # `safe` is None, so the comparison cannot fail
     batch = simulations.batch(name, "truth", PRINTED_HULL)
     reached, collided, runs = int(batch.column("reached").sum()), int(batch.column("collided").sum()), batch.runs
     text, lost = _ended(reached, collided, runs)
@@ -164,7 +164,7 @@ def _hull(simulations: Simulations, name: str) -> Result:
 
 
 def _limit(simulations: Simulations) -> Result:
-    """Return the arrival times with changed vehicle parameters; `safe` is None, so the comparison cannot fail."""
+    # `safe` is None, so the comparison cannot fail
     took = {
         what: _mean(simulations.arrived(_LIMITED, "sonar", "time_s", factors))
         for what, factors in (("the vehicle as it is", ()), *_LIMITS)
@@ -180,13 +180,12 @@ def _limit(simulations: Simulations) -> Result:
 
 
 def _ended(reached: int, collided: int, runs: int) -> tuple[str, str]:
-    """Return a text with the numbers of arrivals and collisions, and a text about the runs that failed."""
     text = f"{reached} of {runs} arrived, {collided} collided"
     return text, f"{collided} of {runs} runs collided and {runs - reached - collided} did not arrive"
 
 
 def _judged_time(simulations: Simulations, name: str, sensing: Sensing) -> float:
-    """Return the time [s] to compare with the paper's: mean of a scenario, mean of its series, or longest run."""
+    # mean of a scenario, mean of its series, or longest run
     paper = simulations.scenario(name).paper
     if paper.time_of == "series":
         return float(simulations.arrived(name, sensing, "time_s").max())
@@ -216,7 +215,6 @@ def _position_error(simulations: Simulations, names: Sequence[str], sensing: Sen
 
 
 def _mean(values: Sequence[float] | np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    """Return the mean of the finite values; NaN if no value is finite."""
     array = np.asarray(values, dtype=float)
     finite = array[np.isfinite(array)]
     return float(finite.mean()) if finite.size else float("nan")

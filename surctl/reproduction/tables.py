@@ -62,7 +62,7 @@ def _own(name: str) -> str:
 
 
 def _sensor(name: str) -> Result:
-    """Return the result for one sensor property of Table I, compared with that of the default sonar array."""
+    # Table I, compared with the default sonar array
     ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
     text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
     # a step finer than "about 5 mm" also agrees
@@ -73,7 +73,7 @@ def _sensor(name: str) -> Result:
 
 
 def _percentage(medium: Medium, k: int) -> Result:
-    """Return the percentage recomputed from the sensor reading; it agrees if it rounds to the printed decimal."""
+    # agrees if the recomputed percentage rounds to the printed decimal
     test = table_ii()
     ours, column = float(test.percent(medium)[k]), test.column(medium)
     printed = float(column.printed_percent[k])

@@ -33,7 +33,7 @@ def clearance_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> li
 
 
 def _met(scenario: Scenario, vehicle: Vehicle) -> list[Obstacle]:
-    """Return the obstacles that a hull at the path's depth can touch, or passes vertically within `_CLEARANCE`."""
+    # a hull at the path's depth can touch the obstacle, or passes it vertically within `_CLEARANCE`
     extent = vehicle["radius"] + _CLEARANCE
     return [o for o in scenario.obstacles if o.heights.crosses(scenario.depth, extent)]
 
@@ -47,14 +47,14 @@ def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
-    """Return the points that the hull must reach: name, position, and the distance [m] to count as reached."""
+    # name, position, and the distance [m] at which the point counts as reached
     corners = scenario.path.waypoints[1:-1] if scenario.visit else ()
     visited = [(f"corner ({c[0]:g}, {c[1]:g})", c, scenario.arrival_radius) for c in corners]
     return [("start", scenario.start, 0.0), *visited, ("target", scenario.target, 0.0)]
 
 
 def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report obstacles in the launch area (`launch_m`), which the law takes as free before its first echoes."""
+    # the law takes the launch area as free before its first echoes
     results = []
     start = (float(scenario.start[0]), float(scenario.start[1]))
     for obstacle in _met(scenario, vehicle):

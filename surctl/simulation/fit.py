@@ -47,7 +47,7 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
 
 
 def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Report sonars that do not suit the law; the law enters only water that its sonars have observed."""
+    # the law enters only water that its sonars have observed
     try:
         array = scenario.sensors.on(vehicle["radius"]).array
     except InputError as error:
@@ -99,7 +99,7 @@ def _widest_gap(array: SonarArray) -> float:
 
 
 def _short(scenario: Scenario, array: SonarArray, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Report a sonar range that is shorter than the law's stopping distance v²/(2a) + v t from the cruise speed v."""
+    # stopping distance v²/(2a) + v t from the cruise speed v
     deceleration = gains["brake"] * float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     braking = scenario.cruise**2 / (2 * deceleration) + scenario.cruise * gains["reaction"]
     if array.maximum >= braking:

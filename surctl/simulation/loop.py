@@ -209,7 +209,7 @@ class Loop:
         )
 
     def _draw(self) -> _StepNoise:
-        """Draw all noise of one control step in a fixed order: sonar firings, own state, then every moving obstacle."""
+        # in a fixed order: sonar firings, own state, then every moving obstacle
         instants, wide, size = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
         firings = instants * wide * size
         # an even number, because the generator makes normal numbers in pairs
@@ -262,7 +262,7 @@ class Loop:
         self.instant += 1
 
     def _left(self) -> float:
-        """Return the distance to the target [m]: horizontal if the mission allows only one depth, otherwise in 3D."""
+        # horizontal if the mission allows only one depth
         scenario = self.world.scenario
         level = float(np.hypot(*(self.state[:2] - scenario.target)))
         return level if scenario.depths is None else float(np.hypot(level, self.state[2] - scenario.depth))
@@ -288,7 +288,7 @@ class Loop:
         return self.law.inputs.pack({name: value for name, value in inputs.items() if name in self.law.inputs})
 
     def _measurements(self, rows: NDArray[np.float64], noise: _StepNoise, index: int) -> dict[str, object]:
-        """Return measurements of camera, IMU and base station, without delay if the law has no perception."""
+        # camera, IMU and base station; without delay if the law has no perception
         eta, nu, own = self.state[:4], self.state[4:8], self.sensors.equipment.own
         contacts = np.zeros((CONTACT_SLOTS, 6))
         if self.law.perception is None:
@@ -314,7 +314,7 @@ class Loop:
         return {**inputs, "fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate}
 
     def _mover_rows(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
-        """Return the message data of each moving obstacle, zero if absent; only the nearest if there are too many."""
+        # zero for an absent obstacle; only the nearest obstacles if there are too many
         there = {b.name: b for b in bodies if b.moving}
         named = self.movers
         if len(named) > self.slots:

@@ -44,7 +44,6 @@ def _obstacle_speeds(scenario: Scenario) -> list[Finding]:
 
 
 def _meetings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report moving obstacles that collide with each other."""
     results = []
     for a, b in combinations([o for o in scenario.obstacles if o.shape == "moving"], 2):
         apart = closest(a, b, until=scenario.time_limit) - sum(o.radius_m or vehicle["radius"] for o in (a, b))
@@ -74,7 +73,7 @@ def closest(a: Obstacle, b: Obstacle, *, until: float) -> float:
 
 
 def _arrival(obstacle: Obstacle) -> float:
-    """Return the time [s] at which the obstacle arrives at the end of its line; inf if it does not move."""
+    # inf if the obstacle does not move
     distance = float(np.hypot(*np.subtract(obstacle.to_m or obstacle.centre_m, obstacle.centre_m)))
     return distance / obstacle.speed_m_per_s if obstacle.speed_m_per_s else inf
 
@@ -86,7 +85,7 @@ def _at(obstacle: Obstacle, time: float) -> NDArray[np.float64]:
 
 
 def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report obstacles that the robot cannot avoid by braking alone, at the worst values of the vehicle's ranges."""
+    # by braking alone, at the worst values of the vehicle's ranges
     brakes, results = brakes_of(vehicle), []
     most, sight = fastest_obstacle(brakes), scenario.sensors.equipment.array.maximum
     for o in scenario.obstacles:
@@ -141,7 +140,6 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report a speed cap that the robot cannot reach, because its thrust is too small in still water."""
     held = {"surge": _held(vehicle, "Xu", "Fu_max"), "sway": _held(vehicle, "Yv", "Fv_max")}
     if scenario.cap <= min(held.values()):
         return []
@@ -151,7 +149,7 @@ def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _held(vehicle: Vehicle, axis: str, limit: str) -> float:
-    """Return the speed [m/s] at which the drag of an axis equals its thrust limit; inf without drag."""
+    # speed [m/s] at which drag and thrust limit are equal
     linear, quadratic, most = vehicle[axis], vehicle[axis + axis[-1]], vehicle[limit]
     root = linear + sqrt(linear**2 + 4 * quadratic * most)
     return 2 * most / root if root > 0 else inf

@@ -57,7 +57,7 @@ class _Still:
     drift: float
 
     def distance(self, x: Field, y: Field) -> Field:
-        """Return the signed distance [m] from a point to the body at the worst drift; negative inside the body."""
+        # at the worst drift; negative inside the body
         beyond = np.abs(x - self.centre[0]) - self.half[0], np.abs(y - self.centre[1]) - self.half[1]
         outside = np.hypot(np.maximum(beyond[0], 0), np.maximum(beyond[1], 0))
         inside = np.minimum(np.maximum(*beyond), 0)
@@ -93,7 +93,7 @@ def tightest_gap(scenario: Scenario, clearance: float, *, depth: float | None = 
 
 
 def _walls(length: float, width: float) -> list[_Still]:
-    """Return the walls of the site as boxes that are much thicker than the site is long."""
+    # the boxes are much thicker than the site is long
     far = length + width
     return [
         _Still("the wall x = 0", (-far, 0.0), (far, 4 * far), 0.0, 0.0),
@@ -152,7 +152,7 @@ def _at(clear: Field) -> Callable[[Cell], float]:
 
 
 def _widest_path(clear: Field, start: Cell, target: Cell) -> list[Cell]:
-    """Return the grid cells, from target to start, of the path whose smallest clearance is largest."""
+    # from target to start; the smallest clearance on the path is as large as possible
     # one extra row and column on every side, marked as visited, so that each cell has eight neighbours
     around, row = np.pad(clear, 1), clear.shape[1] + 2
     cost, visited = (-around.ravel()).tolist(), bytearray(np.pad(np.zeros(clear.shape, bool), 1, constant_values=True))

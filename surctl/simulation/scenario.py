@@ -194,7 +194,6 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
 
 
 def _check(scenario: Scenario) -> None:
-    """Raise InputError for a scenario that no vehicle could carry out, for example with waypoints outside the site."""
     source = scenario.source
     if not -scenario.site[2] < scenario.depth < 0:
         raise InputError(
@@ -242,7 +241,7 @@ def _unique(names: Sequence[str], source: str) -> None:
 
 
 def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
-    """Raise InputError if still obstacles overlap or cover the target at zero drift; `findings` checks the drift."""
+    # at zero drift; `findings` checks the drift
     target = scenario.target.tolist()
     for k, obstacle in enumerate(still):
         here = obstacle.heights.crosses(scenario.depth, 0.0)

@@ -76,7 +76,6 @@ class _DeliveryTable(Strict):
     gaps_s: tuple[tuple[float, float], ...] = ()
 
     def delivery(self) -> Delivery:
-        """Return the table's data as the `Delivery` (delay, loss) of the robot's equipment."""
         values = {"period": self.period_s, "latency": self.latency_s, "loss": self.loss}
         return Delivery(gaps=self.gaps_s, **{name: value for name, value in values.items() if value is not None})
 

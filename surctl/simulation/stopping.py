@@ -47,7 +47,6 @@ def stop_reason(run: Run) -> str:
 
 
 def _dead_end_reason(run: Run) -> str:
-    """Return where the law found no path to the target, and how far it had come along the path."""
     law, record = run.law, run.record
     first = int(np.argmax(run.telemetry("trapped").ravel() > 0.5))
     x, y = record.eta[first, :2]

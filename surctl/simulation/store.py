@@ -119,7 +119,7 @@ def cannot_write(place: Path, error: Exception) -> InputError:
 
 
 def _hold(lock: IO[str], folder: Path) -> None:
-    """Lock the folder; the system releases the lock when the process ends, even if it crashes."""
+    # the system releases the lock when the process ends, even if the process crashes
     if sys.platform == "win32":
         return
     import fcntl
@@ -133,7 +133,7 @@ def _hold(lock: IO[str], folder: Path) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """Write the folder's list of files to the disk (fsync), if the operating system supports this."""
+    # some operating systems cannot sync a folder
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

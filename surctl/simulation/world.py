@@ -66,7 +66,7 @@ class World:
 
     @cached_property
     def _still(self) -> dict[int, Body | None]:
-        """The obstacles that never move, by their index in the scenario's list."""
+        # by their index in the scenario's list
         obstacles = enumerate(self.scenario.obstacles)
         return {k: self._body(k, o, 0.0) for k, o in obstacles if o.shape != "moving" and o.drift_m == 0}
 

@@ -288,7 +288,7 @@ def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTabl
 def _simulate_legs(
     plan: Plan, legs: Sequence[Leg], laws: tuple[Law, Sequence[Law]], swept: SweepTable, progress: Progress
 ) -> list[tuple[Leg, Run]]:
-    """Simulate each mission of the plan with true positions by `laws[0]`, and with sonar by its law in `laws[1]`."""
+    # with true positions by `laws[0]`, with sonar by the law in `laws[1]`
     leg_runs = []
     for leg, sonar_law in zip(legs, laws[1], strict=True):
         for sensing, law in (("truth", laws[0]), ("sonar", sonar_law)):

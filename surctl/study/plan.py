@@ -153,7 +153,6 @@ def _study(table: dict[str, Any], path: Path) -> _StudyFile:
 
 
 def _own_goals(study: _StudyFile, path: Path, named: str | None) -> tuple[Goal, ...]:
-    """Return the goals of the named goals file, the goals in the study's own tables, or the built-in goals."""
     if named is None:
         return goals_from_tables(study.goals, file=path) if study.goals else load_goals()
     try:
@@ -213,10 +212,7 @@ def _plan(
 
 
 def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
-    """Return an axis of the parameter sweep.
-
-    InputError if the parameter is not a gain, because a study chooses only gains.
-    """
+    # InputError if the parameter is not a gain, because a study chooses only gains
     for value in axis.values:
         gains.with_values({axis.gain: value})
     return Axis(axis.gain, axis.values)

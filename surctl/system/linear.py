@@ -168,18 +168,18 @@ class Linearisation:
 
     @cached_property
     def _sampled_plant(self) -> tuple[Array, Array, Array]:
-        """The plant (A_d, B_d, E_d) over one control period, driven by the commands and the disturbances."""
+        # (A_d, B_d, E_d) over one control period, driven by the commands and the disturbances
         return _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.system.dt)
 
     def _transition(self) -> Array:
-        """Return the transition matrix of the closed loop from one control instant to the next."""
+        # from one control instant to the next
         Ad, Bd, _ = self._sampled_plant
         Az, By, _, Cz, Dy, _ = self.law
         C = self.plant[3]
         return np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
 
     def _selection(self) -> Array:
-        """Return the selection matrix (plant inputs, commands), which is 1 where an actuator takes a command."""
+        # (plant inputs, commands): 1 where an actuator takes a command
         system = self.system
         commands, inputs = _labels(system.commands), _labels(system.plant.inputs)
         return np.array([[float(name == label) for label in commands] for name in inputs])
@@ -230,7 +230,7 @@ def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Op
 
 
 def _newton(functions: _Rest, point: Array) -> tuple[Array, bool]:
-    """Return the point after damped Newton steps, and whether it is an equilibrium."""
+    # damped Newton steps; returns whether the point is an equilibrium
     for _ in range(_NEWTON):
         error, slope = functions.error(point)
         if not (np.isfinite(error).all() and np.isfinite(slope).all()):
@@ -291,8 +291,7 @@ def linearise(
 
 
 class _Rest:
-    """Equilibrium conditions x' = 0 and z⁺ = z for given numbers of a run, and derivatives of the controller."""
-
+    # x' = 0 and z⁺ = z
     def __init__(self, system: System, numbers: RunNumbers) -> None:
         self.system, self.numbers = system, numbers
         plant, controller = system.plant, system.controller
@@ -318,24 +317,22 @@ class _Rest:
 
     @classmethod
     def of(cls, system: System, values: Mapping[str, ArrayLike] | None) -> _Rest:
-        """Return the conditions for numbers by name; InputError if they are for several runs."""
         numbers = run_numbers(system, values or {})
         if numbers.count != 1:
             raise InputError(f"are for {numbers.count} runs", key="values", remedy="give one number each")
         return cls(system, numbers)
 
     def error(self, point: Array) -> tuple[Array, Array]:
-        """Return the residual of the equilibrium conditions at (x, z), and its derivative."""
+        # residual at (x, z), and its derivative
         error, slope, _ = self._error.call(self._split(point))
         return np.array(error).reshape(-1), np.array(slope)
 
     def operating(self, point: Array) -> Operating:
-        """Return the operating point at (x, z), with its command."""
         x, z = self._split(point)
         return Operating(x, z, np.array(self._error.call([x, z])[2]).reshape(-1), self.numbers)
 
     def law(self, point: Operating) -> tuple[Array, ...]:
-        """Return derivatives of next controller state, then command, by controller state, measurements, references."""
+        # derivatives of next controller state, then command, by controller state, measurements, references
         results = self._slopes.call([point.z, self._measure(point.x), self.reference])
         return tuple(np.array(result) for result in results)
 
@@ -345,7 +342,7 @@ class _Rest:
 
 
 def _law_function(controller: SampledController) -> ca.Function:
-    """Return the law as a CasADi function (x, u, p) → (command, next state, …), from its expressions if available."""
+    # (x, u, p) → (command, next state, …)
     if not isinstance(controller, Controller):
         return to_casadi(controller.block)
     symbols = [
@@ -356,7 +353,7 @@ def _law_function(controller: SampledController) -> ca.Function:
 
 
 def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Return (A_d, B_d, E_d) of the plant over one period with held inputs: x⁺ = A_d x + B_d f + E_d d, exact."""
+    # held inputs: x⁺ = A_d x + B_d f + E_d d, exact
     from scipy.linalg import expm  # takes a second to import
 
     n, m = len(A), B.shape[1] + E.shape[1]
@@ -371,5 +368,4 @@ def _state_labels(system: System) -> list[str]:
 
 
 def _labels(layout: Layout, prefix: str = "") -> list[str]:
-    """Return a label for each entry of a layout: the name of the port, with [i] if the port has several entries."""
     return [f"{prefix}{p.name}{f'[{k}]' if p.size > 1 else ''}" for p in layout for k in range(p.size)]

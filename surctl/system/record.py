@@ -131,7 +131,7 @@ def _named(system: System, tables: list[Array]) -> dict[str, Array]:
 
 @once_per_system
 def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
-    """Return three functions: outputs with inputs and references, plant state after a period, and costs with stops."""
+    # outputs with inputs and references; plant state after a period; costs with stops
     plant, t = system.plant, ca.SX.sym("t")
     x, p = ca.SX.sym("x", plant.state.size), ca.SX.sym("p", plant.parameters.size)
     r, d = ca.SX.sym("r", system.references.size), ca.SX.sym("d", plant.disturbances.size)
@@ -144,7 +144,6 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
 
 
 def _figure(how: How, series: Array, dt: float) -> float:
-    """Return the metric of a run from its values at the control instants."""
     past = np.flatnonzero(series > 0)
     return float(
         {

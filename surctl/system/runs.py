@@ -168,7 +168,7 @@ def loop_step(system: System) -> Block:
 
 
 def _layouts(system: System) -> tuple[Layout, Layout]:
-    """Return the layouts of the batch's state, whose first entry is the flag that ends a run, and of its parameters."""
+    # the first entry of the state is the flag that ends a run
     sizes = {"plant": system.plant.state.size, "controller": system.controller.state.size, "sums": len(system.costs)}
     constants = {
         "plant": system.plant.parameters.size, "reference": system.references.size,
@@ -204,7 +204,6 @@ def moved_state(system: System, x: ca.SX, command: ca.SX, constants: Mapping[str
 
 
 def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX) -> ca.SX:
-    """Return the accumulated value of each metric, updated with its value at the present control instant."""
     after = []
     for k, cost in enumerate(system.costs.values()):
         old, value = sums[k], costs[k]
@@ -223,7 +222,6 @@ def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX) -> ca.SX:
 
 
 def _figure(cost: Cost, total: Array, count: Array) -> Array:
-    """Return the metric of each run from its accumulated value and its number of control instants."""
     if cost.how == "mean":
         return total / np.maximum(count, 1)
     return np.sqrt(total / np.maximum(count, 1)) if cost.how == "rms" else total

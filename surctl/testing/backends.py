@@ -160,8 +160,7 @@ def measure_backend(
 
 @dataclass(frozen=True)
 class _Mark:
-    """Result for one problem; `finding` is "" if the backend passes."""
-
+    # `finding` is "" if the backend passes
     status: str
     finding: str
     iterations: int = 0
@@ -171,7 +170,6 @@ class _Mark:
 
 
 def _named_kernel(backend: str | Kernel) -> tuple[str, Kernel]:
-    """Return the name of the backend for the report, and its solver function."""
     if callable(backend):
         return getattr(backend, "__name__", type(backend).__name__), backend
     if not isinstance(backend, str) or backend not in BACKENDS:
@@ -186,7 +184,6 @@ def _named_kernel(backend: str | Kernel) -> tuple[str, Kernel]:
 
 
 def _judged(kernel: Kernel, problem: Known, tol: float) -> _Mark:
-    """Solve and check one problem; any exception from the solver is a finding."""
     G, lower, upper = problem.G.copy(), problem.lower.copy(), problem.upper.copy()
     try:
         result: object = kernel(G, lower, upper)

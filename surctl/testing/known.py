@@ -63,7 +63,7 @@ def _with_active(normals: Array, rng: np.random.Generator, *, idle: int = 6, fre
 
 
 def _loose(size: int, rng: np.random.Generator) -> Known:
-    """Return a problem in which no inequality binds, so that the solution is 0."""
+    # no inequality binds, so that the solution is 0
     return _with_active(np.zeros((0, size)), rng, idle=8)
 
 
@@ -72,7 +72,7 @@ def _plain(size: int, rng: np.random.Generator) -> Known:
 
 
 def _equal(size: int, rng: np.random.Generator) -> Known:
-    """Return a problem in which some inequalities have equal bounds, that is, are equalities."""
+    # some inequalities have equal bounds
     problem = _with_active(_unit(rng, int(rng.integers(1, size)), size), rng)
     if problem.y is None:
         return problem
@@ -82,12 +82,12 @@ def _equal(size: int, rng: np.random.Generator) -> Known:
 
 
 def _degenerate(size: int, rng: np.random.Generator) -> Known:
-    """Return a problem with more inequalities at their bounds than unknowns, most with multiplier 0."""
+    # more inequalities at their bounds than unknowns, most of them with multiplier 0
     return _with_active(_unit(rng, 2 * size, size), rng, free=int(rng.integers(size, 2 * size)))
 
 
 def _doubled(size: int, rng: np.random.Generator) -> Known:
-    """Return a problem in which some inequalities occur twice."""
+    # some inequalities occur twice
     problem = _plain(size, rng)
     twice = rng.integers(0, len(problem.G), 4)
     side = rng.choice([-1.0, 1.0], 4)
@@ -98,7 +98,7 @@ def _doubled(size: int, rng: np.random.Generator) -> Known:
 
 
 def _parallel(size: int, rng: np.random.Generator) -> Known:
-    """Return a problem in which the normals of two active inequalities have an angle of 1e-5 to 1e-2 rad."""
+    # the normals of two active inequalities have an angle of 1e-5 to 1e-2 rad
     normals = _unit(rng, 2, size)
     angle = float(10.0 ** rng.uniform(-5, -2))
     across = normals[1] - (normals[0] @ normals[1]) * normals[0]
@@ -108,14 +108,14 @@ def _parallel(size: int, rng: np.random.Generator) -> Known:
 
 
 def _scaled(size: int, rng: np.random.Generator) -> Known:
-    """Return a problem in which the normals have lengths from 1e-3 to 1e3."""
+    # the normals have lengths from 1e-3 to 1e3
     problem = _plain(size, rng)
     length = 10.0 ** rng.uniform(-3, 3, len(problem.G))
     return Known(problem.G * length[:, None], problem.lower * length, problem.upper * length, problem.y)
 
 
 def _infeasible(size: int, rng: np.random.Generator) -> Known:
-    """Return an infeasible problem: with positive weights, the normals sum to 0, the bounds to a negative number."""
+    # with positive weights, the normals sum to 0 and the bounds to a negative number
     count = int(rng.integers(2, size + 2))
     weights = rng.uniform(0.2, 1.0, count)
     normals = _unit(rng, count, size)

@@ -118,7 +118,7 @@ def check_limit(
 
 
 def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
-    """Return the constraint rows of the limit, after all checks that do not depend on values."""
+    # all checks that do not depend on values
     if not hasattr(limit, "rows"):
         raise CheckFailed("limit", f"is a {type(limit).__name__} without rows()")
     rows, again = tuple(limit.rows()), tuple(limit.rows())
@@ -160,12 +160,12 @@ class _Check:
     at: Sampled
 
     def values(self, point: Array) -> tuple[Array, Array, Array]:
-        """Return the values A (m, 4), lower (m,), upper (m,) of the constraint rows at a point."""
+        # A (m, 4), lower (m,), upper (m,)
         A, lower, upper = self.at(point)
         return A, lower.reshape(-1), upper.reshape(-1)
 
     def gaps(self, points: Array) -> Array:
-        """Return the gaps upper − lower (N, m), divided by ‖a‖ if a is not 0; raise CheckFailed if a row is invalid."""
+        # upper − lower (N, m), divided by ‖a‖ if a is not 0
         A, lower, upper = self.at.many(points)
         lower, upper = lower[..., 0], upper[..., 0]
         length = np.linalg.norm(A, axis=2)
@@ -184,7 +184,7 @@ class _Check:
         return gaps
 
     def search(self, i: int, starts: Array, rng: np.random.Generator) -> Array:
-        """Return the smallest gaps found by random steps from each start; the step length is halved if none helps."""
+        # random steps from each start; the step length is halved if no step helps
         best = np.full(len(self.rows), math.inf)
         span = self.ranges.high - self.ranges.low
         for start in starts if span.any() else starts[:0]:
@@ -202,7 +202,7 @@ class _Check:
         return best
 
     def together(self, point: Array) -> None:
-        """Check that some velocity satisfies all actuator limits: the smallest t by which all must open is 0."""
+        # t is the smallest distance by which all limits must open so that one velocity satisfies them
         A, lower, upper = self.values(point)
         hard = np.array([row.kind == "actuator" for row in self.rows]) & A.any(axis=1)
         if hard.sum() < 2:
@@ -229,7 +229,7 @@ class _Check:
             )
 
     def compare(self, point: Array, holds: Callable[..., bool], rng: np.random.Generator, velocity: float) -> int:
-        """Call `holds` at random velocities and beside every bound; return the number of velocities compared."""
+        # random velocities, and velocities beside every bound
         A, lower, upper = self.values(point)
         compared = 0
         for v in self._trials(A, lower, upper, rng, velocity):
@@ -246,7 +246,7 @@ class _Check:
         return compared
 
     def _trials(self, A: Array, lower: Array, upper: Array, rng: np.random.Generator, velocity: float) -> list[Array]:
-        """Return random velocities, and velocities on both sides of every bound that satisfy all other rows."""
+        # velocities on both sides of every bound satisfy all other rows
         trials = list(rng.uniform(-velocity, velocity, (5, 4)))
         for a, *bounds in zip(A, lower, upper, strict=True):
             for bound in bounds:
@@ -261,7 +261,7 @@ class _Check:
 
 
 def _toward(A: Array, lower: Array, upper: Array, v: Array) -> Array:
-    """Return v after repeated projections on violated constraint rows (Kaczmarz); v then mostly satisfies all rows."""
+    # repeated projections on violated rows (Kaczmarz); v then mostly satisfies all rows
     for _ in range(_SWEEPS):
         for a, low, high in zip(A, lower, upper, strict=True):
             if a.any():

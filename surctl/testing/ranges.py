@@ -132,6 +132,6 @@ def _names(symbol: ca.SX) -> Iterator[str]:
 
 
 def _name(symbol: ca.SX) -> str:
-    """Return the name with which the symbol was created; CasADi names the entries of a vector x_0, x_1, …"""
+    # CasADi names the entries of a vector x_0, x_1, …
     first = next(_names(symbol))
     return str(first if symbol.numel() == 1 else first.rsplit("_", 1)[0])

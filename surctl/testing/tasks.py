@@ -131,7 +131,7 @@ def _pose(place: int, pose: Sequence[float]) -> Array:
 
 
 def _expressions(task: Task | SetTask) -> list[ca.SX]:
-    """Return the expressions σ, J, lower and upper bound of σ̇, and error, after a check of their shapes."""
+    # σ, J, lower and upper bound of σ̇, and error
     J = task.jacobian()
     if isinstance(task, SetTask):
         (lower, upper), error = task.slab(), ca.SX.zeros(task.size, 1)
@@ -155,7 +155,6 @@ class _Check:
     at: Sampled
 
     def finite(self, values: Array) -> list[Array]:
-        """Return the values of all expressions, after a check that these are finite where required."""
         results = self.at(values)
         for what, part in zip(("sigma", "J"), results, strict=False):
             if not np.isfinite(part).all():
@@ -173,7 +172,6 @@ class _Check:
         return results
 
     def derivative(self, values: Array, J: Array, tol: float) -> float:
-        """Return the largest error of J; raise CheckFailed if this error exceeds tol."""
         measured = np.stack([self._differences(values, step) for step in _STEPS])
         error = np.abs(measured - J).min(axis=0) / (1.0 + np.abs(J).max())
         row, column = np.unravel_index(int(np.argmax(error)), error.shape)
@@ -187,7 +185,6 @@ class _Check:
         return float(error[row, column])
 
     def full_turn(self, values: Array) -> None:
-        """Check that J and the reference are the same after a full turn of the vehicle."""
         turned = values.copy()
         turned[3] += 2.0 * math.pi
         before, after = self.at(values), self.at(turned)
@@ -197,7 +194,7 @@ class _Check:
                 self._fail(f"{what} changes when the vehicle makes a full turn{remedy}", values)
 
     def _differences(self, values: Array, step: float) -> Array:
-        """Return the central differences (k, 4) of σ along each velocity."""
+        # central differences (k, 4) of σ along each velocity
         c, s = math.cos(values[3]), math.sin(values[3])
         motion = np.array([[c, s, 0, 0], [-s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=float)
         columns = []

@@ -160,7 +160,6 @@ def tune(
 
 
 def _candidates(request: Request, done: Sequence[Round]) -> Pool:
-    """Simulate the gains of every round under all conditions; return them as one pool."""
     return request.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
 
 
@@ -195,7 +194,7 @@ def _check(request: Request, trials: int, rounds: int, runs: int) -> None:
 
 
 def _ended(done: Sequence[Round]) -> bool:
-    """Whether tuning ends: the last round added no counterexample, or it improved the score by less than 1 %."""
+    # the last round added no counterexample, or it improved the score by less than 1 %
     last = done[-1]
     if _barren(last):
         return last.feasible or (len(done) > 1 and _barren(done[-2]))
@@ -204,12 +203,12 @@ def _ended(done: Sequence[Round]) -> bool:
 
 
 def _barren(one: Round) -> bool:
-    """Whether a round adds no counterexample to the request of the next round."""
+    # the round adds no counterexample to the request of the next round
     return not (one.training or one.claims or (one.fresh and one.feasible))
 
 
 def _longer(trials: int, done: Sequence[Round]) -> int:
-    """Number of trials of the next search; it is doubled if the last round added no counterexample."""
+    # doubled if the last round added no counterexample
     return 2 * trials if done and _barren(done[-1]) else trials
 
 
@@ -239,7 +238,7 @@ def _searched(
 
 
 def _leading(pool: Pool) -> list[dict[str, float]]:
-    """The best gain sets of a pool, as many as a round passes to the next round."""
+    # as many sets as a round passes to the next round
     return [pool.gains(k) for k in pool.ranked(pool.evaluation.normalised[0])[: 1 + _OTHERS]]
 
 

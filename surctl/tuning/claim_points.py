@@ -36,7 +36,7 @@ def refuted_claims(gains: Mapping[str, float], *, seed: int = 0) -> tuple[Verdic
 
 @lru_cache(maxsize=16)
 def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, ...]:
-    """The verdicts are cached, because several rounds may end at the same gains and the falsifier takes seconds."""
+    # cached, because several rounds may end at the same gains and the falsifier takes seconds
     verdicts = (falsify(claim, seed=seed) for claim in claims(dict(gains), expected_to_hold()))
     return tuple(v for v in verdicts if v.verdict == "refuted")
 

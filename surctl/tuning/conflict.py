@@ -121,12 +121,11 @@ def conflict(
 
 
 def _of(request: Request, chosen: Sequence[Demand]) -> Request:
-    """Return the request for the chosen demands alone; each run is simulated once."""
+    # each run is simulated once
     return replace(
         request, goals=tuple(d.goal for d in chosen), conditions=merged(c for d in chosen for c in d.conditions)
     )
 
 
 def _nearest(known: Pool, subset: Sequence[int]) -> int:
-    """Index of the gain set that misses these demands least."""
     return int(known.evaluation.excess[:, list(subset)].sum(axis=1).argmin())

@@ -34,8 +34,7 @@ _SLACK = 10.0  # weight of the largest missed constraint relative to the score
 
 @dataclass(eq=False)
 class _At:
-    """State of a descent: its point (d,) in the unit cube, the merit of this point, and the step length."""
-
+    # a point (d,) in the unit cube
     place: Array
     merit: float
     step: float = _FIRST
@@ -89,7 +88,7 @@ def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _
 
 
 def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
-    """Simulate the neighbours for the linearisation, then the proposed gain sets; return all these sets as one pool."""
+    """Simulate the neighbours for the linearisation, then the proposed gain sets; return both as one pool."""
     beside = _beside(at)
     near, table = request.simulate(_sets(request, np.vstack([beside, at.place])))
     objective, constraint = _functions(request, near, table, pool.evaluation.normalised[0])
@@ -105,7 +104,7 @@ def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
 
 
 def _beside(at: _At) -> Array:
-    """Return the neighbours (2 d, d): one step up and one step down in each direction, within the cube."""
+    # neighbours (2 d, d): one step up and one step down in each direction, within the cube
     d, far = len(at.place), min(_DIFFERENCE, at.step / 2)
     both = np.repeat(np.eye(d), 2, axis=0) * np.tile([far, -far], d)[:, None]
     places: Array = np.clip(at.place + both, 0.0, 1.0)
@@ -117,7 +116,7 @@ def _sets(request: Request, places: Array) -> dict[str, Array]:
 
 
 def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tuple[Array, Array]:
-    """Return two arrays: (n, f) soft goals, scaled as in the score; (n, g) hard goals and claims, at most 0 if met."""
+    # soft goals (n, f), scaled as in the score; hard goals and claims (n, g), at most 0 if met
     soft, hard = [np.zeros((len(pool.claims), 1))], [np.minimum(pool.claims, CAP)]
     for goal, first in zip(request.goals, start, strict=True):
         own = scope(goal, request.conditions)
@@ -153,7 +152,7 @@ def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array
 
 
 def _move(request: Request, at: _At, batch: Pool, start: Array) -> None:
-    """Move to the best simulated set if it improves the merit and adapt the step length; otherwise shorten the step."""
+    """Move to the best simulated set and adapt the step length; shorten the step if no set improves the merit."""
     merit = batch.merit(start)
     best = int(merit.argmin())
     if not merit[best] < at.merit:

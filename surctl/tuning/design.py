@@ -183,7 +183,6 @@ def make_design(
 
 
 def _spans(axes: Sequence[Axis | Span], kind: str) -> tuple[Span, ...]:
-    """Return the axes if all of them are ranges with different names; otherwise raise InputError."""
     _check_names(axes)
     for axis in axes:
         if isinstance(axis, Axis):
@@ -215,5 +214,5 @@ def _filled(spans: Sequence[Span], unit: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _power(count: int) -> int:
-    """Least k with 2^k ≥ count."""
+    # least k with 2^k ≥ count
     return max(0, count - 1).bit_length()

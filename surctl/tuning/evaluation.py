@@ -302,7 +302,7 @@ def row(sets: Sets, k: int) -> dict[str, float]:
 
 
 def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
-    """Return the cases in order, each with the indices of its conditions; each case is simulated as one batch."""
+    # each case is simulated as one batch
     groups: list[tuple[Case, list[int]]] = []
     for k, condition in enumerate(conditions):
         for case, own in groups:
@@ -315,7 +315,7 @@ def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
 
 
 def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str, NDArray[np.float64]]:
-    """Return the parameter values of every gain set under every condition; the gain set is the outer index."""
+    # the gain set is the outer index
     count = len(next(iter(sets.values())))
     spread = {name: np.repeat(np.asarray(values, dtype=float), len(conditions)) for name, values in sets.items()}
     off = sorted({name for c in conditions for name in c.plant})
@@ -328,7 +328,7 @@ def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str
 def _linear(
     case: Case, speed: float | None, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return linear metrics (n, conditions) at a cruise speed, computed once for each plant: seeds have no effect."""
+    # linear metrics (n, conditions), computed once for each plant: seeds have no effect
     keys = [tuple(sorted(c.plant.items())) for c in conditions]
     plants = dict(zip(keys, conditions, strict=True))
     place = {key: k for k, key in enumerate(plants)}

@@ -82,7 +82,7 @@ class LocalExecutor:
 
 
 def _begin() -> None:
-    """Make a worker process ignore Ctrl-C, print each warning as one line, and end when the parent process ends."""
+    # ignores Ctrl-C in a worker process, prints a warning as one line, and ends with the parent process
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:

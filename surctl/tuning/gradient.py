@@ -144,7 +144,7 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
 
 
 def _data(world: World, *, steps: int, dt: float) -> Array:
-    """Return (steps, 8 · slots + 4): for each control step, the obstacles and the wave force in its two halves."""
+    # (steps, 8 · slots + 4): the obstacles, and the wave force in the two halves of the step
     rows = np.zeros((steps, CONTACT_SLOTS, _ROW))
     rows[:, :, :2] = _FAR
     forces = np.zeros((steps, 2 * _HALVES))
@@ -161,7 +161,7 @@ def _data(world: World, *, steps: int, dt: float) -> Array:
 
 @cache
 def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Function, ca.Function]:
-    """Return two functions: (gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient."""
+    # (gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient
     step, _ = _step(law)
     gains, weights = ca.MX.sym("gains", len(names)), ca.MX.sym("weights", len(SURROGATES))
     start, p, plant = (ca.MX.sym(n, step.size1_in(i)) for n, i in (("start", 0), ("p", 2), ("plant", 3)))
@@ -184,7 +184,7 @@ def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Functio
 
 @cache
 def _step(law: Law) -> tuple[ca.Function, ca.Function]:
-    """Return two functions of one control step: (state, data, p, plant) → (next state, terms), and → its branch number.
+    """Return two functions of a control step: (state, data, p, plant) → (next state, terms), and → branch number.
 
     The terms are y_e², thrust², the distance to the target, and the clearances. The branch number is defined by
     `_tally`.
@@ -264,7 +264,7 @@ def _compared(program: Program) -> Program:
 
 
 def _tally(compared: ca.Function) -> ca.Function:
-    """Return a function that sums the comparisons of a step with random weights: sums rarely agree by coincidence."""
+    # with random weights, sums of different outcomes rarely agree by coincidence
     inputs = [ca.SX.sym(f"i{k}", compared.size1_in(k)) for k in range(compared.n_in())]
     outcomes = compared(*inputs)
     weights = np.random.default_rng(0).uniform(1, 2, outcomes.numel())

@@ -95,7 +95,7 @@ class Journal:
 
 
 def _hold(path: Path) -> BinaryIO:
-    """Return the open and locked file, without an incomplete line at its end."""
+    # opened and locked, without an incomplete line at the end
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+b")
@@ -116,13 +116,12 @@ def _hold(path: Path) -> BinaryIO:
 
 
 def _open(path: Path) -> tuple[JournalStorage, Any]:
-    """Return the storage, and a context manager that collects all entries and writes them together at its exit."""
+    # the context manager collects all entries and writes them together at its exit
     from optuna.storages import JournalStorage
     from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 
     class Alone(JournalFileOpenLock):  # type: ignore[misc]
-        """Lock for optuna that does nothing, because this process has already locked the file."""
-
+        # does nothing, because this process has already locked the file
         def acquire(self) -> bool:
             return True
 
@@ -130,8 +129,7 @@ def _open(path: Path) -> tuple[JournalStorage, Any]:
             return None
 
     class Batched(JournalFileBackend):  # type: ignore[misc]
-        """Journal backend that writes a batch of trials in one disk access, instead of one access per entry."""
-
+        # one disk access for a batch of trials, instead of one access per entry
         def __init__(self, file: str) -> None:
             super().__init__(file, Alone(file))
             self.written = Path(file).read_bytes().count(b"\n")

@@ -315,10 +315,7 @@ def _nearest_parameter(name: str, known: set[str]) -> str:
 
 
 def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> Floats:
-    """Return the values (points, 1) of the first of these parameters that the sweep varies.
-
-    If the sweep varies none of them, return the nominal value (1, 1).
-    """
+    # (points, 1), or the nominal value (1, 1) if the sweep varies none of the parameters
     for name in names:
         if name in values:
             return values[name][:, None]
@@ -326,7 +323,7 @@ def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> 
 
 
 def _summary(metrics: Mapping[str, Floats]) -> list[Floats]:
-    """Compute the columns of `CASE_COLUMNS`, in this order, from metrics (points, runs)."""
+    # metrics (points, runs)
     means, worst = [], []
     for name, spec in _AVERAGED.items():
         runs = metrics[name]
@@ -341,7 +338,6 @@ def _summary(metrics: Mapping[str, Floats]) -> list[Floats]:
 
 
 def _fastest(cases: Sequence[Case]) -> list[Case]:
-    """Return, for each different vehicle, model and law, the case with the largest cruise speed."""
     fastest: list[Case] = []
     for case in sorted(cases, key=lambda c: -c.scenario.cruise):
         if not any((case.vehicle, case.model, case.law) == (k.vehicle, k.model, k.law) for k in fastest):

@@ -87,7 +87,6 @@ def _variable(file: Any, name: str, dimensions: tuple[str, ...], quantity: Quant
 
 
 def _coordinates(file: Any, design: Design, cases: tuple[Case, ...]) -> tuple[str, ...]:
-    """Create the dimensions and the coordinate variables; return the names of the dimensions."""
     names = tuple(netcdf_name(name) for name in design.names)
     if design.kind != "grid":
         file.createDimension("point", len(design.points))

@@ -126,8 +126,7 @@ def _keep(values: list[float]) -> Callable[..., None]:
 def _cost_of(
     runs: Sequence[DifferentiableRun], weights: Mapping[str, float], floor: float
 ) -> Callable[[Array], tuple[float, Array]]:
-    """Return a function that maps the logarithms of the gains (k,) to the cost and its gradient."""
-
+    # the logarithms of the gains (k,) → cost and gradient
     def cost(logs: Array) -> tuple[float, Array]:
         values, total, slope = np.exp(logs), 0.0, np.zeros(len(logs))
         for run in runs:

@@ -93,7 +93,7 @@ class Record:
         write_file(self.path, text)
 
     def _load(self) -> list[Round]:
-        """Load the rounds from the file if it belongs to this request; any other file is ignored."""
+        # a file that belongs to another request is ignored
         if self.path is None or not self.path.exists():
             return []
         try:

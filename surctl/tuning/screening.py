@@ -82,7 +82,6 @@ def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lamb
 
 
 def _message(runs: int, failed: int, added: int) -> str:
-    """Return a sentence with the result of the training runs."""
     if not failed:
         return f"None of the candidate gain sets failed in {runs:,} training runs."
     sets = "candidate gain set" + "s" * (failed != 1)

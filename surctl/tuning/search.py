@@ -102,7 +102,7 @@ def _start(request: Request) -> dict[str, NDArray[np.float64]]:
 
 
 def _study(trials: Sequence[FrozenTrial]) -> Study:
-    """Create an optuna study in memory, because a study on the disk needs ten disk accesses per trial."""
+    # in memory, because a study on the disk needs ten disk accesses per trial
     optuna = quiet_optuna()
     study = optuna.create_study(directions=["minimize", "minimize"])
     study.add_trials(trials)
@@ -113,7 +113,7 @@ def _study(trials: Sequence[FrozenTrial]) -> Study:
 
 
 def _propose(study: Study, request: Request, batch: int, first: Sequence[Mapping[str, float]]) -> list[Trial]:
-    """Propose a whole generation; every trial has its own seed, so that a resumed search repeats the proposals."""
+    # every trial has its own seed, so that a resumed search repeats the proposals
     optuna = quiet_optuna()
     space = distributions(request)
     for gains in first[:BATCH]:

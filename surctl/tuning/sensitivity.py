@@ -99,7 +99,7 @@ def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity
 
 
 def _indices(parts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return first-order and total-order indices (2, axes) from values (2 + axes, base) at A, B and mixed samples."""
+    # first-order and total-order indices (2, axes) from values (2 + axes, base) at A, B and mixed samples
     from scipy.stats import sobol_indices
 
     result = sobol_indices(

@@ -55,7 +55,6 @@ def starting_sets(
 
 
 def _horizon(cases: Sequence[Case]) -> int:
-    """Simulate every case with its own gains; return the largest number of control steps that a case needs."""
     return max(int(np.ceil(simulate_batch(case).column("time_s")[0] / case.build().dt)) + 1 for case in cases)
 
 

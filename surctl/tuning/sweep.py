@@ -126,8 +126,7 @@ def run_chunks(
 
 @dataclass
 class _Job:
-    """A parameter sweep, divided into chunks: first the chunks of linear metrics, then the chunks of simulated runs."""
-
+    # first the chunks of linear metrics, then the chunks of simulated runs
     evaluation: Evaluation
     design: Design
     linear: bool
@@ -153,13 +152,12 @@ class _Job:
         self.evaluation = replace(self.evaluation, linear_chunks=self.linear_count)
 
     def width(self, index: int) -> int:
-        """Number of columns in the results of a chunk."""
         if index < self.linear_count:
             return len(self.evaluation.linear_columns)
         return len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
 
     def columns(self, store: ChunkStore) -> Iterator[Column]:
-        """Yield the columns of results; the values of a column are read from the stored chunks only when needed."""
+        # the values of a column are read from the stored chunks only when needed
         inputs: dict[str, Floats] = {}
         run_parts = self.chunks[self.linear_count :]
 
@@ -214,7 +212,7 @@ def _stored_sweep(job: _Job, out: Path, executor: Executor, progress: Progress) 
 
 
 def _set_aside(target: Path, progress: Progress) -> None:
-    """Rename an existing `sweep.nc` that belongs to another request."""
+    # the file belongs to another request
     if not target.exists():
         return
     other = target.with_name(f"sweep-{(request_of(target) or 'unreadable')[:12]}.nc")
@@ -226,10 +224,7 @@ def _set_aside(target: Path, progress: Progress) -> None:
 
 
 def _size(count: int, most: int) -> int:
-    """Return the number of points per chunk.
-
-    The number does not depend on the executor, so that any executor can resume a sweep.
-    """
+    # does not depend on the executor, so that any executor can resume a sweep
     return max(1, min(most, -(-count // _MOST_CHUNKS)))
 
 
@@ -238,8 +233,7 @@ def _cut(points: Floats, size: int, *, first: int) -> list[Chunk]:
 
 
 class _Pace:
-    """Progress lines for linear metrics and for points: number done, rate and remaining time; at most two a second."""
-
+    # at most two lines a second
     def __init__(self, job: _Job, todo: Sequence[Chunk], progress: Progress) -> None:
         self.progress, self.linear_count = progress, job.linear_count
         self.left = {index: len(points) for index, points in todo}
@@ -254,7 +248,6 @@ class _Pace:
         self.progress(f"sweep {self.stages[1].done}/{self.stages[1].whole} points")
 
     def finished(self, index: int) -> None:
-        """Count one more finished chunk, and report progress."""
         linear, simulated = self.stages
         stage = linear if index < self.linear_count else simulated
         stage.done += self.left.pop(index)

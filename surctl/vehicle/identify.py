@@ -233,15 +233,12 @@ def _vehicle(
 
 
 def _roughness(values: NDArray[np.float64]) -> float:
-    """Return a first estimate of white noise on a smooth signal: sd of the second differences, divided by √6."""
+    # sd of the second differences divided by √6: estimate of white noise on a smooth signal
     return max(float(np.std(np.diff(values, 2))) / np.sqrt(6.0), 1e-4) if len(values) > 2 else 1.0
 
 
 def _notes(left: NDArray[np.float64], present: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return a note for each column whose residuals are not white, because model or data are incomplete.
-
-    If the residuals are not white, the intervals are too short.
-    """
+    # if the residuals are not white, model or data are incomplete and the intervals are too short
     said = []
     for k, column in enumerate(LOG_MOTION):
         e = left[present[:, k], k]
@@ -288,7 +285,7 @@ class _Problem:
         self.bounds = (low, np.full(len(low), np.inf))
 
     def _run(self, theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the simulated states (12, n) over the log, and the parameters (13,)."""
+        # simulated states (12, n) over the log, and parameters (13,)
         n = len(self.names)
         p = np.zeros(13)
         p[:n] = self.start + self.scale * theta[:n]
@@ -297,11 +294,11 @@ class _Problem:
         return np.column_stack([begin, np.asarray(after)]), p
 
     def velocities(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the simulated velocities u, v, w, r (4, n)."""
+        # u, v, w, r (4, n)
         return self._run(theta)[0][4:8]
 
     def misfit(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the simulated minus the measured motion (n, 8); 0 where no measurement exists."""
+        # simulated minus measured motion (n, 8); 0 where no measurement exists
         x, _ = self._run(theta)
         return np.where(self.present, x[:8].T - np.where(self.present, self.log.motion, 0.0), 0.0)
 
@@ -309,7 +306,7 @@ class _Problem:
         return np.concatenate([(self.misfit(theta) / noise)[self.present], self._prior(theta)])
 
     def _prior(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return residuals that hold unobservable θ near a prior: unchanged parameters, initial thrust as commanded."""
+        # holds unobservable θ near a prior: unchanged parameters, initial thrust as commanded
         return np.concatenate([theta[: len(self.names)] / _PRIOR, (theta[-4:] - self.log.thrust[0]) / self.thrust])
 
     def jacobian(self, theta: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -331,7 +328,7 @@ class _Problem:
 
 
 def _cut(blocks: ca.DM, width: int) -> NDArray[np.float64]:
-    """Split a matrix (rows, n * width), which consists of n matrices side by side, into an array (n, rows, width)."""
+    # (rows, n * width) → (n, rows, width)
     flat = np.asarray(blocks)
     return flat.reshape(flat.shape[0], -1, width).transpose(1, 0, 2)
 

@@ -202,7 +202,6 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
 
 
 def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
-    """Return the entry of a parameter in the file, a text or a table, converted to the parameter's SI unit."""
     spec = PARAMETERS[name]
     try:
         return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
@@ -219,7 +218,6 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
 
 
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
-    """Return the parameter from its file entry; raise InputError if the sign or the range is wrong."""
     spec = PARAMETERS[name]
     key, value = f"{spec.table}.{name}", parameter.value
     if not np.isfinite(value) or value < 0 or (value == 0 and not spec.zero_allowed):

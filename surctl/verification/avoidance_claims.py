@@ -30,8 +30,6 @@ _LEAST_SPEED = 0.02  # [m/s] lower bound of u_dm in the claims
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """Symbolic variables of one robot and one obstacle."""
-
     setting: Setting
     e2: ca.SX
     phi: ca.SX
@@ -41,7 +39,6 @@ class _Encounter:
     delta: ca.SX
 
     def course(self, form: AvoidanceForm, side: int) -> ca.SX:
-        """The desired course ψ_dm [rad]."""
         s = self.setting
         return avoidance_course(
             form,
@@ -59,19 +56,19 @@ class _Encounter:
 
     @property
     def closing(self) -> ca.SX:
-        """The obstacle's velocity along the bearing, v_o·n [m/s]; positive if the obstacle moves away."""
+        # [m/s] along the bearing; positive if the obstacle moves away
         return self.u_ob * ca.cos(self.psi_ob - self.phi)
 
     def rate(self, form: AvoidanceForm, side: int) -> ca.SX:
-        """The rate of the clearance, l̇ = ė2 [m/s], from (23)."""
+        # l̇ = ė2 [m/s], from (23)
         return clearance_rate(self.course(form, side), self.phi, speed=self.u, closing=self.closing)
 
     def worse(self, form: AvoidanceForm, factor: ca.SX) -> ca.SX:
-        """The larger of the two values of factor·l̇ for passing on either side, λ2 = ±1."""
+        # the vehicle passes on either side of the obstacle: λ2 = ±1
         return ca.fmax(factor * self.rate(form, 1), factor * self.rate(form, -1))
 
     def motion(self, form: AvoidanceForm, *, clearance: bool) -> Motion:
-        """The motion of l and φ under the law with λ2 = +1; the speeds and the course of the obstacle are constant."""
+        # λ2 = +1; the speeds and the course of the obstacle are constant
         across = self.u_ob * ca.sin(self.psi_ob - self.phi) - self.u * ca.sin(self.course(form, 1) - self.phi)
         rates = {"e2": self.rate(form, 1), "phi": across / (self.setting.radius + self.e2)}
         if clearance:
@@ -79,7 +76,6 @@ class _Encounter:
         return Motion(rates, self.e2**2 / 2, "V2", "m^2")
 
     def variables(self, *, static: bool, delta: tuple[float, float], outside: bool = False) -> tuple[Variable, ...]:
-        """The variables of the claims with their bounds; `outside` requires l ≥ R_OB, `static` sets u_OB = 0."""
         s = self.setting
         fastest = max(s.speed_max, s.avoidance_speed)
         moving = 0.0 if static else fastest
@@ -95,7 +91,7 @@ class _Encounter:
     def point(
         self, *, e2: float, phi: float = 0.0, u_ob: float = 0.0, recede: bool = False, delta: float = 0.0
     ) -> dict[str, float]:
-        """A witness at the paper's avoidance speed, with an obstacle that approaches or recedes along the bearing."""
+        # the obstacle approaches or recedes along the bearing
         course = phi if recede else phi + np.pi * (1 if phi <= 0 else -1)
         speed = self.setting.avoidance_speed
         return {"e2": e2, "phi": phi, "psi_ob": course, "u_ob": u_ob, "u": speed, "delta": delta}
@@ -106,7 +102,7 @@ def _encounter(setting: Setting) -> _Encounter:
 
 
 def _rate_bound(e: _Encounter) -> ca.SX:
-    """The right side of (24), −u_dm e2²/√(k3²R² + (e2 + δ)²) [m²/s]."""
+    # the right side of (24) [m²/s]
     return -e.u * e.e2**2 / ca.sqrt((e.setting.k3 * e.setting.radius) ** 2 + (e.e2 + e.delta) ** 2)
 
 

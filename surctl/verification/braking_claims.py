@@ -22,14 +22,13 @@ _OBSTACLE = 0.15  # [m/s] largest speed of an obstacle in the claims
 
 @dataclass(frozen=True, eq=False)
 class _Box:
-    """The braking data of a vehicle whose parameters lie anywhere in their ranges, with symbolic variables."""
-
+    # the parameters may lie anywhere in their ranges
     brakes: Brakes
     fastest: float
 
     @property
     def swing(self) -> float:
-        """The largest momentum τ(F + F_b) [N s] that the thrust lag can add."""
+        # the largest momentum τ(F + F_b) [N s] that the thrust lag can add
         return self.brakes.lag * (self.brakes.most + self.brakes.least)
 
     def mass(self) -> Variable:
@@ -43,7 +42,7 @@ class _Box:
         return Variable("s", ca.SX.sym("s"), "m/s", 0.0, self.fastest + _OBSTACLE, "closing speed")
 
     def left(self, obstacle: ca.SX) -> ca.SX:
-        """The least braking force F' [N]: the least thrust minus the largest drag at the obstacle's speed."""
+        # the least braking force F' [N]
         return self.brakes.least - self.most_drag(obstacle)
 
     def most_drag(self, speed: ca.SX) -> ca.SX:
@@ -51,7 +50,7 @@ class _Box:
 
 
 def _box(vehicle: Vehicle, fastest: float) -> _Box:
-    """Return the braking data; NotApplicable if surge and sway differ in mass, because Coriolis forces then act."""
+    # if surge and sway differed in mass, Coriolis forces would act
     check_alike(vehicle, mass_alone=True, ranges=True)
     return _Box(brakes_of(vehicle), fastest)
 

@@ -199,7 +199,7 @@ def _columns(flat: NDArray[np.float64], layout: Layout, name: str) -> NDArray[np
 
 
 def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the guidance gain G (n, 4, 4), defined by ν_c = −G (x, y, z, ψ)."""
+    # G (n, 4, 4) in ν_c = −G (x, y, z, ψ)
     outer = np.zeros((len(k["cruise"]), 4, 4))
     for axis, slope in enumerate((k["k1"], k["cruise"] / k["lookahead"], k["k2"], k["k_psi"])):
         outer[:, axis, axis] = slope
@@ -210,7 +210,7 @@ def _guidance(k: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
 def _controller(
     model: Mapping[str, NDArray[np.float64]], k: Mapping[str, NDArray[np.float64]], nu: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the controller gain K (n, 4, 8), which maps the deviations (x, y, z, ψ, u, v, w, r) to −F."""
+    # K (n, 4, 8) maps the deviations (x, y, z, ψ, u, v, w, r) to −F
     inner = model["mass"] * np.stack([k["k_v"], k["k_v"], k["k_v"], k["k_r"]], axis=-1)
     slope = model["linear_drag"] + 2 * model["quadratic_drag"] * np.abs(nu)  # D'(ν_0)
     return np.concatenate([(inner + slope)[..., None] * _guidance(k), inner[..., None] * np.eye(4)], axis=-1)
@@ -256,10 +256,7 @@ def _delayed(
 
 @cache
 def _pade(delay: float) -> tuple[NDArray[np.float64], ...]:
-    """Return A, B, C, D of the third-order Padé approximation of a delay (Golub and Van Loan, algorithm 11.3.1).
-
-    The matrices are in controller canonical form.
-    """
+    # A, B, C, D in controller canonical form (Golub and Van Loan, algorithm 11.3.1)
     n, down = _PADE_ORDER, [1.0]
     for k in range(1, n + 1):
         down.append(down[-1] * delay * (n - k + 1) / (2 * n - k + 1) / k)

@@ -142,7 +142,6 @@ def _variable(name: str, symbol: ca.SX, entry: _VariableTable) -> Variable:
 
 
 def _checked_names(table: _ClaimTable, path: Path) -> list[str]:
-    """Return the names of the variables; raise InputError for a name that the grammar cannot read."""
     if not table.variables:
         raise InputError("is empty", file=path, key="variables", remedy="give at least one variable with bounds")
     for kind, group in (("variables", table.variables), ("constants", table.constants)):

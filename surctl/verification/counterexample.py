@@ -144,10 +144,7 @@ def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -
 def _replay(
     claim: Claim, motion: Motion, start: NDArray[np.float64], points: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the time, the watched quantity and ∫ margin dt until the violation ends.
-
-    Variables without a rate stay constant.
-    """
+    """Return the time, the watched quantity and ∫ margin dt until the violation ends."""
     from scipy.integrate import solve_ivp
 
     x = claim.symbols

@@ -12,7 +12,6 @@ __all__ = ["course_corrected", "course_printed"]
 
 
 def _course(setting: Setting, *, corrected: bool) -> Claim:
-    """The claim on y_e ẏ_e for line-of-sight guidance on a straight path, steered by course or by heading."""
     y_e, u, v = ca.SX.sym("y_e"), ca.SX.sym("u"), ca.SX.sym("v")
     aim = -ca.atan2(y_e, setting.lookahead)
     heading = aim - ca.atan2(v, u) if corrected else aim

@@ -103,7 +103,7 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
 
 
 def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
-    """Return scrambled Sobol samples of the unit box, (dimension, number), the number rounded up to a power of two."""
+    # (dimension, number); the number is rounded up to a power of two
     from scipy.stats import qmc
 
     sample = qmc.Sobol(dimension, seed=seed).random_base2(int(np.ceil(np.log2(samples))))
@@ -113,10 +113,7 @@ def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
 def _require_finite(
     oracle: Oracle, unit: NDArray[np.float64], margin: NDArray[np.float64], inside: NDArray[np.bool_]
 ) -> None:
-    """Raise InputError if the margin is NaN or infinite in the domain.
-
-    Every comparison with NaN is false, so that such a point would look as if the claim held.
-    """
+    # every comparison with NaN is false, so that a point with margin NaN would look as if the claim held
     broken = np.flatnonzero(inside & ~np.isfinite(margin))
     if broken.size:
         where = oracle.claim.values(oracle.place(unit[:, broken[0]]))
@@ -151,14 +148,14 @@ def _choose_starts(
 
 
 def _climb(oracle: Oracle, starts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the end points (n, k) of those local searches that end in the domain, in the variables' units."""
+    # end points (n, k) in the variables' units, without the searches that end outside the domain
     ends = np.column_stack([oracle.place(_ascend(oracle, start)) for start in starts.T])
     margin, _, inside = oracle.evaluate(ends)
     return ends[:, inside & np.isfinite(margin)]
 
 
 def _ascend(oracle: Oracle, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Run one local search for the largest margin; return its end point in the unit box."""
+    # start and end point lie in the unit box
     from scipy.optimize import minimize
 
     slope = float(np.max(np.abs(oracle.gradient(start))))
@@ -178,7 +175,6 @@ def _ascend(oracle: Oracle, start: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _weigh(oracle: Oracle) -> tuple[Counterexample, ...]:
-    """Return the claim's witnesses with their margins, without the witnesses outside the domain."""
     claim, weighed = oracle.claim, []
     for witness in claim.witnesses:
         point = claim.point(witness)
@@ -191,10 +187,7 @@ def _weigh(oracle: Oracle) -> tuple[Counterexample, ...]:
 def _worst(
     oracle: Oracle, points: NDArray[np.float64], witnesses: tuple[Counterexample, ...], threshold: float
 ) -> tuple[Counterexample | None, float]:
-    """Return the worst point as a counterexample, and the largest margin.
-
-    The counterexample is None if the largest margin is within the threshold.
-    """
+    """Return the worst point, or None if the largest margin is within the threshold, and the largest margin."""
     margin = oracle.evaluate(points)[0]
     best = int(np.argmax(margin))
     worst = max([float(margin[best]), *(w.margin for w in witnesses)])

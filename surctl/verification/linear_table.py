@@ -235,7 +235,6 @@ def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
 
 
 def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the requested columns, and other columns that their computation also gives."""
     poles = cascade.poles
     size = np.abs(poles)
     damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)

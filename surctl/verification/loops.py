@@ -216,8 +216,7 @@ def _zeros(
 
 
 def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return the balanced disk margin α = min over ω of |2 (1 + L)/(1 − L)| (Seiler, Packard and Gahinet 2020)."""
-
+    # α = min over ω of |2 (1 + L)/(1 − L)| (Seiler, Packard and Gahinet 2020)
     def radius(value: NDArray[np.complex128]) -> NDArray[np.float64]:
         with np.errstate(divide="ignore"):
             return np.asarray(2 * np.abs(1 + value) / np.abs(1 - value), dtype=float)

@@ -187,7 +187,6 @@ def margins_of(
 
 
 def _only(name: str, crossings: Crossings) -> LoopMargins:
-    """The margins of the loop at the only operating point."""
     return LoopMargins(
         name,
         True,

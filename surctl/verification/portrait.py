@@ -201,7 +201,7 @@ def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
 
 
 def _rate(claim: Mapping[str, Any], boat: Boat, state: Array, psi: float) -> Array:
-    """Return the time derivatives of (x_e, y_e, U_x, U_y), (n, 4), at the heading ψ relative to the path."""
+    # rates (n, 4) of (x_e, y_e, U_x, U_y); ψ is relative to the path
     law, limit = claim["law"], claim["vehicle"]["thrust_n"]
     mass, linear, quadratic = boat
     slant = np.hypot(1.0, state[:, 1] / law["lookahead"])

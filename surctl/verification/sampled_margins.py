@@ -86,7 +86,7 @@ def _stable(linear: Linearisation) -> bool:
 
 
 def _margins(linear: Linearisation, opening: str) -> LoopMargins:
-    """Compute the margins of one loop from all crossings that python-control finds; without gain they are infinite."""
+    # a loop without gain has infinite margins
     import control  # takes seconds to import
 
     loop = linear.loop(opening)

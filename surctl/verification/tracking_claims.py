@@ -32,8 +32,6 @@ _LEAST_CAP_BOX = 10.0  # [m] half-width of the box in the claims with a speed li
 
 @dataclass(frozen=True, eq=False)
 class _Loop:
-    """Symbolic expressions of the ideal kinematic tracking loop, in the tracking error."""
-
     error: ca.SX
     turn: ca.SX
     along: ca.SX
@@ -41,16 +39,15 @@ class _Loop:
 
     @property
     def v1(self) -> ca.SX:
-        """The Lyapunov function of (11), V1 = ½‖e‖² [m²]."""
+        # V1 = ½‖e‖² [m²] of (11)
         return ca.sumsqr(self.error) / 2
 
     @property
     def v1_rate(self) -> ca.SX:
-        """The rate V̇1 [m²/s] by the chain rule; the terms in γ̇_d must cancel."""
+        # [m²/s], by the chain rule: the terms in γ̇_d must cancel
         return ca.dot(self.error, self.rate)
 
     def variables(self, half: float) -> tuple[Variable, ...]:
-        """The variables x_e, y_e, z_e within ±half [m], and the turn rate of the path within ±0.5 rad/s."""
         names = ("x_e", "y_e", "z_e")
         meanings = (
             "along-track error, path frame",
@@ -61,7 +58,7 @@ class _Loop:
         return (*errors, Variable("turn", self.turn, "rad/s", -0.5, 0.5, "turn rate of the path"))
 
     def motion(self) -> Motion:
-        """The motion of the tracking error at a constant turn rate."""
+        # at a constant turn rate
         rates = {name: self.rate[i] for i, name in enumerate(("x_e", "y_e", "z_e"))}
         return Motion(rates, self.v1, "V1", "m^2")
 
@@ -89,12 +86,12 @@ def _loop(setting: Setting, *, repaired: bool, capped: bool = False) -> _Loop:
 
 
 def _half(setting: Setting) -> float:
-    """The half-width [m] of the box of tracking errors: 2 m, or more if V1 first increases farther from the target."""
+    # [m]; more than 2 m if V1 first increases farther from the target
     return max(_LEAST_BOX, 1.25 * 2 * setting.speed / setting.k1, 1.6 * _first_cross_track(setting))
 
 
 def _first_cross_track(setting: Setting) -> float:
-    """The least |y_e| [m] with V̇1 > 0 if surge may be negative: √(4 v_d Δ_h/k1), reached at x_e = 2 v_d/k1."""
+    """Return the least |y_e| [m] with V̇1 > 0 if surge may be negative: √(4 v_d Δ_h/k1), reached at x_e = 2 v_d/k1."""
     return float(np.sqrt(4 * setting.speed * setting.lookahead / setting.k1))
 
 
@@ -217,7 +214,7 @@ def v1_speed_cap_region(setting: Setting) -> Claim:
 
 
 def _norm_of_m(setting: Setting, loop: _Loop) -> tuple[ca.SX, ca.SX]:
-    """The least and the largest diagonal entry [1/s] of the matrix M in (12), with k2 as the third entry (E8)."""
+    # diagonal of M in (12) [1/s], with k2 as the third entry (E8)
     middle = loop.along / setting.lookahead  # U_h/√(y_e² + Δ²)
     least = ca.fmin(ca.fmin(setting.k1, setting.k2), middle)
     return least, ca.fmax(ca.fmax(setting.k1, setting.k2), ca.fabs(middle))

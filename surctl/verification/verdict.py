@@ -132,7 +132,6 @@ class Verdict:
         }
 
     def _proof(self) -> dict[str, Any] | None:
-        """Summary of the certificate: its kind, its hash, and the slack by which left may exceed right."""
         if self.certificate is None:
             return None
         slack = self.certificate["claim"]["slack"]

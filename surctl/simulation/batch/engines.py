@@ -140,7 +140,7 @@ def _machine(structure: Structure) -> Any:
 
 
 def _through_machine(loop: Loop, packed: Packed) -> Columns:
-    """Return the final states (n, …) of n runs; all runs advance together, one control step at a time."""
+    # all runs advance together, one control step at a time
     step = _machine(loop.structure)
     state, left = packed.state.copy(), np.arange(len(packed.state))
     for _ in range(packed.steps):
@@ -174,7 +174,7 @@ def _broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[
 
 
 def _metrics(loop: Loop, final: Columns) -> Columns:
-    """Return the metrics (n, len(METRICS)) that the final states of the runs contain."""
+    # (n, len(METRICS))
     s = {port.name: final[:, loop.state.slice(port.name)][:, 0] for port in loop.state}
     rows, dt = s["step"] + 1, loop.law.dt
     error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)

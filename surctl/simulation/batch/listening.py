@@ -232,7 +232,7 @@ def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOT
 
 
 def _observed(station: BaseStation, row: ca.SX, noise: ca.SX) -> ca.SX:
-    """Return a contact (1, 6) as the base station measures it: with noise, but without delay."""
+    # (1, 6), with noise, but without delay
     spread = ca.horzcat(station.position_sd * noise[:2], 0, station.velocity_sd * noise[2:], 0)
     return ca.if_else(row[5], row + spread, ca.SX.zeros(1, 6))
 

@@ -155,14 +155,12 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
 
 
 class _Builder:
-    """Builder of the parts of the closed loop around the law and the plant."""
-
     def __init__(self, structure: Structure, law: Law, state: Layout, parameters: Layout) -> None:
         self.structure, self.law, self.state, self.parameters = structure, law, state, parameters
         self.sonar, self.listening = structure.sensing == "sonar", Listening(structure, law)
 
     def sense(self) -> Program:
-        """Build the first part of a control step: world, first sonar firing, inputs of the law and the plant."""
+        # world, first sonar firing, inputs of the law and the plant
         s, state = self.state.symbols("s")
         w, parameters = self.parameters.symbols("w")
         step, dt = state["step"], self.law.dt
@@ -203,14 +201,13 @@ class _Builder:
         return self.listening.late if self.sonar else Layout(())
 
     def drive(self) -> Program:
-        """Build the expression for the thrust that the thrusters deliver for a command."""
         w, parameters = self.parameters.symbols("w")
         tau = ca.SX.sym("tau", 4)
         thrust = tau * parameters["thrust_gain"] + parameters["thrust_bias"]
         return lower_named("drive", {"w": w, "tau": tau}, {"thrust": thrust})
 
     def between(self) -> Program:
-        """Build the second sonar firing and the clearances, 25 ms after the beginning of the control step."""
+        # second sonar firing and clearances, 25 ms after the beginning of the control step
         w, parameters = self.parameters.symbols("w")
         sizes = {"plant_between": PLANT_STATE.size, "step": 1, "normals": 1, "uniforms": 1, "echoes": 1}
         if self.sonar:
@@ -231,7 +228,7 @@ class _Builder:
         )
 
     def close(self) -> Block:
-        """Build the end of a control step: the reason if the run ends, the metrics, and the next state."""
+        # the reason if the run ends, the metrics, and the next state
         s, old = self.state.symbols("s")
         w, parameters = self.parameters.symbols("w")
         law, sonar = self.law, self.sonar
@@ -290,7 +287,7 @@ class _Builder:
         return recording.block("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
 
     def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:
-        """Return counters of control periods since the law stopped or gave up, and the stop code at their limits."""
+        """Return the counts of control periods since the law stopped or gave up, and the stop code at their limits."""
         law, counts, stop = self.law, {}, ca.SX(0)
         if "trapped" in law.outputs:
             counts["standing"] = old["standing"] + (telemetry[law.telemetry_slice("trapped")] > 0.5)
@@ -314,7 +311,7 @@ class _Builder:
         return [body.beside(plant[2], w["world_hull"]) for body in bodies]
 
     def _movers(self, w: Mapping[str, ca.SX]) -> ca.SX | None:
-        """Return the number of moving obstacles of a run as an expression; None if it is fixed for all runs."""
+        # None if the number of moving obstacles is the same constant in all runs
         if not self.structure.optional:
             return None
         kinds = enumerate(self.structure.bodies)
@@ -330,7 +327,7 @@ class _Builder:
 
 
 def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX) -> ca.SX:
-    """Return the clearances (2, 1) [m] of the hull to the nearest obstacle and to the nearest wall."""
+    # clearances (2, 1) [m] of the hull to the nearest obstacle and to the nearest wall
     nearest = ca.SX(ABSENT)
     for body in bodies:
         nearest = ca.fmin(nearest, body.clearance(position) - w["world_hull"])
@@ -340,7 +337,7 @@ def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX)
 
 
 def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.SX:
-    """Return the free water (2, 1) [m] above and below the hull, as `simulation.column.column`."""
+    # free water (2, 1) [m] above and below the hull, as in `simulation.column.column`
     above = below = ca.SX(LONGEST)
     for body in bodies:
         over, under = body.over_and_under(place[:3], w["world_hull"])
@@ -351,7 +348,7 @@ def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.
 
 
 def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return whether the hull has been clear of the walls so far, and its clearance; walls count only from then on."""
+    # walls count only after the hull was clear of them for the first time
     now = ca.logic_or(clear, clearances[1] > 0)
     return now, ca.if_else(now, ca.fmin(clearances[0], clearances[1]), clearances[0])
 

@@ -105,22 +105,21 @@ class _Filler:
         self.steps = int(np.max(self.step_limits))
 
     def number(self, name: str) -> Columns:
-        """Return the values of a parameter: (n,) if runs differ in it, or a scalar if all runs share one value."""
+        # (n,) if the runs differ in the parameter, otherwise a scalar
         return np.asarray(self.values.get(name, self.known[name].value), dtype=float)
 
     def actual(self, name: str) -> Columns:
-        """Return the values of a parameter of the simulated vehicle."""
+        # of the simulated vehicle
         if f"plant.{name}" in self.values:
             return self.values[f"plant.{name}"]
         return self.number(f"vehicle.{name}")
 
     def believed(self, name: str) -> Columns:
-        """Return the values of a vehicle parameter in the controller's model."""
+        # in the controller's model
         model = self.case.model or self.case.vehicle
         return np.asarray(self.values.get(f"vehicle.{name}", model[name]), dtype=float)
 
     def states(self) -> Columns:
-        """Return the initial states of all runs, (n, state)."""
         layout, case = self.loop.state, self.case
         first = layout.pack({"plant": [*case.scenario.start_pose, *[0.0] * 8], "law": self.loop.law.initial_state()})
         out = np.tile(first, (len(self.seeds), 1))
@@ -130,7 +129,6 @@ class _Filler:
         return out
 
     def parameters(self) -> Columns:
-        """Return the parameter vectors of all runs, (n, parameters)."""
         layout = self.loop.parameters
         out = np.empty((len(self.seeds), layout.size))
         self._law(out[:, : self.loop.law.gains.size])
@@ -216,7 +214,6 @@ class _Filler:
         return columns
 
     def _draws(self) -> WorldDraw:
-        """Return the random choices of every run, stacked into arrays."""
         unique, back = np.unique(self.seeds, return_inverse=True)
         draws = [draw_world(len(self.case.scenario.obstacles), seed=int(seed)) for seed in unique]
         return WorldDraw(*(np.array(part)[back] for part in zip(*draws, strict=True)))  # type: ignore[arg-type]

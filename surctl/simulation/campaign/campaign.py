@@ -96,7 +96,7 @@ def _cut(runs: int, chunk: int) -> Iterator[tuple[int, int]]:
 
 
 def _simulate_chunk(plan: Plan, first: int, count: int, threads: int) -> NDArray[np.float64]:
-    """Return the results (count, …) of a chunk of runs, one line per run: seed, metrics, drawn values."""
+    # one line per run: seed, metrics, drawn values
     seeds, values = plan.seeds(first, count), plan.values(first, count)
     batch = simulate_batch(plan.case, values, seeds=seeds, threads=threads)
     return np.column_stack([seeds, batch.table, *(values[name] for name in plan.names)])
@@ -111,7 +111,7 @@ def _table(plan: Plan, whole: NDArray[np.float64]) -> RunTable:
 
 
 def _broken(run: SampledRun) -> tuple[str, ...]:
-    """Return the violated assumptions of a run; with true positions the detection range is infinite."""
+    # with true positions the detection range is infinite
     case = run.case
     sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
     return assumptions(case, run.draw, detection=sees, fastest=FASTEST)

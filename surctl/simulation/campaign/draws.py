@@ -72,7 +72,7 @@ class MonteCarlo(SeededPlan):
         return draw_plant(self.case.vehicle, seed=self.first + k)
 
     def _obstacles(self, k: int) -> list[Obstacle]:
-        """Return the obstacles of run number k; every obstacle uses two random numbers, whatever its shape."""
+        # every obstacle uses two random numbers, whatever its shape
         scenario, rng = self.case.scenario, np.random.default_rng([self.first + k, 4])
         u, shares = scenario.uncertainty, rng.uniform(-1, 1, (len(scenario.obstacles), 2)).tolist()
         if not (u.obstacle_size or u.obstacle_speed):
@@ -88,7 +88,7 @@ class MonteCarlo(SeededPlan):
 
 
 def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> Obstacle:
-    """Return the obstacle with scaled size and speed; a moving one without a radius scales the hull's radius."""
+    # a moving obstacle without a radius has the radius of the hull
     changes: dict[str, object] = {}
     if obstacle.size_m is not None:
         changes["size_m"] = (obstacle.size_m[0] * size, obstacle.size_m[1] * size)

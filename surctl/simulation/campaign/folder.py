@@ -63,7 +63,7 @@ class CampaignFolder:
             write_file(note, json.dumps({"kind": "campaign", "campaigns": requests}, indent=1) + "\n")
 
     def _clear(self, note: Path) -> None:
-        """Delete the files of earlier campaigns in the folder, and nothing else."""
+        # deletes files of earlier campaigns, and nothing else
         shutil.rmtree(self.path / "campaign.chunks", ignore_errors=True)
         left = [note, self.path / "summary.json"] if note.exists() else []
         with suppress(OSError, ValueError, KeyError, TypeError):  # a damaged file names no campaigns
@@ -107,7 +107,7 @@ class CampaignFolder:
 
 
 def _file_name(name: str) -> str:
-    """Return a scenario's name without special path characters; a changed name gets a digest, which keeps it unique."""
+    # a name with replaced characters gets a digest, so that file names stay different
     plain = re.sub(r"[^A-Za-z0-9_-]", "-", name)
     return plain if plain == name else f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
@@ -140,7 +140,6 @@ def _numbers(vehicle: Vehicle) -> str:
 
 
 def _compare(note: Path, requests: Sequence[Mapping[str, Any]]) -> None:
-    """Raise InputError with the first difference between the folder's campaigns and the requested campaigns."""
     try:
         table = json.loads(note.read_text(encoding="utf-8"))
         stored = [dict(one) for one in table["campaigns"]]

@@ -178,7 +178,7 @@ class RandomWorlds(SeededPlan):
 
 
 def _values(obstacle: Obstacle, *, there: bool) -> dict[str, float]:
-    """Return all parameters of an obstacle by name, including whether it is in the water."""
+    # including whether the obstacle is in the water
     values = {"there": float(there), "x": obstacle.centre_m[0], "y": obstacle.centre_m[1]}
     if obstacle.size_m is not None:
         values |= {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
@@ -206,7 +206,7 @@ def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
 
 
 def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
-    """Draw `count` moving obstacles clear of the still ones; None if one of the obstacles does not fit."""
+    # None if one of the obstacles does not fit
     obstacles: list[Obstacle] = []
     for k in range(count):
         for _ in range(200):
@@ -236,7 +236,7 @@ def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: V
 
 
 def _leaves_gap(one: Obstacle, other: Obstacle, scenario: Scenario, vehicle: Vehicle) -> bool:
-    """Return whether a hull fits between two moving obstacles whenever both are in the water."""
+    # whether a hull fits between the obstacles whenever both are in the water
     wide = (one.radius_m or 0.0) + (other.radius_m or 0.0) + 2 * vehicle["radius"] + _BETWEEN
     return closest(one, other, until=scenario.time_limit) >= wide
 
@@ -246,7 +246,6 @@ def _millimetres(vector: NDArray[np.float64]) -> list[float]:
 
 
 def _feasible(table: Mapping[str, Any], vehicle: Vehicle) -> Scenario | None:
-    """Return the scenario if `findings` reports no error, otherwise None."""
     try:
         scenario = scenario_from_table(dict(table), source="")
         results = findings(scenario, vehicle)

@@ -127,8 +127,7 @@ def run_episodes(
 
 
 class _World:
-    """Vehicle and obstacle of every run, as arrays (runs,) or (runs, 2)."""
-
+    # the arrays have the shape (runs,) or (runs, 2)
     def __init__(self, claim: BrakingClaim, obstacle: float, runs: int, rng: np.random.Generator) -> None:
         b, self.claim, self.fastest_obstacle, self.rng, self.runs = claim.brakes, claim, obstacle, rng, runs
         self.worst = rng.uniform(size=runs) < 0.5
@@ -197,14 +196,13 @@ class _World:
         return np.asarray(forward[:, None] * self.latched + sideways[:, None] * across)
 
     def _obstacle(self, across: Vector) -> Vector:
-        """Return the direction of the obstacle's motion, which is mostly towards the vehicle."""
+        # mostly towards the vehicle
         mood = self.mood[:, None]
         on = -self.latched
         slant = (on + 0.5 * across) / np.sqrt(1.25)
         return np.where(mood < 0.5, on, np.where(mood < 0.7, slant, np.where(mood < 0.85, across, -on)))
 
     def step(self) -> None:
-        """Simulate one step of the plant: the lagged thrust turns with the hull, and drag is at its worst limit."""
         b, h = self.claim.brakes, _STEP
         force = self.thrust + (b.disturbance * self.latched if b.disturbance else 0.0) - self._drag()
         rate = force / self.mass[:, None]

@@ -34,7 +34,7 @@ class BrakingEntry(NamedTuple):
 
 
 def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
-    """Return the vehicle with all parameters ±20 %; if `wide`, with the file's ranges and linear drag ±20 %."""
+    """Return the braking data for all parameters ±20 %; if `wide`, for the file's ranges and linear drag ±20 %."""
     near = brakes_of(vehicle, share=share, spread=_SPREAD)
     return replace(brakes_of(vehicle, share=share), linear=near.linear) if wide else near
 
@@ -89,7 +89,6 @@ def _guarded(
 
 
 def _fastest(cap: float) -> float:
-    """Return the largest own speed [m/s] under a cap: 0.25 m/s for a cap ≤ 0.22 m/s, else `OVERSHOOT` times the cap."""
     return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
 
 

@@ -150,7 +150,7 @@ def _symbolic(node: Node, args: list[ca.SX], symbols: Mapping[str, ca.SX]) -> ca
 
 
 def _multiplied(base: ca.SX, exponent: int) -> ca.SX:
-    """Return an integer power by repeated squaring, because the instruction set has no power operation."""
+    # repeated squaring, because the instruction set has no power operation
     if exponent < 0:
         return 1 / _multiplied(base, -exponent)
     result, square = ca.SX(1), base

@@ -159,7 +159,7 @@ def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
 
 
 def _sensitivity(closed: OpenLoop, omega: Array) -> Complex:
-    """The matrix M = ½ I − T (…, k, q, q) at the frequencies ω (k,)."""
+    # M = ½ I − T (…, k, q, q)
     matrix: Complex = 0.5 * np.eye(closed.D.shape[-1]) - closed.response(omega)
     return matrix
 
@@ -222,7 +222,6 @@ def _ascended(M: Complex, phases: Array) -> tuple[float, Array]:
 
 
 def _local_peaks(values: Array) -> list[int]:
-    """The indices of the highest local maxima: at most `_PEAKS`, each at least `_LOW_PEAK` times the highest."""
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
     tops = np.flatnonzero(
         (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]) & (values >= _LOW_PEAK * values.max())
@@ -231,7 +230,7 @@ def _local_peaks(values: Array) -> list[int]:
 
 
 def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
-    """The frequencies of the peaks, refined by a golden-section search between their neighbours on the grid."""
+    # golden-section search between the neighbours on the grid
     places = np.array(at)
     low, high = grid[np.maximum(places - 1, 0)], grid[np.minimum(places + 1, len(grid) - 1)]
 
@@ -271,13 +270,13 @@ def _uncovered(closed: OpenLoop, level: float) -> float | None:
 
 
 def _below(closed: OpenLoop, omega: float, level: float) -> bool:
-    """Whether σ_max(D M D⁻¹) < level for some D at this frequency; Osborne's fast scaling is tried first."""
+    # Osborne's fast scaling is tried first
     M = _sensitivity(closed, np.array([omega]))
     return bool(_balanced(M)[1][0] < level) or _height(closed, _scaling(M[0]), omega) < level
 
 
 def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
-    """Yield scalings D to try from ω on; if channels are nearly decoupled, the optimal D at ω fails elsewhere."""
+    # if channels are nearly decoupled, the optimal D at ω fails at other frequencies
     for at in (omega, 1.02 * omega + 1e-3, 1.2 * omega + 1e-2, 2 * omega + 0.1):
         yield _balanced(_sensitivity(closed, np.array([at])))[0][0]
     for at in (omega, 1.02 * omega + 1e-3):
@@ -285,7 +284,7 @@ def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
 
 
 def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> float | None:
-    """The frequency up to which σ_max(D M D⁻¹) stays below the level from ω on; None if it exceeds the level at ω.
+    """Return the frequency up to which σ_max(D M D⁻¹) < level from ω on; None if σ_max exceeds the level at ω.
 
     Between two crossings σ_max stays on one side of the level, so one frequency between them is tested. A test at a
     crossing would be decided by rounding errors.
@@ -296,14 +295,12 @@ def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> floa
 
 
 def _next(closed: OpenLoop, scale: Array, omega: float, level: float) -> float:
-    """The first crossing of the level after ω; inf if there is no crossing."""
     crossings = _crossings(closed, scale, level)
     ahead = crossings[crossings > omega * (1 + 1e-12) + 1e-12]
     return float(ahead[0]) if ahead.size else float("inf")
 
 
 def _inner(begin: float, end: float) -> float:
-    """Return a frequency between the two ends of an interval."""
     return (begin + end) / 2 if np.isfinite(end) else 2 * begin + 1.0
 
 
@@ -313,7 +310,7 @@ def _height(closed: OpenLoop, scale: Array, omega: float) -> float:
 
 
 def _crossings(closed: OpenLoop, scale: Array, level: float) -> Array:
-    """The ascending frequencies at which a singular value of D M D⁻¹ may equal the level."""
+    """Return the ascending frequencies at which a singular value of D M D⁻¹ may equal the level."""
     B, C = closed.B / scale, -scale[:, None] * closed.C
     D = scale[:, None] * (0.5 * np.eye(len(scale)) - closed.D) / scale
     inverse = np.linalg.inv(level**2 * np.eye(len(scale)) - D.T @ D)

@@ -187,7 +187,6 @@ def _broken(places: Sequence[int]) -> list[str]:
 
 
 def _states(vehicle: Vehicle, cascade: Cascade) -> list[str]:
-    """Return the names of all states: of the plant, of the delay, and of the integral action ξ."""
     plant = labelled(STATE_NAMES[: 12 if vehicle["thrust_lag"] > 0 else 8])
     inner = [f"xi_{name}" for name in LOOP_NAMES[: cascade.K.shape[0] - _AXES]]
     lags = cascade.A.shape[0] - len(plant) - len(inner)
@@ -204,7 +203,7 @@ def _only_loop(
     *,
     dt: float = 0.0,
 ) -> Any:
-    """Return one loop with only the states coupled to it; states of decoupled axes would cancel and reduce accuracy."""
+    # states of decoupled axes would cancel and reduce accuracy
     block = next(k for k in state_blocks((A - b @ c)[None]) if np.any(b[k] != 0))
     A, b, c = A[np.ix_(block, block)], b[block], c[:, block]
     return _system(A, b, c, np.zeros((1, 1)), [states[k] for k in block], _broken([at]), name=LOOP_NAMES[at], dt=dt)

@@ -180,7 +180,7 @@ def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, m
 
 
 def _fastest(vehicle: Vehicle) -> float:
-    """Return a surge speed [m/s] slightly below the speed at which the drag equals the thrust limit."""
+    # slightly below the speed [m/s] at which the drag equals the thrust limit
     linear, quadratic, limit = vehicle["Xu"], vehicle["Xuu"], vehicle["Fu_max"]
     root = linear + np.sqrt(linear**2 + 4 * quadratic * limit)
     return float(2 * limit / root * (1 - _EDGE)) if root > 0 else np.inf
@@ -211,7 +211,7 @@ def _names(cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float]) -> li
 def _without(
     cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
 ) -> dict[str, float]:
-    """Omit one physical term after another; return the real part of the slowest pole [1/s] by the name of the term."""
+    """Return the real part of the slowest pole [1/s] without each physical term, by the name of the omitted term."""
     closed, slowest = cascade.closed, {}
     munk, coriolis = closed.copy(), closed.copy()
     munk[_YAW, [_SURGE, _SWAY]] -= cascade.A[_YAW, [_SURGE, _SWAY]]

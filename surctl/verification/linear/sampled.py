@@ -136,7 +136,6 @@ def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
 
 
 def _radius(undelayed: Cascade, delay: int, held: _Held) -> Array:
-    """The largest |z| (…,) of the poles of each sampled loop."""
     radius: Array = np.max(np.abs(np.linalg.eigvals(_transition(undelayed, delay, held))), axis=-1)
     return radius
 

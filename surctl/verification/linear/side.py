@@ -154,7 +154,7 @@ def worst_linear_side(
 
 
 def _alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
-    """Group the vehicles by whether they have thrust lag, which adds states; the first vehicle's group comes first."""
+    # thrust lag adds states; the group of the first vehicle comes first
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]
@@ -168,7 +168,7 @@ def _built(
     model: Vehicle,
     delay: float | None,
 ) -> Cascade:
-    """Build the cascades of vehicles that have the same states, along a leading axis."""
+    # the vehicles have the same states
     count = len(vehicles)
     return build_cascades(
         np.array([plant_parameters(v) for v in vehicles]),
@@ -197,7 +197,7 @@ def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
 
 
 def _poles(poles: NDArray[np.complex128]) -> tuple[Pole, ...]:
-    """Return the poles, with only one pole of each complex pair."""
+    # one pole of each complex pair
     return tuple(
         Pole(float(s.real), float(s.imag), float(abs(s)), float(-s.real / abs(s)) if s != 0 else 1.0)
         for s in poles

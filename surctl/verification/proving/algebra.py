@@ -288,7 +288,6 @@ class Algebra:
 
 
 def _square_root(value: Fraction) -> Fraction:
-    """Return √value if this root is rational, otherwise 1."""
     over, under = isqrt(value.numerator), isqrt(value.denominator)
     return (
         Fraction(over, under) if over * over == value.numerator and under * under == value.denominator else Fraction(1)

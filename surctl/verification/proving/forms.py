@@ -117,8 +117,7 @@ def _multiplier(written: Written, weight: Poly, guard: Ratio | None, margin: Rat
 
 
 class _Sizes:
-    """Ranges of polynomials on the root box; these ranges guide the search but are not part of a proof."""
-
+    # ranges on the root box guide the search; they are not part of a proof
     def __init__(self, algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> None:
         self._written, self._names, self._box = written, names, box
         nodes = [written.atom(at) for at in range(len(algebra.atoms))]
@@ -126,7 +125,6 @@ class _Sizes:
         self._ends = [(float(j.value[0][0]), float(j.value[1][0])) for j in read.jets] if read else []
 
     def of(self, monomial: Monomial) -> tuple[float, float]:
-        """Return the least and the largest value of a monomial on the root box."""
         low, high = 1.0, 1.0
         for at, exponent in monomial:
             a, b = self._ends[at]
@@ -136,12 +134,12 @@ class _Sizes:
         return low, high
 
     def bound(self, poly: Poly) -> float:
-        """Return an upper bound of the polynomial in nested form."""
+        """Return an upper bound of the polynomial on the root box, computed in nested form."""
         high = float(build_tape(self._names, [self._written.poly(poly)]).run(self._box).jets[0].value[1][0])
         return high if np.isfinite(high) else float("inf")
 
     def worst(self, poly: Poly) -> float:
-        """Return a coarser upper bound, computed faster as a sum over the terms."""
+        """Return an upper bound of the polynomial, summed term by term: coarser than `bound`, but faster."""
         total = 0.0
         for monomial, coefficient in poly.items():
             total += max(float(coefficient) * end for end in self.of(monomial))

@@ -47,7 +47,7 @@ def widened(a: Ends, steps: int = _LIBM_STEPS) -> Ends:
 
 
 def _sum_ends(a: Array, b: Array) -> tuple[Array, Array]:
-    """The sum a + b and its rounding error, which is exact unless the sum overflows."""
+    """Return the sum a + b and its rounding error, which is exact unless the sum overflows."""
     total = a + b
     part = total - a
     error = (a - (total - part)) + (b - part)

@@ -154,7 +154,7 @@ class Jet:
         return Jet(rule(self.value, other.value), slope, bend)
 
     def _outer(self) -> Ends:
-        """The outer product of the slope with itself (n, n, B); its diagonal is not negative."""
+        # (n, n, B); the diagonal is not negative
         assert self.slope is not None
         outer = iv.multiply(_column(self.slope), _row(self.slope))
         squares = iv.square(self.slope)
@@ -199,5 +199,4 @@ def _times(factor: float, a: Ends) -> Ends:
 
 
 def _not_negative(a: Ends) -> Ends:
-    """The interval with its lower end raised to at least 0; the upper end is unchanged."""
     return np.maximum(a[0], 0.0), a[1]

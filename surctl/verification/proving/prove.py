@@ -178,7 +178,6 @@ def _reporter(label: str, progress: Callable[[str], None] | None) -> Callable[[i
 
 
 def _usable(form: Form, names: tuple[str, ...], root: tuple[NDArray[np.float64], NDArray[np.float64]]) -> bool:
-    """Whether all multipliers are ≥ 0 and all denominators are > 0 on the whole box."""
     read = build_tape(names, [*form.denominators, *form.multipliers]).run(root)
     count = len(form.denominators)
     positive = all(jet.value[0][0] > 0 for jet in read.jets[:count])

@@ -84,7 +84,7 @@ def _natural(bound: Tape, box: Ends, slack: float, defined: NDArray[np.bool_], r
 
 
 def _limit(factors: tuple[Jet, ...], slack: float) -> Array | float:
-    """The slack times the least value of the denominator, rounded down."""
+    # rounded down
     if not slack:
         return 0.0
     least: Array | float = slack
@@ -146,7 +146,6 @@ def _face(jet: Jet, box: Ends) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def _mean_value(jet: Jet, there: Jet, box: Ends, at: Array, *, lower: bool) -> Array:
-    """Return the mean-value bound of the function over the box, from its value at a point and its slopes."""
     assert jet.slope is not None
     with np.errstate(all="ignore"):
         offset = iv.subtract(box, iv.point(at))
@@ -209,7 +208,7 @@ def _tangent(bound: Tape, face: Ends, at: Array) -> Array:
 
 
 def _climbed(bound: Tape, face: Ends, start: Array, free: NDArray[np.bool_]) -> Array:
-    """Search the maximum on the face by Newton's method; return the end point."""
+    # Newton's method
     at = start
     n = len(at)
     for _ in range(_NEWTON):

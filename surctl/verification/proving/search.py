@@ -69,8 +69,7 @@ class SearchResult:
 
 
 class _Tree:
-    """The tree of boxes: for the index of a box, its letter, its first child and its tangent point."""
-
+    # by the index of a box: its letter, its first child and its tangent point
     def __init__(self) -> None:
         self.letters = [""]
         self.children: dict[int, int] = {}
@@ -172,7 +171,7 @@ def _decide(
 
 
 def _dimension(task: Task, low: Array, high: Array, smear: Array) -> NDArray[np.int_]:
-    """Return, for every box, the index of the variable to bisect; −1 if no variable is wide enough."""
+    # −1 if no variable is wide enough
     width = task.box[1] - task.box[0]
     share = (high - low) / np.where(width > 0, width, 1.0)[:, None]
     wide = share > _NARROWEST

@@ -103,7 +103,6 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
 
 
 def _branches(parts: Iterable[Node]) -> list[Node]:
-    """Return the distinct branching expressions (min, max, abs, select), in the order in which they occur."""
     met: dict[Node, None] = {}
     visited: set[Node] = set()
     stack = list(reversed(list(parts)))

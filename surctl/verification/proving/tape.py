@@ -140,7 +140,7 @@ _TROUBLES = {
 
 
 def _undefined(node: Node, args: list[Jet], count: int) -> NDArray[np.bool_]:
-    """Return (B,) whether the operation is undefined at some point of the box."""
+    # (B,): whether the operation is undefined at some point of the box
     if node.op == "sqrt":
         return ~(args[0].value[0] >= 0)
     if node.op == "div" or (node.op == "pow" and node.value < 0):

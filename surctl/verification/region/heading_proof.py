@@ -69,7 +69,7 @@ def _down(value: float) -> float:
 
 
 def _certificate(claim: HeadingClaim, P: Array, heave: Array) -> dict[str, Any]:
-    """Return the certificate, with its stated numbers rounded to the safe side."""
+    # stated numbers are rounded to the safe side
     covariance = np.linalg.inv(P)
     away = max(abs(claim.law["cruise"] - command) / claim.law["k1"] for command in claim.command)
     inner = 1 - P[0, 0] * away**2

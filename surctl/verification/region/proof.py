@@ -128,7 +128,6 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
 
 
 def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any], Checked | None]:
-    """Return the first candidate that the checker accepts, with its numbers, or the reason why it accepts none."""
     steady = steady_cruise(claim)
     reason = "the search found no quadratic V with this decay rate"
     for candidate in search(claim, steady, attempts=attempts, seed=seed):
@@ -152,7 +151,6 @@ def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, A
 
 
 def _document(claim: RegionClaim, result: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the certificate of a search result; empty if the search found no region."""
     if "proof" not in result:
         return {}
     x, y = result["ultimate_bound"]

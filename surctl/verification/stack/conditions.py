@@ -208,7 +208,6 @@ def stack_conditions(
 
 
 def _only(condition: Any, names: set[str]) -> Any:
-    """Return a copy of the condition whose state contains only the variables on which the tasks depend."""
     return replace(condition, where={name: value for name, value in condition.where.items() if name in names})
 
 

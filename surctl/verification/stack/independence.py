@@ -86,5 +86,5 @@ def _claim(region: Region, name: str, left: ca.SX, right: ca.SX) -> Claim:
 
 
 def _name(name: str) -> str:
-    """Return a name that the certificate's grammar accepts."""
+    # the certificate's grammar accepts only letters, digits and _
     return "".join(c if c.isalnum() or c == "_" else "_" for c in name)

@@ -22,7 +22,7 @@ def simplified(expression: ca.SX, region: Region, names: tuple[str, ...]) -> ca.
     box = region.lower[:, None], region.upper[:, None]
 
     def above(a: Node, b: Node) -> int:
-        """Return 1 if a ≥ b on the whole box, −1 if a ≤ b on the whole box, and 0 if neither inequality is certain."""
+        # 0 if neither inequality is certain on the whole box
         read = build_tape(names, [a - b]).run(box)
         low, high = (float(end[0]) for end in read.jets[0].value)
         if not read.defined[0][0]:
