@@ -77,7 +77,7 @@ def _jumps(component: int) -> list[NDArray[np.uint64]]:
 
 
 def _times(matrix: NDArray[np.uint64], state: NDArray[np.uint64], modulus: np.uint64) -> NDArray[np.uint64]:
-    """Return matrix · state mod modulus, (n, 3); a product of two numbers below 2^32 fits into 64 bits."""
+    # (n, 3); a product of two numbers below 2^32 fits into 64 bits
     rows = [sum((matrix[i, j] * state[:, j] % modulus for j in range(3)), start=np.uint64(0)) for i in range(3)]
     return np.column_stack([row % modulus for row in rows])
 

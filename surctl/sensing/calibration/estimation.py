@@ -222,7 +222,7 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
 
 
 def _varies(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
-    """Return whether the noise of the given readings depends on range at the 5 % level."""
+    """Return whether the noise of the readings depends on range at the 5 % level."""
     if len(x) < LEAST_ROWS_OF_SLOPE or len(np.unique(x)) < LEAST_DISTANCES:
         return False
     line = fit_line(x, y, np.ones(len(x)))
@@ -250,7 +250,7 @@ def _of_sd(sd: float, dof: int) -> Estimate:
 
 
 def _other_medium(ratio: float) -> bool:
-    """Return whether the ratio equals the speed of sound of air divided by that of water, or its inverse."""
+    # the ratio equals the speed of sound of air divided by that of water, or the inverse
     return _AIR[0] / _WATER[1] <= min(ratio, 1 / ratio) <= _AIR[1] / _WATER[0]
 
 

@@ -267,7 +267,6 @@ def _columns(table: Recorded) -> tuple[str, str, float]:
 
 
 def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]]]:
-    """Yield the data lines of each sensor and medium, in the order of their first lines in the file."""
     count = len(table.lines)
     names = [[c.strip() for c in table.columns.get(key, [""] * count)] for key in ("sensor", "medium")]
     rows: dict[tuple[str, str], list[int]] = {}
@@ -285,7 +284,7 @@ def _groups(table: Recorded) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]
 
 
 def _number(value: float) -> str:
-    """Return a number as the text of a TOML float."""
+    # text of a TOML float
     text = f"{value:.6g}"
     return text if any(c in text for c in ".en") else text + ".0"
 

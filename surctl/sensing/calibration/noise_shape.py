@@ -93,7 +93,7 @@ def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> Noise
 
 @dataclass(frozen=True, kw_only=True)
 class _Cells:
-    """Sums over the readings that share a weight: 1, x, x², r, x r, r² (x minus its mean); and the x of that weight."""
+    """Sums of 1, x, x², r, x r and r² over the readings that share a weight, with x minus its mean."""
 
     sums: NDArray[np.float64]
     at: NDArray[np.float64]
@@ -117,7 +117,7 @@ class _Cells:
 
 @dataclass(frozen=True, kw_only=True)
 class _Profile:
-    """For each λ: largest restricted likelihood, its noise level, sd at the near end over this level, centred line."""
+    """For each λ: largest restricted likelihood, its noise level, the sd at the near end over it, and the line."""
 
     shape: NDArray[np.float64]
     likelihood: NDArray[np.float64]

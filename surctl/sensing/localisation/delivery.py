@@ -94,7 +94,7 @@ class Delivery:
         return there
 
     def _blind(self, dt: float) -> list[tuple[int, int]]:
-        """Return for each gap two control periods: the first period in the gap, and the first period after the gap."""
+        # for each gap: the first control period in the gap, and the first control period after the gap
         return [(ceil(a / dt - _ROUNDING), ceil(b / dt - _ROUNDING)) for a, b in self.gaps]
 
 

@@ -107,7 +107,7 @@ def own_state_step(
 
 
 def _carried(own: OwnStateFilter, x: Vector, accelerations: Vector) -> Vector:
-    """Return position, velocity, disturbance (rows of (3, 3)) after the steps of a ring buffer (k, 3), newest first."""
+    """Return position, velocity and disturbance, (3, 3), after the steps of a ring buffer (k, 3), newest first."""
     phi = own.step[0]
     for acceleration in accelerations[::-1]:
         x = phi @ x + np.outer([0.5 * own.dt**2, own.dt, 0.0], acceleration)
@@ -155,7 +155,7 @@ def _corrected(
 def _acceleration(
     psi: float, velocity: Vector, rate: float, thrust: Vector, model: Mapping[str, Vector], dt: float
 ) -> tuple[Vector, float]:
-    """Return the vehicle model's mean acceleration (3,) over a step in {E} [m/s²], and yaw acceleration [rad/s²]."""
+    """Return the vehicle model's mean acceleration (3,) over a step in {E} [m/s²] and its yaw acceleration [rad/s²]."""
     nu = np.append(_turned(-psi) @ velocity, rate)
     mass = np.maximum(model["mass"], 1e-6)
     X, XX = np.asarray(model["linear_drag"]), np.asarray(model["quadratic_drag"])
@@ -166,20 +166,18 @@ def _acceleration(
 
 
 def _turned(psi: float) -> Vector:
-    """Return the rotation matrix (3, 3) about z."""
     c, s = cos(psi), sin(psi)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _square(upper: Vector) -> Vector:
-    """Return a covariance (3, 3) from its upper triangle (6,)."""
     P = np.zeros((3, 3))
     P[np.triu_indices(3)] = upper
     return P + np.triu(P, 1).T
 
 
 def _wrap(angle: float) -> float:
-    """Return the angle [rad] wrapped to (−π, π]."""
+    # [rad], to (−π, π]
     turns = np.floor((pi - angle) / (2 * pi))
     once = float(angle + 2 * pi * turns)
     return once - 2 * pi if once > pi else once + 2 * pi if once <= -pi else once

@@ -253,7 +253,7 @@ class OwnStateFilter:
         return command + left * (old - command), command + mean * (old - command)
 
     def _now(self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, accelerations: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return position and velocity (3,) after k steps with the accelerations (k, 3) of the ring buffer."""
+        # position and velocity (3,) after k steps with the accelerations (k, 3)
         for k in reversed(range(accelerations.shape[0])):
             position, velocity, disturbance = self._moved(position, velocity, disturbance, accelerations[k, :].T)
         return position, velocity
@@ -261,13 +261,11 @@ class OwnStateFilter:
     def _moved(
         self, position: ca.SX, velocity: ca.SX, disturbance: ca.SX, acceleration: ca.SX
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return position, velocity and disturbance after one step, (3,) each."""
         change = self.dt * (acceleration + disturbance)
         left = float(self.step[0][2, 2])
         return position + self.dt * velocity + 0.5 * self.dt * change, velocity + change, left * disturbance
 
     def _corrected(self, old: Mapping[str, ca.SX], acceleration: ca.SX, fix: ca.SX, fresh: ca.SX) -> dict[str, ca.SX]:
-        """Return the stored values for the time `latency` before, predicted by one step and corrected by the fix."""
         known, variance = old["known"] > 0.5, self.position_sd**2
         position, velocity, disturbance = self._moved(
             old["position"], old["velocity"], old["disturbance"], acceleration
@@ -303,13 +301,13 @@ class OwnStateFilter:
         }
 
     def _grown(self, P: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Return the covariance (3, 3) after one step; it grows more with a larger modelled acceleration."""
+        # the covariance grows more with a larger modelled acceleration
         phi, noise, model_covariance = ca.DM(self.step[0]), ca.DM(self.step[1]), ca.DM(self.model_covariance)
         grown: ca.SX = phi @ P @ phi.T + noise + ca.sumsqr(acceleration) * model_covariance
         return grown
 
     def _spread(self, covariance: ca.SX, accelerations: ca.SX) -> ca.SX:
-        """Return the present standard deviations (2,) of position [m] and velocity [m/s]."""
+        # present standard deviations (2,) of position [m] and velocity [m/s]
         P = from_upper(covariance)
         for k in reversed(range(self.late)):
             P = self._grown(P, accelerations[k, :].T)

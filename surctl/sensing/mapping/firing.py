@@ -96,7 +96,7 @@ def on_arc(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
 
 
 def _inside(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
-    """Return the depth of a cell inside the cone: the distance from the nearer edge of the cone [m]."""
+    # distance [m] from the nearer edge of the cone
     return line[0] * limit["sine"] - line[1] * limit["cosine"]
 
 

@@ -120,7 +120,7 @@ class _Steps:
     """The loops that call the programs of the local map (`MapPrograms`) for all cells and blocks.
 
     A firing skips each block of cells that its cone does not touch. For this purpose, a flag is computed from the
-    bounds of the block's columns and rows; if the flag is set, a loop with one iteration is not executed.
+    bounds of the block's columns and rows. If the flag is set, a loop with one iteration is not executed.
     """
 
     def __init__(self, local_map: LocalMap) -> None:
@@ -147,7 +147,6 @@ class _Steps:
         )
 
     def routine(self) -> Routine:
-        """Return the routine for a whole update of the map."""
         local_map, n, blocks, none = (
             self.local_map,
             self.local_map.side,
@@ -201,7 +200,7 @@ class _Steps:
         return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
 
     def _rows(self) -> tuple[Step, ...]:
-        """Return the steps that compute the cell rows of a row of blocks, and the bounds of these cell rows."""
+        # the cell rows of a row of blocks, and the bounds of these cell rows
         fixed = ("group", *_WHERE)
         return (
             Loop(self.programs.line(), self.block, (), self.rows, fixed=fixed, index=True),
@@ -211,7 +210,7 @@ class _Steps:
     # --- whether a cell explains the echo of a firing -----------------------------------------------------------------
 
     def _seek_row(self) -> Routine:
-        """Return the routine that searches a row of blocks for cells that explain the firings."""
+        # searches for cells that explain the firings
         blocks, state = self.local_map.blocks, ("complete", *self.explained)
         fixed, pieces = ("zeros", *self.limits), (*self.columns, "column_bounds")
         last = ("complete_next", *self.explained_next)
@@ -253,7 +252,6 @@ class _Steps:
         return Routine("seek_block", self._sized(*inputs, "row_bounds"), tuple(steps), last)
 
     def _seek_cells(self) -> Routine:
-        """Return the routine that searches one block for a cell that explains a firing."""
         row = self._over_row(self.programs.seek(), carried=("hits",))
         lines, fixed = ("cells", "row", "row_beam"), ("column", "column_beam", "limits")
         steps = (
@@ -267,7 +265,7 @@ class _Steps:
     # --- what the firings change --------------------------------------------------------------------------------------
 
     def _change_row(self) -> Routine:
-        """Return the routine that updates the cells in a row of blocks, and the nearest cells found so far."""
+        # also updates the nearest cells found so far
         blocks, best = self.local_map.blocks, ("marked", "unknown")
         fixed, pieces = ("zeros", "none", "hull", *self.explained, *self.limits), (*self.columns, "column_bounds")
         last = ("marked_next", "unknown_next", "cells_next")
@@ -323,7 +321,7 @@ class _Steps:
         return Routine("change_block", self._sized(*inputs, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
 
     def _enter(self, which: str) -> Routine:
-        """Return the routine that stores a block's nearest cell if no nearer cell was found so far in its direction."""
+        """Return the routine that stores a block's nearest cell if no nearer cell was found in its direction."""
         nearest = self.programs.nearest(unknown=which == "unknown")
         steps = (
             Loop(nearest, self.block, ("none",), ("near",), sliced=("cells", "row"), fixed=("column", "hull")),
@@ -345,7 +343,7 @@ class _Steps:
     # --- from one cell to a row of a block, and to a block ------------------------------------------------------------
 
     def _over_row(self, program: Program, *, carried: tuple[str, ...] = ()) -> Routine:
-        """Return a routine that runs a program for one cell on every cell in one row of a block."""
+        # the program is written for one cell
         sizes = dict(program.inputs)
         renamed = dict(zip(sizes, carried, strict=False))
         own = tuple(name for name in sizes if name in ("cells", "column", "column_beam"))
@@ -359,7 +357,6 @@ class _Steps:
         return Routine(f"{program.name}_row", tuple((name, wide[name]) for name in order), (loop,), results)
 
     def _over_block(self, program: Program) -> Routine:
-        """Return a routine that runs a program for one cell on every cell of a block."""
         row = self._over_row(program)
         names = tuple(name for name, _ in row.inputs)
         lines = tuple(name for name in names if name in ("cells", "row", "row_beam"))
@@ -368,7 +365,7 @@ class _Steps:
         return Routine(f"{program.name}_block", self._sized("flag", *names), steps, ("flag", "after"))
 
     def _sized(self, *names: str | tuple[str, int]) -> tuple[tuple[str, int], ...]:
-        """Return names and sizes of input arrays, for one block unless a name is given with a number of blocks."""
+        # sizes are for one block unless a name is given with a number of blocks
         b, sectors = self.block, len(NONE) * self.local_map.sectors
         sizes = {"cells": b * b, "column": b * BASE, "row": b * BASE, "zeros": self.lanes, "none": len(NONE), "hull": 2}
         sizes |= dict.fromkeys(("marked", "unknown", "best"), sectors)

@@ -122,8 +122,7 @@ def map_view(
 
 
 class _Beam:
-    """All cells relative to one firing: distance along the beam, distance across it, squared range; (N, N) each."""
-
+    # all cells, (N, N), relative to one firing
     def __init__(self, firing: dict[str, Vector], x: Vector, y: Vector) -> None:
         away_x, away_y = x - firing["apex"][0], (y - firing["apex"][1])[:, None]
         ex, ey = firing["axis"]
@@ -135,47 +134,47 @@ class _Beam:
 
     @property
     def depth(self) -> Vector:
-        """Depth of each cell inside the cone: the distance from the nearer edge of the cone [m]."""
+        # distance [m] from the nearer edge of the cone
         return np.asarray(self.along * self.sine - self.across * self.cosine)
 
     def on_arc(self, edge: float) -> NDArray[np.bool_]:
-        """Return a mask of the cells that may have caused the echo."""
+        # cells that may have caused the echo
         band = (self.square >= self.near**2) & (self.square <= self.far**2) & (self.far >= 0)
         return np.asarray(band & (self.depth > -0.5 * edge))
 
     def in_front(self, edge: float, value: Vector) -> NDArray[np.bool_]:
-        """Return a mask of the free cells: nearer than the echo, and as deep in the cone as their value requires."""
+        # free cells: nearer than the echo, and as deep in the cone as their value requires
         share = np.where(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN)
         deep = np.minimum(_INSIDE * edge + _INSIDE_MORE, share * self.along * self.sine)
         return np.asarray((self.depth > deep) & (self.square < self.clear**2) & ((self.clear > 0) | (value <= BLIND)))
 
 
 def _window(n: int, here: Vector, ends: Vector) -> Vector:
-    """Return the window's lowest cell (2,) from the robot's position and the lower and upper walls (2, 2), in cells."""
+    # lowest cell (2,) of the window; `ends`: lower and upper walls (2, 2), in cells
     lowest, end = np.floor(ends[0] + _SLACK), np.ceil(ends[1] - _SLACK)
     return np.asarray(np.maximum(np.minimum(np.floor(here) - n // 2, end - n), lowest))
 
 
 def _world(n: int, corner: Vector) -> Vector:
-    """Return the indices (2, N), along x and y, of the world cells that are stored at the N indices of the torus."""
+    # indices (2, N), along x and y, of the world cells stored at the N indices of the torus
     rank = np.arange(n)
     return np.array([low + np.mod(rank - low, n) for low in corner])
 
 
 def _torus(local_map: LocalMap, cells: NDArray[T]) -> NDArray[T]:
-    """Return the cells as an array (N, N) indexed by y, then x, from cells ordered block by block."""
+    # (N, N) indexed by y, then x
     many, size = local_map.blocks, local_map.block
     return cells.reshape(many, many, size, size).swapaxes(1, 2).reshape(local_map.side, local_map.side)
 
 
 def _blocks(local_map: LocalMap, torus: NDArray[T]) -> NDArray[T]:
-    """Return the cells grouped by block, (blocks², block²), from an array (N, N)."""
+    # (blocks², block²)
     many, size = local_map.blocks, local_map.block
     return torus.reshape(many, size, many, size).swapaxes(1, 2).reshape(many * many, size * size)
 
 
 def _nearest(local_map: LocalMap, which: NDArray[np.bool_], dx: Vector, dy: Vector, square: Vector) -> Vector:
-    """Return the nearest cell in each direction, (sectors · 3,), among the nearest selected cell of every block."""
+    """Return the nearest cell in each direction, (sectors · 3,), among the nearest selected cells of all blocks."""
     held = _blocks(local_map, np.where(which & (square < _FAR), square, _FAR))
     at = (np.arange(len(held)), np.argmin(held, axis=1))
     x, y, far = _blocks(local_map, dx)[at], _blocks(local_map, dy)[at], held[at]

@@ -319,7 +319,7 @@ class MapPrograms:
     # --- parts --------------------------------------------------------------------------------------------------------
 
     def _entry(self, column: int, size: int, entry: int) -> int:
-        """Return the index at which an entry of a column's base or beam is stored, for a column of a block."""
+        # `entry` is an entry of the column's base or beam
         group, lane = divmod(column, self.lanes)
         return (group * size + entry) * self.lanes + lane
 
@@ -329,7 +329,6 @@ class MapPrograms:
 
     @staticmethod
     def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return four symbols: base and beam of a column, base and beam of a row."""
         names = (("column", BASE), ("column_beam", BEAM), ("row", BASE), ("row_beam", BEAM))
         column, across, row, down = (ca.SX.sym(name, size) for name, size in names)
         return column, across, row, down

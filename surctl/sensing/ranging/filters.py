@@ -265,7 +265,7 @@ class SensorFilter:
         return FilterUpdate({prefix + name: after[name] for name in names}, range_hat, healthy)
 
     def _fired(self, old: Mapping[str, ca.SX], samples: ca.SX, *, gains: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-        """Return the next state of one sensor that fired, as columns by port name without prefix."""
+        # by port name without prefix
         value = weighted_average(samples)
         lambda1 = gains["lambda1"]
         gated, accepted, window = gate(old["window"], value, lambda1=lambda1, resolution=self.array.resolution)
@@ -295,5 +295,4 @@ class SensorFilter:
 
 
 def _pushed(window: ca.SX, value: ca.SX) -> ca.SX:
-    """Return the window (n,) with `value` in front and without the oldest value."""
     return ca.vertcat(value, window[:-1, :])

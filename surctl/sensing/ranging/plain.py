@@ -195,7 +195,7 @@ def plain_filter(
 def _fired(
     filter_: SensorFilter, old: Mapping[str, Array], samples: Array, gains: Mapping[str, float]
 ) -> dict[str, Array]:
-    """Return the next state of the sensors that fired, by port name without prefix."""
+    # next state of the sensors that fired, by port name without prefix
     lambda1 = gains["lambda1"]
     gated, accepted, window = plain_gate(
         old["window"], plain_average(samples), lambda1=lambda1, resolution=filter_.array.resolution

@@ -35,8 +35,7 @@ _SURPRISING, _SURPRISING_TURNING = 2.5, 0.5  # standard deviations; a larger inn
 
 
 class _Compared(NamedTuple):
-    """The comparison of a reading with the track, the known walls and the other sensors."""
-
+    # comparison of a reading with the track, the known walls and the other sensors
     corrected: Value  # [m], the reading; if it is late, minus its shift
     innovation: Value  # [m], difference from the track
     agrees: Value  # whether the reading agrees with the known walls
@@ -65,7 +64,6 @@ def range_step(
 
 
 def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
-    """Compare the reading with the track, the known walls, the candidate and the other sensors."""
     op, rules, _, state, _, scene = step
     x, known = state["range"], state["known"] > 0.5
     corrected = op.where(late.late, op.least(op.most(reading - late.away, 0.0), rules.maximum), reading)
@@ -144,7 +142,7 @@ def _candidate(step: Step, new: _Compared, other: Value) -> Value:
 
 
 def _crosstalk(step: Step, corrected: Value) -> Value:
-    """Return whether the reading equals another sensor's reading; readings without an echo are not compared."""
+    # readings without an echo are not compared
     op, rules = step.op, step.rules
     match = op.size(corrected) < 0.0  # false everywhere
     for rate, newest, before in step.inputs.others:
@@ -156,7 +154,7 @@ def _crosstalk(step: Step, corrected: Value) -> Value:
 
 
 def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
-    """Update the track by the Kalman filter if the reading is near the track; otherwise a new track may start."""
+    """Update the track by the Kalman filter if the reading is near the track; `anew` starts a new track."""
     op, rules, _, state, _, scene = step
     corrected, crosstalk = new.corrected, new.crosstalk
     x, u = state["range"], state["rate"]
@@ -192,7 +190,7 @@ def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
 
 
 def _record(step: Step, reading: Value) -> None:
-    """Store the reading and the samples, with which later steps compare their readings."""
+    # later steps compare their readings with the stored ones
     op, _, old, state, inputs, scene = step
     state["reading"] = op.where(scene.fired, reading, old["reading"])
     state["since"] = op.where(scene.fired, 0.0, state["since"])
@@ -205,7 +203,7 @@ def _record(step: Step, reading: Value) -> None:
 
 
 def _outputs(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
-    """Return the outputs of the step: range, bound, rate, healthy, age, reading, accepted, carve."""
+    # range, bound, rate, healthy, age, reading, accepted, carve
     op, rules, _, state, _, scene = step
     x, far = state["range"], rules.maximum
     overdue = state["since"] > rules.due + 0.5 * rules.dt

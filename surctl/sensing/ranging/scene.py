@@ -127,7 +127,7 @@ def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: Step
 def _moved(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs, scene: Scene
 ) -> dict[str, Value]:
-    """Return the state one step later, without a new reading."""
+    # without a new reading
     dt, top = rules.dt, rules.maximum - 0.5 * rules.resolution
     state = dict(old)
     own = -inputs.closing * dt

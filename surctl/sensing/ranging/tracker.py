@@ -294,7 +294,7 @@ def _column(parts: Iterable[Any]) -> ca.SX:
 
 @cache
 def _chance_of_equal_sets(array: SonarArray) -> float:
-    """Return the largest probability that two firings at the same range give equal samples."""
+    # at the same range
     if array.noise_sd == 0.0:
         return 1.0
     largest = 0.0

@@ -218,7 +218,7 @@ def _text_rows(replayed: Replay, part: slice, sensor: int) -> list[tuple[str, ..
 
 
 def _sample_columns(table: Recorded) -> list[str]:
-    """Return the names of the sample columns: `range_m`, or `sample_1_m`, `sample_2_m`, … numbered without gaps."""
+    # `range_m`, or `sample_1_m`, `sample_2_m`, … without gaps in the numbers
     samples = [name for name in table.columns if name.startswith("sample_") and name.endswith("_m")]
     if "range_m" in table.columns:
         if samples:
@@ -230,7 +230,7 @@ def _sample_columns(table: Recorded) -> list[str]:
 
 
 def _forward(table: Recorded, time: Array, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
-    """Return the lines whose time is not before that of an earlier line, and the number of the other lines."""
+    """Return the lines whose time is not before the time of an earlier line, and the number of the other lines."""
     if not len(rows):
         raise InputError("has no complete row", file=table.name, remedy="give a number in every cell of a row")
     before = np.maximum.accumulate(time[rows])

@@ -223,7 +223,7 @@ def track(tracker: RangeTracker, samples: Array, *, fresh: NDArray[np.bool_], cl
 
 
 def _function(tracker: RangeTracker) -> tuple[Layout, ca.Function]:
-    """Return the state's layout, and the function (state, samples, fresh, closing, turn) -> (state, outputs (n, 6))."""
+    # (state, samples, fresh, closing, turn) -> (state, outputs (n, 6))
     n, k = tracker.array.size, tracker.array.samples
     layout = Layout(tracker.ports())
     state, parts = layout.symbols("state")

@@ -165,7 +165,6 @@ class SonarArray:
 
 
 def _check(array: SonarArray) -> None:
-    """Raise InputError for the first invalid value; the key of the error is `array.<field>`."""
     _check_geometry(array)
     _check_mounts(array)
     _check_conversion(array)

@@ -135,7 +135,7 @@ def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
 
 
 def _picked(turn: ca.SX | int, values: Sequence[float]) -> ca.SX | float:
-    """Return values[turn]; the result is a plain number if all values are equal."""
+    # a plain number if all values are equal
     if all(value == values[0] for value in values):
         return values[0]
     chosen = ca.SX(0)

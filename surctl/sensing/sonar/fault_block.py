@@ -165,7 +165,7 @@ def faulty_samples(
 
 
 def _active_fault(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return code, delay and start of the first active fault in `slots`; code 0 if no fault is active."""
+    # code, delay and start; code 0 if no fault is active
     kind, late, start = ca.SX(0), ca.SX(0), ca.SX(0)
     for k in reversed(range(slots.shape[0])):
         code, whose, begin, end, firings = (slots[k, j] for j in range(SLOT))
@@ -175,7 +175,7 @@ def _active_fault(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.S
 
 
 def _struck(chances: ca.SX, uniform: ca.SX) -> ca.SX:
-    """Return the code of the random fault that a uniform number selects; 0 if no fault occurs."""
+    # code 0 if no fault occurs
     passed, code, below = ca.SX(0), ca.SX(0), ca.SX(0)
     for k, kind in enumerate(FaultChances.kinds()):
         passed = passed + chances[k]

@@ -260,6 +260,6 @@ def _acts(array: SonarArray, fault: Fault, time: float) -> bool:
 
 
 def _spike(array: SonarArray, uniform: float) -> float:
-    """Return the reading of a spike, from the lowest reading to the maximum, rounded to a conversion step."""
+    # from the lowest reading to the maximum, rounded to a conversion step
     value, top = array.lowest + uniform * (array.maximum - array.lowest), array.top_code
     return floor(value * top / array.maximum + 0.5) * array.maximum / top

@@ -142,7 +142,7 @@ class SolidBox(Solid):
         return [self._global(ray) for ray in rays]
 
     def _entry(self, here: ca.SX, ray: ca.SX, nothing: float) -> tuple[ca.SX, ca.SX]:
-        """Return distance [m] and cosine of the incidence angle of a ray in the box's frame, by the slab method."""
+        # slab method in the frame of the box: distance [m] and cosine of the incidence angle
         half = 0.5 * self.size
         ray = ca.if_else(ray == 0, _PARALLEL, ray)
         one, other = (-half - here) / ray, (half - here) / ray
@@ -193,7 +193,7 @@ class SolidWalls(Solid):
         return [ca.SX(normal) for normal, _ in self._faces(apex)]
 
     def _faces(self, apex: ca.SX) -> tuple[tuple[tuple[float, float], ca.SX], ...]:
-        """Return for each wall the unit vector out of the water, and the distance to the wall along this vector [m]."""
+        # unit vector out of the water, and the distance [m] to the wall along this vector
         return (
             ((-1.0, 0.0), apex[0] - self.walls[0]),
             ((1.0, 0.0), self.walls[1] - apex[0]),
@@ -211,7 +211,7 @@ def _left(ray: ca.SX) -> ca.SX:
 
 
 def _beside(ray: ca.SX, side: ca.SX | float) -> ca.SX:
-    """Return the unit vector turned by 1e-9 rad, to the left if `side` is 1 and to the right if `side` is −1."""
+    # turned by 1e-9 rad, to the left if `side` is 1 and to the right if `side` is −1
     return ray + side * _BESIDE * _left(ray)
 
 
