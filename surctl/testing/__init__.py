@@ -1,10 +1,11 @@
-"""Conformance checks for custom laws, tasks, limits and QP backends; a failed check reports the error and the point."""
+"""Conformance checks for custom laws, plants, controllers, tasks, limits and QP backends; a failed check reports the error and the point."""
 
 from surctl.testing.backends import BACKEND_FAMILIES, BackendReport, check_backend, measure_backend
 from surctl.testing.finding import CheckFailed
 from surctl.testing.laws import LawReport, check_law
 from surctl.testing.limits import LimitReport, check_limit
 from surctl.testing.ranges import Parameter
+from surctl.testing.systems import SystemReport, check_controller, check_plant
 from surctl.testing.tasks import TaskReport, check_task
 
 __all__ = [
@@ -14,10 +15,13 @@ __all__ = [
     "LawReport",
     "LimitReport",
     "Parameter",
+    "SystemReport",
     "TaskReport",
     "check_backend",
+    "check_controller",
     "check_law",
     "check_limit",
+    "check_plant",
     "check_task",
     "measure_backend",
 ]

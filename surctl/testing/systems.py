@@ -1,0 +1,197 @@
+"""Check whether a plant or a controller of the user's own gives finite numbers and is equal in all its forms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.ir import Block, Layout, on_vectors, replay, to_casadi
+from surctl.system import NONFINITE, Controller, Plant
+from surctl.testing.finding import CheckFailed
+from surctl.testing.ranges import checked_count
+
+__all__ = ["SystemReport", "check_controller", "check_plant"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_LIBM_ERROR = 1e-9  # the instruction list has polynomials in place of libm functions
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class SystemReport:
+    """Properties of a plant or controller that passed the check.
+
+    Attributes:
+        name: name of the plant or controller.
+        samples: number of random points.
+        form_error: largest difference between the instruction list and CasADi, relative to 1 + |value|.
+        derivative_error: difference between CasADi's Jacobian and central differences, relative to 1 + |J|, as the median
+            over the points; 0 for a controller.
+        digest: SHA-256 of what it computes.
+    """
+
+    name: str
+    samples: int
+    form_error: float
+    derivative_error: float
+    digest: str
+
+
+def check_plant(
+    plant: Plant,
+    *,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    samples: int = 200,
+    smooth: float = 1e-4,
+    seed: int = 0,
+) -> SystemReport:
+    """Check a plant at random points: derivatives and outputs are finite, and every form gives the same numbers.
+
+    Args:
+        plant: the plant.
+        ranges: lowest and highest value of the entries of a port, by port name. Without it, states, inputs and
+            disturbances lie in [-1, 1], and parameters have their nominal values.
+        samples: number of random points.
+        smooth: largest accepted error of the Jacobian with respect to the state, relative to 1 + |J|; the median over
+            the points counts, so that isolated corners (limits, |x|) pass.
+        seed: seed of numpy's PCG64 generator.
+
+    Raises:
+        CheckFailed: the plant fails; the message states where.
+        InputError: a range names no port, or is no range.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Plant
+        >>> from surctl.testing import check_plant
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> check_plant(cart).form_error
+        0.0
+    """
+    checked_count("samples", samples)
+    what = f"plant {plant.name}"
+    layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
+    points = _points(layouts, ranges or {}, fixed={"p"}, count=samples, seed=seed)
+    error = max(
+        _compare(what, plant.block, layouts, points),
+        _compare(what, plant.measured, layouts, {name: points[name] for name in ("x", "d", "p")}),
+    )
+    symbols = [ca.SX.sym(name, layout.size) for name, layout in layouts.items()]
+    slope_of = ca.densify(ca.jacobian(plant.function(*symbols), symbols[0]))
+    slope, jacobian = on_vectors(plant.function), on_vectors(ca.Function("J", symbols, [slope_of]))
+    worst = []
+    for k in range(samples):
+        x, *others = (points[name][k] for name in layouts)
+        exact = jacobian(x, *others)[0].reshape(plant.state.size, -1, order="F")
+        steps = _STEP * (1 + np.abs(x))
+        columns = [(slope(x + h, *others)[0] - slope(x - h, *others)[0]) / (2 * h.sum()) for h in np.diag(steps)]
+        difference = np.abs(exact - np.column_stack(columns))
+        worst.append(float((difference / (1 + np.abs(exact))).max()))
+    if np.median(worst) > smooth:
+        k = int(np.argsort(worst)[samples // 2])
+        raise CheckFailed(what, f"the Jacobian is off by {worst[k]:.2g}", at=_at(layouts, points, k))
+    return SystemReport(plant.name, samples, error, float(np.median(worst)), plant.digest())
+
+
+def check_controller(
+    controller: Controller,
+    *,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    samples: int = 200,
+    seed: int = 0,
+) -> SystemReport:
+    """Check a controller at random points: results are finite, the status is never negative, and all forms agree.
+
+    Args:
+        controller: the controller.
+        ranges: lowest and highest value of the entries of a port, by port name. Without it, states and inputs lie in
+            [-1, 1], and gains have their nominal values.
+        samples: number of random points.
+        seed: seed of numpy's PCG64 generator.
+
+    Raises:
+        CheckFailed: the controller fails; the message states where.
+        InputError: a range names no port, or is no range.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller
+        >>> from surctl.testing import check_controller
+        >>> speed, force = Port("speed", (1,), "m/s", "measured"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> check_controller(brake, ranges={"speed": (-3, 3)}).samples
+        200
+    """
+    checked_count("samples", samples)
+    what = f"controller {controller.name}"
+    layouts = {"x": controller.state, "u": controller.inputs, "p": controller.gains}
+    points = _points(layouts, ranges or {}, fixed={"p"}, count=samples, seed=seed)
+    error = _compare(what, controller.block, layouts, points)
+    for k in range(samples):
+        step = controller.step(*(points[name][k] for name in layouts))
+        if step.status < 0:
+            why = "a result is not finite" if step.status == NONFINITE else f"the status is {step.status}"
+            raise CheckFailed(what, why, at=_at(layouts, points, k))
+    bad = controller.step(*(np.full(layout.size, np.nan) for layout in layouts.values()))
+    if controller.inputs.size and (bad.status != NONFINITE or np.any(bad.tau != 0)):
+        raise CheckFailed(what, "an input that is not a number gives a command")
+    return SystemReport(controller.name, samples, error, 0.0, controller.block.digest())
+
+
+def _points(
+    layouts: Mapping[str, Layout],
+    ranges: Mapping[str, tuple[float, float]],
+    *,
+    fixed: set[str],
+    count: int,
+    seed: int,
+) -> dict[str, Array]:
+    ports = [port.name for layout in layouts.values() for port in layout]
+    for name, ends in ranges.items():
+        if name not in ports:
+            raise InputError("is no port", key=f"ranges.{name}", remedy=nearest(name, ports))
+        if not (np.isfinite(ends).all() and ends[0] <= ends[1]):
+            raise InputError("is no range", key=f"ranges.{name}", value=ends, remedy="give (lowest, highest)")
+    rng = np.random.default_rng(seed)
+    points = {}
+    for key, layout in layouts.items():
+        values = np.tile(layout.pack(), (count, 1))
+        for port in layout:
+            if port.name in ranges or key not in fixed:
+                low, high = ranges.get(port.name, (-1.0, 1.0))
+                values[:, layout.slice(port.name)] = rng.uniform(low, high, (count, port.size))
+        points[key] = values
+    return points
+
+
+def _compare(what: str, block: Block, layouts: Mapping[str, Layout], points: Mapping[str, Array]) -> float:
+    """Return the largest relative difference between the instruction list and CasADi."""
+    listed = replay(block, *points.values())
+    function = on_vectors(to_casadi(block))
+    largest = 0.0
+    for k in range(len(next(iter(points.values())))):
+        for table, expected in zip(listed, function(*(values[k] for values in points.values())), strict=True):
+            row = table[k]
+            if not (np.isfinite(row).all() and np.isfinite(expected).all()):
+                raise CheckFailed(what, "a result is not finite", at=_at(layouts, points, k))
+            if row.size:
+                largest = max(largest, float((np.abs(row - expected) / (1 + np.abs(expected))).max()))
+        if largest > _LIBM_ERROR:
+            raise CheckFailed(what, f"instruction list and CasADi differ by {largest:.2g}", at=_at(layouts, points, k))
+    return largest
+
+
+def _at(layouts: Mapping[str, Layout], points: Mapping[str, Array], k: int) -> str:
+    return ", ".join(
+        f"{port.name} = {np.round(points[key][k][layouts[key].slice(port.name)], 4).tolist()}"
+        for key in points
+        for port in layouts[key]
+    )
