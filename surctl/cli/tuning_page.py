@@ -43,6 +43,8 @@ def serve_page(
     if len(vehicles) > 1:
         raise click.BadParameter("the page simulates one vehicle only", param_hint="--vehicle")
     plan = load_plan(study)
+    if vehicles:
+        plan = plan.by([load_vehicle(vehicles[0])])
     first = plan.deciding[0]
     mission = first.scenario if scenario is None else load_scenario(scenario)
     own = {leg.scenario.name: leg.vehicle for leg in plan.legs}
