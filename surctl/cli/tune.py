@@ -255,8 +255,8 @@ def _check_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
     """Raise InputError if a goal names a scenario in which the vehicle does not fit."""
     from surctl.errors import InputError
 
-    kept = {leg.scenario.name for leg in plan.deciding}
-    omitted = {leg.scenario.name: leg.left_out for leg in plan.left_out if leg.scenario.name not in kept}
+    deciding = {leg.scenario.name for leg in plan.deciding}
+    omitted = {leg.scenario.name: leg.left_out for leg in plan.left_out if leg.scenario.name not in deciding}
     for goal in goals:
         for name in goal.cases:
             if name in omitted:
@@ -276,14 +276,12 @@ def _caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
 
 
 def _look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
-    """Return the command that shows the worst run of a missed goal; prefer a run with the nominal plant."""
-    runs = [miss.run for miss in missed if miss.run is not None and miss.ending is not None]
+    """Return the command that repeats the worst run of a missed goal with the vehicle's own parameters."""
+    runs = [miss.nominal for miss in missed if miss.nominal is not None and miss.ending is not None]
     if not runs:
         return []
-    run = next((r for r in runs if not r.plant), runs[0])
-    _, mission, *about = at_hand(run.case.scenario, run.case.vehicle, gains)
-    words = ["surctl", "simulate", mission, *about, *law, "--seed", str(run.seed), "--explain"]
-    return [shlex.join(words)]
+    _, mission, *about = at_hand(runs[0].case.scenario, runs[0].case.vehicle, gains)
+    return [shlex.join(["surctl", "simulate", mission, *about, *law, "--seed", str(runs[0].seed), "--explain"])]
 
 
 def _region(vehicle: Vehicle) -> list[str]:

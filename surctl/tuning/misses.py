@@ -26,6 +26,7 @@ class Miss:
         run: the worst run; None for a claim.
         figure: value of the goal's metric in this run, in its unit; NaN if the run did not arrive.
         ending: how the run ended, with its time; None for a goal about the linear loop and for a claim.
+        nominal: the worst run that misses the goal with the vehicle's own parameters; None if there is none.
         extent: the runs that miss the goal, as text; empty for a claim.
     """
 
@@ -35,6 +36,7 @@ class Miss:
     figure: float
     ending: str | None = None
     extent: str = ""
+    nominal: Condition | None = None
 
     @property
     def text(self) -> str:
@@ -42,8 +44,9 @@ class Miss:
         if self.goal is None or self.run is None:
             return f"claim {self.name} is refuted with these gains"
         goal = self.goal
-        bound = f"{'≤' if goal.sense == 'at most' else '≥'} {goal.limit:g} {goal.unit}"
-        value = value_text(goal, self.figure) + (f" {goal.unit}" if np.isfinite(self.figure) else "")
+        unit = "" if goal.unit == "1" else f" {goal.unit}"
+        bound = f"{'≤' if goal.sense == 'at most' else '≥'} {goal.limit:g}{unit}"
+        value = value_text(goal, self.figure) + (unit if np.isfinite(self.figure) else "")
         ended = "" if self.ending is None else f" ({self.ending})"
         return f"{self.name} in {self.run.label}: {goal.metric} {value}{ended}, bound {bound}; {self.extent}"
 
@@ -104,7 +107,8 @@ def misses(tuning: Tuning) -> tuple[Miss, ...]:
         extent = f"missed in {verified.missed[name]:.2%} of the verifying runs"
         if goals[name].over == "mean":
             extent = "the mean of the verifying runs misses it"
-        result.append(Miss(name, goals[name], run, counterexample.figure, ending, extent))
+        own_plant = None if run.plant else run
+        result.append(Miss(name, goals[name], run, counterexample.figure, ending, extent, own_plant))
     return tuple(result)
 
 
@@ -124,13 +128,15 @@ def _worst(
             continue
         # of runs that are equally bad, one with the nominal plant, which the user can simulate directly
         varied = np.array([bool(conditions[k].plant) for k in own])
-        k = int(np.lexsort((varied, -goal.badness(figure), -each))[0])
+        order = np.lexsort((varied, -goal.badness(figure), -each))
+        k = int(order[0])
         run = conditions[own[k]]
         extent = f"missed in {int((each > 1).sum())} of {len(own)} run{'s' * (len(own) != 1)}"
         if mean:
             extent = f"the mean of {len(own)} runs is {value_text(goal, float(figure.mean()))}"
         ending = None if goal.linear else _ending(run, sets)
-        worst[goal.name] = Miss(goal.name, goal, run, float(figure[k]), ending, extent)
+        own_plant = next((conditions[own[j]] for j in order if each[j] > 1 and not varied[j]), None)
+        worst[goal.name] = Miss(goal.name, goal, run, float(figure[k]), ending, extent, own_plant)
     return worst
 
 
@@ -148,12 +154,27 @@ def advice(tuning: Tuning, *, trials: int) -> tuple[str, bool]:
     Args:
         tuning: a tuning that is not accepted.
         trials: number of trials of each of its searches.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, advice, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("fast", "time_s", "s", 15.0, kind="hard"),)
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> text, longer = advice(tuning, trials=32)
+        >>> text.split(";")[0], longer
+        ('no gain set of the searches (32 trials each) meets fast even without the other goals', False)
     """
     clash = tuning.conflict
     if not clash:
         return "some gain set may meet them: increase --trials and --rounds", True
     searched = f"no gain set of the searches ({trials} trials each) meets"
     if len(clash) == 1:
-        remedy = "more trials hardly help: look at this run, then relax the goal or change the mission or the vehicle"
-        return f"{searched} {clash[0]} even without the other goals; {remedy}", False
+        linear = any(g.linear and g.name == clash[0] for g in tuning.request.goals)
+        remedy = "look at such a run, then relax the goal or change the mission or the vehicle"
+        if linear:
+            remedy = "relax the goal or lower its cruise speed"
+        return f"{searched} {clash[0]} even without the other goals; more trials hardly help: {remedy}", False
     return f"{searched} {' + '.join(clash)} together: relax one of them; each part of them can be met", False
