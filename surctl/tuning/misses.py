@@ -176,5 +176,5 @@ def advice(tuning: Tuning, *, trials: int) -> tuple[str, bool]:
         remedy = "look at such a run, then relax the goal or change the mission or the vehicle"
         if linear:
             remedy = "relax the goal or lower its cruise speed"
-        return f"{searched} {clash[0]} even without the other goals; more trials hardly help: {remedy}", False
+        return f"{searched} {clash[0]} even without the other goals; {remedy}", False
     return f"{searched} {' + '.join(clash)} together: relax one of them; each part of them can be met", False
