@@ -12,10 +12,13 @@ import click
 from surctl.cli.output import as_json, finish
 
 if TYPE_CHECKING:
-    from surctl.simulation import Finding
+    from surctl.control import Gains
+    from surctl.simulation import Finding, Scenario
+    from surctl.vehicle import Vehicle
 
 __all__ = ["lint"]
 
+_CONTROL_PERIOD = 0.05  # [s] of the laws that the commands build
 _NEXT = {
     "vehicle": ("tune --vehicle {} --out tuned", "study {}"),
     "gains": ("verify --gains {}", "simulate pool-static --gains {}"),
@@ -44,6 +47,15 @@ def _file_findings(loaded: object) -> list[Finding]:
     return []
 
 
+def _cap_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """Return a warning if the speed cap of the scenario exceeds the bearable speed of the vehicle with the gains."""
+    from surctl.simulation import Finding
+    from surctl.verification.linear import cap_above_bearable
+
+    text = cap_above_bearable(vehicle, gains.values, cap=scenario.cap, dt=_CONTROL_PERIOD)
+    return [] if text is None else [Finding("warning", "cap_m_per_s", f"{text}, with the gains {gains.name!r}")]
+
+
 @click.command
 @click.argument("file")
 @click.option("--vehicle", metavar="FILE", help="Vehicle for a scenario: name or file (default: the scenario's).")
@@ -61,6 +73,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     from surctl.tuning import load_goals
     from surctl.vehicle import load_vehicle
     from surctl.verification import load_claim
+    from surctl.verification.cascade import has_cascade
     from surctl.verification.region import load_region
 
     path = str(pick(file, LIBRARY, what="scenario"))
@@ -73,12 +86,17 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
         "claim": lambda file: load_claim(Path(file)),
         "region": lambda file: load_region(Path(file)),
     }
+    plan = None
     if kind == "scenario":
         scenario = load_scenario(path)
-        problems = findings(scenario, load_vehicle(scenario.vehicle if vehicle is None else vehicle))
+        robot = load_vehicle(scenario.vehicle if vehicle is None else vehicle)
+        problems = [*findings(scenario, robot), *_cap_findings(scenario, robot, load_gains("default"))]
     elif kind == "study":
-        for leg in load_plan(path).legs:
+        plan = load_plan(path)
+        for leg in plan.legs:
             problems += findings(leg.scenario, leg.vehicle)
+            if has_cascade(plan.law, plan.guidance):
+                problems += _cap_findings(leg.scenario, leg.vehicle, plan.gains)
     elif kind in plain:
         problems = _file_findings(plain[kind](path))
     else:
@@ -89,5 +107,6 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in problems]}
     works = all(f.level != "error" for f in problems)
     vehicle_option = "" if vehicle is None else f" --vehicle {shlex.quote(vehicle)}"
-    then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in _NEXT[kind]] if works else []
+    words_next = _NEXT[kind] if plan is None or plan.axes else ("tune {}",)
+    then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in words_next] if works else []
     finish(result, lines, as_json=as_json, passed=works, then=then)

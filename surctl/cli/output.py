@@ -122,9 +122,17 @@ def refusal_line(refused: Inapplicable) -> str:
     return f"n/a  {refused.claim:<22} {refused.sentence}"
 
 
-def same_command() -> str:
-    """Return the command line of this process, quoted for a shell."""
-    return shlex.join(["surctl", *sys.argv[1:]])
+def same_command(**changed: int) -> str:
+    """Return the command line of this process, quoted for a shell; the changed options replace those that are typed."""
+    words, typed = [], iter(sys.argv[1:])
+    for word in typed:
+        if word.partition("=")[0].removeprefix("--") in changed and word.startswith("--"):
+            if "=" not in word:
+                next(typed, None)
+            continue
+        words.append(word)
+    words += [word for name, value in changed.items() for word in (f"--{name}", str(value))]
+    return shlex.join(["surctl", *words])
 
 
 def progress(text: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,9 @@ from surctl.cli.output import as_json, at_hand, finish, finite, progress, same_c
 from surctl.cli.speeds import SPEEDS
 
 if TYPE_CHECKING:
+    from surctl.simulation import Case
+    from surctl.study import Plan
+    from surctl.tuning import Goal, Miss
     from surctl.vehicle import Vehicle
 
 __all__ = ["tune"]
@@ -152,13 +155,14 @@ def tune(
         )  # fmt: skip
         return
     if scenario or gains_file or port or no_browser:
-        raise click.UsageError("--scenario, --gains, --port and --no-browser need --page")
+        raise click.UsageError(_needs_page(scenario, gains_file))
     from surctl.control import write_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
     from surctl.study import load_plan
     from surctl.tuning import (
         Request,
+        advice,
         build_cases,
         check_goals,
         conditions,
@@ -166,6 +170,7 @@ def tune(
         gain_ranges,
         goals_at,
         load_goals,
+        misses,
         summary,
         tuned_gains,
         tuning_dict,
@@ -181,10 +186,13 @@ def tune(
     if cruise and not any(goal.linear for goal in goals):
         remedy = "add one, on disk_margin say, or leave the option out"
         raise InputError("no goal is about the linear loop", key="--cruise", value=list(cruise), remedy=remedy)
-    pairs = [(leg.scenario, leg.vehicle) for leg in plan.deciding]
     if vehicles:
-        scenarios = {s.name: s for s, _ in pairs}.values()
-        pairs = [(s, v) for v in map(load_vehicle, vehicles) for s in scenarios]
+        plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles])
+    pairs = [(leg.scenario, leg.vehicle) for leg in plan.deciding]
+    omitted = [f"{leg.scenario.name} by {leg.vehicle.name} is left out: {leg.left_out}" for leg in plan.left_out]
+    for line in omitted:
+        progress(line)
+    _check_cases(goals, plan, goals_file or plan.source)
     kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
     cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in pairs]
     all_runs = conditions(cases, seeds=range(seeds))
@@ -210,11 +218,15 @@ def tune(
         warning = f"HARD GOALS NOT MET ({', '.join(tuning.unmet)}): best gains found, but do not use them on a vehicle"
     gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning))
     result = tuning_dict(tuning)
+    result["left_out"] = [
+        {"scenario": leg.scenario.name, "vehicle": leg.vehicle.name, "reason": leg.left_out} for leg in plan.left_out
+    ]
+    result["caps"] = caps = _caps(cases, {**plan.gains.values, **tuning.result.gains})
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     from surctl.report import save_tuning  # loads matplotlib only now
 
     pictures = save_tuning(tuning, out)
-    lines = [*summary(tuning), "", f"gains {gains_path}", f"all   {everything}"]
+    lines = [*summary(tuning), *omitted, *caps, "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
     mission, robot = pairs[0]
     about = at_hand(mission, robot, str(gains_path))
@@ -222,16 +234,57 @@ def tune(
     # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
     arguments = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
-    law = shlex.join(["--law", plan.law, "--guidance", kind["guidance"]])
-    then = [
-        shlex.join(["surctl", "verify", *arguments]),
-        f"surctl export {shlex.join(about)} {law}",
-    ]
+    law = ["--law", plan.law, "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
+    then = [shlex.join(["surctl", "verify", *arguments]), shlex.join(["surctl", "export", *about, *law])]
     if not tuning.accepted:
-        again = shlex.join([*sys.argv[1:], "--trials", str(2 * trials), "--rounds", str(rounds + 2)])
-        then = [f"surctl {again}"]
-        lines += ["", f"{warning}; increase --trials, or relax a goal"]
+        missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
+        lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
+        then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else _look(missed, str(gains_path), law)
     finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
+
+
+def _needs_page(scenario: str | None, gains: str | None) -> str:
+    """Return the error for options of the page without --page; it says how a study file sets their values."""
+    if scenario:
+        own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
+        return f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}"
+    if gains:
+        own = f'write gains = "{gains}" in a study file and give the file: surctl tune STUDY.toml'
+        return f"--gains selects the gain set of --page; to start the search from a gain set, {own}"
+    return "--port and --no-browser need --page"
+
+
+def _check_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
+    """Raise InputError if a goal names a scenario in which the vehicle does not fit."""
+    from surctl.errors import InputError
+
+    deciding = {leg.scenario.name for leg in plan.deciding}
+    omitted = {leg.scenario.name: leg.left_out for leg in plan.left_out if leg.scenario.name not in deciding}
+    for goal in goals:
+        for name in goal.cases:
+            if name in omitted:
+                remedy = "remove the scenario from the goal"
+                key = f"goals.{goal.name}.cases"
+                raise InputError(f"is left out: {omitted[name]}", file=file, key=key, value=name, remedy=remedy)
+
+
+def _caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
+    """Return one line for each vehicle and speed cap above the bearable speed with these gains."""
+    from surctl.verification.cascade import has_cascade
+    from surctl.verification.linear import cap_above_bearable
+
+    distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if has_cascade(c.law, c.guidance)}
+    texts = (cap_above_bearable(c.vehicle, gains, cap=c.scenario.cap, dt=c.build().dt) for c in distinct.values())
+    return [f"warning: {line}" for line in texts if line is not None]
+
+
+def _look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
+    """Return the command that repeats the worst run of a missed goal with the vehicle's own parameters."""
+    runs = [miss.nominal for miss in missed if miss.nominal is not None and miss.ending is not None]
+    if not runs:
+        return []
+    _, mission, *about = at_hand(runs[0].case.scenario, runs[0].case.vehicle, gains)
+    return [shlex.join(["surctl", "simulate", mission, *about, *law, "--seed", str(runs[0].seed), "--explain"])]
 
 
 def _region(vehicle: Vehicle) -> list[str]:

@@ -31,7 +31,7 @@ def serve_page(
     from surctl.errors import ToolMissing
     from surctl.report.bench import Bench
     from surctl.report.serve import serve
-    from surctl.simulation import load_scenario
+    from surctl.simulation import findings, load_scenario
     from surctl.study import load_plan
     from surctl.tuning import goals_at, load_goals
     from surctl.vehicle import load_vehicle
@@ -43,10 +43,15 @@ def serve_page(
     if len(vehicles) > 1:
         raise click.BadParameter("the page simulates one vehicle only", param_hint="--vehicle")
     plan = load_plan(study)
+    if vehicles:
+        plan = plan.by([load_vehicle(vehicles[0])])
     first = plan.deciding[0]
     mission = first.scenario if scenario is None else load_scenario(scenario)
     own = {leg.scenario.name: leg.vehicle for leg in plan.legs}
     vehicle = load_vehicle(vehicles[0]) if vehicles else own.get(mission.name) or load_vehicle(mission.vehicle)
+    for finding in findings(mission, vehicle):
+        if finding.level == "error":
+            progress(f"{mission.name} by {vehicle.name}: {finding.text}")
     start = plan.gains if gains is None else load_gains(gains)
     chosen = goals_at(plan.goals if goals is None else load_goals(goals), cruise or plan.cruise)
     check_held(cruise or (), vehicle, cap=mission.cap, key="--cruise")

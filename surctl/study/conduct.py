@@ -135,8 +135,8 @@ def conduct(
         command: the command line that the report shows.
 
     Raises:
-        InputError: the folder cannot be written, there is no compiler, or the law cannot use the sonars of a scenario.
-            All these errors are raised before the long computations start.
+        InputError: the plan has no sweep, the folder cannot be written, there is no compiler, or the law cannot use the
+            sonars of a scenario. All these errors are raised before the long computations start.
 
     Example:
         >>> from pathlib import Path
@@ -160,6 +160,7 @@ def conduct(
     """
     from surctl.report import Check, ReportData, loop_responses, runs_section, write_page
 
+    plan.check_sweep()
     find_compiler()
     prepare_folder(out)
     law, clock = build_law(plan.law, guidance=plan.guidance), _Clock(progress)

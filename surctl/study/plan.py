@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -50,7 +51,7 @@ class _StudyFile(Strict):
     guidance: Guidance = "los"
     seed: Seed = 0
     runs: tuple[_Run, ...] = Field(min_length=1)
-    sweep: _Sweep
+    sweep: _Sweep | None = None
     cruise_m_per_s: tuple[float, ...] | None = None
     claims: tuple[str, ...] | None = None
     goals: tuple[GoalTable, ...] = ()
@@ -70,13 +71,19 @@ class Leg:
     exclusion: str | None
     misfit: str | None
 
+    @property
+    def left_out(self) -> str | None:
+        """Reason why the mission does not count towards a result, or None."""
+        return self.exclusion or self.misfit
+
 
 @dataclass(frozen=True)
 class Plan:
     """A loaded and checked study; it has the built-in goals unless its file defines goals or names a goals file.
 
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
-    the scenarios is used.
+    the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study can be tuned, but not
+    conducted.
     """
 
     name: str
@@ -97,7 +104,36 @@ class Plan:
     @property
     def deciding(self) -> tuple[Leg, ...]:
         """The missions whose runs with true positions count towards the result of the study."""
-        return tuple(leg for leg in self.legs if leg.exclusion is None and leg.misfit is None)
+        return tuple(leg for leg in self.legs if leg.left_out is None)
+
+    @property
+    def left_out(self) -> tuple[Leg, ...]:
+        """The missions that do not count towards the result, because the vehicle does not fit the scenario."""
+        return tuple(leg for leg in self.legs if leg.left_out is not None)
+
+    def by(self, vehicles: Sequence[Vehicle]) -> Plan:
+        """Return the plan in which each of the vehicles simulates every scenario; the other values stay.
+
+        Raises:
+            InputError: no vehicle fits a scenario.
+
+        Example:
+            >>> from surctl.study import load_plan
+            >>> from surctl.vehicle import load_vehicle
+            >>> plan = load_plan().by([load_vehicle("sur540-flooded")])
+            >>> [leg.scenario.name for leg in plan.deciding], [leg.scenario.name for leg in plan.left_out]
+            (['tank-static', 'tank-speed-015'], ['pool-static', 'pool-behind'])
+        """
+        scenarios = {leg.scenario.name: leg.scenario for leg in self.legs}.values()
+        legs = tuple(_leg(scenario, vehicle, lenient=True) for vehicle in vehicles for scenario in scenarios)
+        return _with_mission(replace(self, vehicle=vehicles[0], legs=legs))
+
+    def check_sweep(self) -> None:
+        """Raise InputError if the study file has no `[sweep]` table, from which `conduct` chooses the gains."""
+        if not self.axes:
+            remedy = 'add axes = [{ gain = "k_v", values = [1.0, 2.0] }] to it, or choose gains by surctl tune'
+            problem = "is missing; a study chooses its gains by a sweep"
+            raise InputError(problem, file=self.source, key="sweep", remedy=remedy)
 
     @property
     def sweep_cases(self) -> tuple[Case, ...]:
@@ -178,9 +214,9 @@ def _plan(
     try:
         cruise = () if study.cruise_m_per_s is None else cruise_speeds(study.cruise_m_per_s, key=_CRUISE)
         for leg in legs:
-            if leg.exclusion is None and leg.misfit is None:
+            if leg.left_out is None:
                 check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
-        axes = tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
+        axes = () if study.sweep is None else tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
     except InputError as error:
         raise error.inside(path) from None
@@ -195,16 +231,21 @@ def _plan(
         study.seed,
         tuple(legs),
         axes,
-        study.sweep.seeds,
+        (0,) if study.sweep is None else study.sweep.seeds,
         study.claims,
         _own_goals(study, path, None if goals is None else near(goals)),
         cruise,
     )
+    return _with_mission(plan)
+
+
+def _with_mission(plan: Plan) -> Plan:
+    """Return the plan; InputError if every scenario of the plan is left out."""
     if not plan.deciding:
-        reasons = "; ".join(f"{leg.scenario.name}: {leg.exclusion or leg.misfit}" for leg in legs)
+        reasons = "; ".join(f"{leg.scenario.name}: {leg.left_out}" for leg in plan.legs)
         raise InputError(
             f"the vehicle fits no scenario ({reasons})",
-            file=path,
+            file=plan.source,
             key="runs",
             remedy="add a scenario with a larger site",
         )

@@ -8,6 +8,7 @@ from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
 from surctl.tuning.goals import LIBRARY, Goal, GoalTable, goals_at, goals_from_tables, load_goals
 from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
 from surctl.tuning.measure import build_cases, check_column
+from surctl.tuning.misses import Miss, advice, misses, value_text
 from surctl.tuning.montecarlo import Counterexample, MonteCarlo
 from surctl.tuning.pool import Pool, Request
 from surctl.tuning.provenance import goal_rows, summary, tuned_gains, tuning_dict
@@ -41,6 +42,7 @@ __all__ = [
     "Goal",
     "GoalTable",
     "LocalExecutor",
+    "Miss",
     "MonteCarlo",
     "Pool",
     "Refinement",
@@ -51,6 +53,7 @@ __all__ = [
     "SweepTable",
     "SweptAxis",
     "Tuning",
+    "advice",
     "build_cases",
     "check_column",
     "check_goals",
@@ -68,6 +71,7 @@ __all__ = [
     "load_sweep",
     "lqr_start",
     "make_design",
+    "misses",
     "parse_axis",
     "prepare",
     "refine",
@@ -81,4 +85,5 @@ __all__ = [
     "tune",
     "tuned_gains",
     "tuning_dict",
+    "value_text",
 ]

@@ -262,8 +262,6 @@ def _round(
     missed = tuple(g.name for g, n in zip(request.goals, known.evaluation.normalised[own], strict=True) if not n <= 1)
     others = [k for k in known.ranked(start) if k != own][:_OTHERS]
     score, feasible = float(known.score(start)[own]), bool(known.feasible[own])
-    progress(
-        f"score {score:.4f}{'' if feasible else ', not all hard goals met'} over {len(left.request.conditions)} runs"
-    )
+    progress(f"over {len(left.request.conditions)} runs: {known.subset([own]).standing(start)}")
     further = tuple(known.gains(k) for k in others)
     return Round(left.gains, score, feasible, missed, left.counterexamples, verified, points, further), known

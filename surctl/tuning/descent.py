@@ -71,8 +71,7 @@ def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progre
             visited.append(at.place)
             at = _next(request, pool, visited, start)
     whole = joined(pools)
-    score = whole.score(start)[whole.best(start)]
-    progress(f"descended in {sum(p.evaluation.effort.size for p in pools[1:])} trials, best score {score:.4f}")
+    progress(f"descended in {sum(p.evaluation.effort.size for p in pools[1:])} trials: {whole.standing(start)}")
     return whole
 
 

@@ -150,6 +150,21 @@ class Pool:
         """Return the index of the feasible set with the least score, otherwise of the set with the least violation."""
         return int(np.argmin(self.merit(start)))
 
+    def standing(self, start: NDArray[np.float64]) -> str:
+        """Return how far a search has come: the best score of the sets that meet the hard goals, or what is missed."""
+        hard = [g.name for g in self.evaluation.goals if g.kind == "hard"]
+        held = int(self.feasible.sum())
+        if not held:
+            broken = self.constraints > 0
+            count = broken.sum(axis=1)
+            fewest = int(np.lexsort((self.merit(start), count))[0])
+            names = [*hard, *(f"claim point {k + 1}" for k in range(self.claims.shape[1]))]
+            missed = ", ".join(name for name, b in zip(names, broken[fewest], strict=True) if b)
+            return f"no gain set meets the hard goals yet; fewest violated: {count[fewest]} of {len(names)} ({missed})"
+        if len(hard) == len(self.evaluation.goals):
+            return f"{held} gain sets meet the hard goals" if held > 1 else "1 gain set meets the hard goals"
+        return f"best score {self.score(start)[self.best(start)]:.4f}"
+
     def front(self, start: NDArray[np.float64]) -> list[int]:
         """Return the indices of the feasible sets that no set beats in both score and thrust, least score first."""
         score, effort = self.score(start), self.evaluation.effort

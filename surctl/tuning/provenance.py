@@ -8,9 +8,12 @@ from surctl import __version__
 from surctl.control import Gains
 from surctl.tuning.cegis import Tuning
 from surctl.tuning.goals import Goal
+from surctl.tuning.misses import misses, value_text
 from surctl.verification import speeds_text
 
 __all__ = ["goal_rows", "summary", "tuned_gains", "tuning_dict"]
+
+_LARGE = 100  # a larger normalised value only says that a run did not arrive, or that the metric is almost 0
 
 
 def tuned_gains(tuning: Tuning) -> Gains:
@@ -116,19 +119,23 @@ def summary(tuning: Tuning) -> list[str]:
         after 1 round(s): not verified by fresh runs
     """
     lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'hand gains':>12}{'tuned':>12}{'normalised':>18}"]
-    for one in goal_rows(tuning):
+    for goal, one in zip(tuning.request.goals, goal_rows(tuning), strict=True):
         sign = "≤" if one["sense"] == "at most" else "≥"
-        change = f"{one['normalised_hand']:.3f} → {one['normalised_tuned']:.3f}"
+        change = " → ".join(_normalised(one[f"normalised_{which}"]) for which in ("hand", "tuned"))
         mark = "" if one["met"] else "  MISSED"
         mark += f"  worst at {one['worst_cruise_m_per_s']:g} m/s" if one["cruise_m_per_s"] else ""
         lines.append(
             f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{sign + ' ' + format(one['limit'], 'g'):>12}"
-            f"{one['hand']:>12.4g}{one['tuned']:>12.4g}{change:>18}{mark}"
+            f"{value_text(goal, one['hand']):>12}{value_text(goal, one['tuned']):>12}{change:>18}{mark}"
         )
     last = tuning.result
     values = ", ".join(f"{name} = {value:.4g}" for name, value in last.gains.items())
     lines += ["", f"gains: {values}", f"after {len(tuning.rounds)} round(s): {_outcome(tuning)}"]
     return lines
+
+
+def _normalised(value: float) -> str:
+    return f"{value:.3f}" if value < _LARGE else f"> {_LARGE}"
 
 
 def tuning_dict(tuning: Tuning) -> dict[str, Any]:
@@ -155,6 +162,7 @@ def tuning_dict(tuning: Tuning) -> dict[str, Any]:
         "seed": request.seed,
         "accepted": tuning.accepted,
         "unmet": list(tuning.unmet),
+        "misses": [miss.to_dict() for miss in misses(tuning)],
         "goals": goal_rows(tuning),
         "space": {s.name: [s.low, s.high] for s in request.space},
         "best": {"gains": dict(best.gains), "score": best.score, "feasible": best.feasible},

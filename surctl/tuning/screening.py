@@ -60,6 +60,7 @@ def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lamb
     start = pool.evaluation.normalised[0]
     met = pool.evaluation.normalised <= 1
     left = [k for k in pool.ranked(start) if pool.feasible[k]]
+    tested = bool(left)
     training = fresh(request.cases, runs=runs, first=_FIRST, tuning=request.seed)
     counterexamples: list[Counterexample] = []
     tried = 0
@@ -77,7 +78,10 @@ def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lamb
         pool = reduced_pool(tougher, pool)
         left = [pool.best(pool.evaluation.normalised[0])]
     added = len(tougher.conditions) - len(request.conditions)
-    progress(_message(runs, tried, added))
+    if tested:
+        progress(_message(runs, tried, added))
+    else:
+        progress("no gain set meets the hard goals, so no training runs are simulated")
     return Screened(tougher, pool.gains(left[0]), tuple(counterexamples))
 
 

@@ -91,10 +91,8 @@ class _Clock:
     def report(self, k: int, pool: Pool, start: NDArray[np.float64]) -> None:
         rate = (k - self.done) * BATCH / (time.perf_counter() - self.began)
         left = (self.batches - k) * BATCH / rate
-        best = pool.best(start)
-        word = "" if pool.feasible[best] else ", no hard goals met yet"
-        line = f"trial {k * BATCH}/{self.batches * BATCH}, best score {pool.score(start)[best]:.4f}{word}"
-        self.progress(f"{line}, {rate:.3g} trials/s, ETA {left:.0f} s")
+        speed = f"{rate:.3g} trials/s, ETA {left:.0f} s"
+        self.progress(f"trial {k * BATCH}/{self.batches * BATCH}, {speed}: {pool.standing(start)}")
 
 
 def _start(request: Request) -> dict[str, NDArray[np.float64]]:

@@ -41,7 +41,8 @@ def starting_sets(
         try:
             regulator = lqr_start(case.model or case.vehicle, cruise=case.scenario.cruise, dt=case.build().dt)
         except InputError as error:
-            progress(f"no LQR start for {case.vehicle.name}: {error}")
+            # the remedies of the error are arguments of `lqr_start`; the search needs none, because it has other starts
+            progress(f"{case.vehicle.name}: {error.problem}; the search starts without LQR gains")
             continue
         sets.append({s.name: regulator.get(s.name, request.base[s.name]) for s in request.space})
     smooth = [c for c in request.cases if c.mode == "nsb" and c.sensing == "truth"]
@@ -123,7 +124,7 @@ def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
         return InputError(problem, key="cruise", value=cruise, remedy=f"it is stable {mode.remedy}")
     quick = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt / 4, columns=["disk_margin"])
     if quick["disk_margin"][0] >= _DISK_FLOOR:
-        return InputError(f"{missing} at this control period", key="dt", value=dt, remedy="shorten it")
+        return InputError(f"{missing} at the control period of {dt:g} s", key="dt", value=dt, remedy="shorten it")
     return InputError(missing, key="cruise", value=cruise, remedy="lower the cruise speed, or start from a gain file")
 
 

@@ -269,6 +269,12 @@ def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):
     assert done.json["run"]["sensors"] != {}
 
 
+def test_lint_warns_of_a_cap_above_the_bearable_speed(tmp_path):
+    done = surctl("lint", "pool-behind", "--vehicle", "bluerov2-wu", cwd=tmp_path)
+    assert "warning: cap_m_per_s: the cap of 0.22 m/s is above the bearable speed of 0.2" in done.out
+    assert "bearable" not in surctl("lint", "pool-behind", cwd=tmp_path).out
+
+
 @pytest.mark.parametrize(("vehicle", "status"), [("sur400", 0), ("sur540-flooded", 1)])
 def test_lint_knows_which_hull_fits_the_pool(tmp_path, vehicle, status):
     done = surctl("lint", "pool-static", "--vehicle", vehicle, "--json", cwd=tmp_path)

@@ -2,7 +2,8 @@ import json
 
 import pytest
 
-from tests.cli.process import surctl
+from surctl.cli.output import same_command
+from tests.cli.process import LIBRARY, surctl
 from tests.tools import need_compiler
 
 STUDY = """
@@ -10,9 +11,6 @@ kind = "study"
 name = "small"
 vehicle = "sur400"
 runs = [{ scenario = "pool-behind" }]
-
-[sweep]
-axes = [{ gain = "k_v", values = [1.0, 2.0] }, { gain = "lookahead", values = [0.5, 0.8] }]
 
 [[goals]]
 name = "keep clear"
@@ -59,6 +57,38 @@ def test_a_hard_goal_that_cannot_be_met_ends_with_1_and_is_named(tmp_path):
     assert not done.json["accepted"] and done.json["unmet"] == ["keep clear"]
     head = (tmp_path / "surctl-out" / "gains.toml").read_text().splitlines()[0]
     assert head == "# HARD GOALS NOT MET (keep clear): best gains found, but do not use them on a vehicle"
+    # the log has no score, the miss has its run, and the next command shows this run
+    assert "best score" not in done.err and "fewest violated: 1 of 1 (keep clear)" in done.err
+    (miss,) = done.json["misses"]
+    assert (miss["case"], miss["seed"], miss["limit"]) == ("pool-behind/sur400/truth", 0, 5.0)
+    assert 0 < miss["figure"] < 5 and miss["ending"].startswith("reached at")
+    assert done.json["next"] == [
+        "surctl simulate pool-behind --vehicle sur400 --gains surctl-out/gains.toml "
+        "--law guarded --guidance los --sensing truth --seed 0 --explain"
+    ]
+
+
+def test_scenarios_that_the_hull_does_not_fit_are_left_out_by_either_way(tmp_path):
+    text = (LIBRARY / "vehicle" / "library" / "sur540-flooded.toml").read_text()
+    (tmp_path / "own.toml").write_text(text.replace("sur540-flooded", "own"))
+    goals = (
+        'kind = "goals"\nname = "g"\n[[goals]]\nname = "soon"\nmetric = "time_s"\nat_most = "50 s"\ncases = ["%s"]\n'
+    )
+    (tmp_path / "goals.toml").write_text(goals % "pool-static")
+    for words in (("own.toml",), ("--vehicle", "own.toml")):
+        done = surctl("tune", *words, "--goals", "goals.toml", cwd=tmp_path)
+        assert done.status == 2
+        said = [line for line in done.err.splitlines() if "is left out" in line]
+        assert [line.split()[0] for line in said[:2]] == ["pool-static", "pool-behind"]
+        assert all("inside a wall" in line for line in said)
+        assert "goals.toml: goals.soon.cases = 'pool-static': is left out: the 0.27 m hull of own" in done.complaint
+
+
+def test_the_command_to_repeat_replaces_the_options_that_it_changes(monkeypatch):
+    typed = "surctl tune --trials 32 a.toml --rounds=1 --vehicle x --seeds 1"
+    monkeypatch.setattr("sys.argv", typed.split())
+    assert same_command() == typed
+    assert same_command(trials=64, rounds=3) == "surctl tune a.toml --vehicle x --seeds 1 --trials 64 --rounds 3"
 
 
 def test_speeds_above_the_cap_are_told_with_the_file_before_anything_is_flown(tmp_path):
@@ -81,6 +111,8 @@ MISTAKES = {
     "goals that are not there": (("--goals", "none.toml"), "no such file"),
     "another kind of file": (("--goals", "small.toml"), "kind"),
     "an unknown guidance": (("--guidance", "ilo"), "'ilos'"),
+    "a scenario without the page": (("--scenario", "pool-ahead"), '[[runs]] with scenario = "pool-ahead"'),
+    "gains without the page": (("--gains", "mine.toml"), 'gains = "mine.toml" in a study file'),
     "no trials": (("--trials", "0"), "--trials"),
     "a study without one": (("none.toml",), "no such file"),
 }

@@ -15,7 +15,7 @@ from surctl.simulation import LIBRARY as SCENARIOS
 from surctl.study import LIBRARY as STUDIES
 from surctl.study import conduct, load_plan
 from surctl.study.shipping import with_perception
-from surctl.vehicle import LIBRARY
+from surctl.vehicle import LIBRARY, load_vehicle
 from tests.cli.process import surctl
 from tests.tools import PATIENCE, need_compiler
 
@@ -192,6 +192,25 @@ def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
     misfits = {leg.scenario.name: leg.misfit for leg in plan.legs if leg.misfit}
     assert set(misfits) == {"pool-static", "pool-behind"}
     assert "0.020 m inside a wall at the start" in misfits["pool-static"]
+
+
+def test_a_study_that_is_only_tuned_needs_no_sweep(tmp_path):
+    head = 'kind = "study"\nname = "small"\nvehicle = "sur400"\nruns = [{ scenario = "pool-behind" }]\n'
+    (tmp_path / "s.toml").write_text(head)
+    plan = load_plan(str(tmp_path / "s.toml"))
+    assert plan.axes == () and len(plan.deciding) == 1
+    with pytest.raises(InputError, match=r"s\.toml: sweep: is missing.*add axes"):
+        conduct(plan, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    done = surctl("lint", "s.toml", "--json", cwd=tmp_path)
+    assert done.json["next"] == ["surctl tune s.toml"]
+
+
+def test_other_vehicles_take_every_scenario_of_a_plan_that_they_fit():
+    plan = load_plan().by([load_vehicle(name) for name in ("sur400", "sur540-flooded")])
+    kept = [(leg.scenario.name, leg.vehicle.name) for leg in plan.deciding]
+    assert [v for s, v in kept if s == "pool-static"] == ["sur400"] and ("tank-static", "sur540-flooded") in kept
+    assert all("wall" in (leg.left_out or "") for leg in plan.left_out)
 
 
 def test_a_vehicle_that_fits_nowhere_is_told_why(tmp_path):

@@ -1,5 +1,6 @@
 """A closed loop that costs nothing: smooth figures of two gains, one plant parameter and the seed."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +52,7 @@ class Loop:
         clear = 0.09 - 0.05 * k1 + 0.01 * np.log(k_v) + luck - self.mass * np.abs(heavy)
         found = dict.fromkeys(METRICS, np.zeros(seed.shape))
         found["reached"] = np.where(k1 > 0.12, 1.0, 0.0) + 0 * seed
+        found["stopped"] = found["reached"]  # index in STOPS: 1 is "reached", 0 the time limit
         found["min_clearance_m"] = clear
         found["deviation_m"] = 0.1 + 0.05 / k1 + 0.05 * np.abs(np.log(k_v / 2)) + luck
         found["effort_n"] = 1.0 + 0.6 * k_v + 0.5 * k1 + 0 * seed
@@ -73,6 +75,7 @@ def install(monkeypatch, loop=None):
 
     loop = loop or Loop()
     monkeypatch.setattr(evaluation, "simulate_batch", loop)
+    monkeypatch.setattr(sys.modules["surctl.tuning.misses"], "simulate_batch", loop)
     monkeypatch.setattr(evaluation, "linear_table", linear)
     monkeypatch.setattr(cegis, "starting_sets", lambda *_, **__: [])
     monkeypatch.setattr(cegis, "refuted_claims", lambda *_, **__: ())

@@ -51,6 +51,21 @@ def test_bad_weights_are_named(key: str, value: np.ndarray) -> None:
         lqr_start(load_vehicle("sur400"), **{key: value}, **ABOUT)
 
 
+def test_a_search_without_a_regulator_advises_nothing_that_no_option_can_set(monkeypatch) -> None:
+    def none(*_: object, **__: object) -> None:
+        raise InputError("no cascade has a margin at the control period of 0.05 s", key="dt", remedy="shorten it")
+
+    monkeypatch.setattr("surctl.tuning.start.lqr_start", none)
+    gains = load_gains("default")
+    runs = conditions([Case(load_scenario("pool-behind"), load_vehicle("sur400"), gains)], seeds=[0])
+    told: list[str] = []
+    request = Request((Goal("near", "deviation_m", "m", 0.1),), runs, gains, gain_ranges(gains, ["k_v"]))
+    assert starting_sets(request, progress=told.append) == []
+    assert told == [
+        "sur400: no cascade has a margin at the control period of 0.05 s; the search starts without LQR gains"
+    ]
+
+
 def test_a_search_starts_from_the_regulator_and_from_the_descent() -> None:
     scenario, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
     poor = load_gains("default").with_values({"lookahead": 2.0})

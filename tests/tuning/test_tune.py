@@ -13,12 +13,16 @@ from hypothesis import strategies as st
 from surctl.control import load_gains, write_gains
 from surctl.errors import InputError
 from surctl.tuning import (
+    Counterexample,
     Goal,
+    advice,
     conditions,
     evaluate,
     figures,
     gain_ranges,
+    misses,
     search,
+    summary,
     tune,
     tuned_gains,
     tuning_dict,
@@ -256,6 +260,44 @@ def test_a_conflict_is_named_and_is_minimal(monkeypatch):
     assert not tuning.accepted and len(tuning.rounds) == 2
     assert "32 trials of the same request are resumed" in told, "nothing is feasible: the search goes on, once"
     assert tuning.conflict == ("keep clear", "stay very near")
+
+
+def test_a_missed_goal_names_its_run_and_the_advice_follows_the_cause(monkeypatch):
+    install(monkeypatch, Loop(mass=0.2))
+    far = replace(CLEAR, limit=0.2)
+    told = []
+    tuning = tune(heavy(goals=(far, NEAR)), trials=32, rounds=1, runs=0, progress=told.append)
+    [miss] = misses(tuning)
+    assert miss.figure == tuning.tuned.evaluation.figure[0, 0] and miss.run == tuning.request.conditions[0]
+    assert "keep clear in tank-static/sur540-flooded/truth, seed 0: min_clearance_m 0.0" in miss.text
+    assert miss.text.endswith(" s), bound ≥ 0.2 m; missed in 1 of 1 run") and "(reached at " in miss.text
+    assert advice(tuning, trials=32)[1] is False and "keep clear even without" in advice(tuning, trials=32)[0]
+    assert advice(replace(tuning, conflict=()), trials=32)[1] is True
+    assert not any("score" in line for line in told)
+    lost = [line for line in told if "trial 32/32" in line]
+    assert lost and all("fewest violated: 1 of 1 (keep clear)" in line for line in lost)
+    start = tuning.hand.evaluation
+    wild = np.full_like(start.normalised, np.inf)
+    none = replace(tuning.hand, evaluation=replace(start, normalised=wild, figure=np.full_like(wild, np.nan)))
+    table = summary(replace(tuning, hand=none))[:3]
+    assert "> 100 →" in table[1] and "no arrival" in table[1] and not any("inf" in row or "nan" in row for row in table)
+
+
+def test_a_refuted_goal_names_the_verifying_run(monkeypatch):
+    install(monkeypatch, Loop(mass=0.2))
+    tuning = tune(heavy(goals=(CLEAR, THRIFT)), trials=32, rounds=1, runs=50)
+    verified = tuning.result.verified
+    fresh = replace(tuning.result, verified=replace(verified, missed={"keep clear": 0.06}, counterexamples=(
+        Counterexample("keep clear", tuning.request.cases[0].name, 77, {"plant.m11": 90.0}, 0.031, 1.6),
+    )))  # fmt: skip
+    good = replace(tuning.tuned, evaluation=replace(tuning.tuned.evaluation, normalised=np.array([[0.9, 0.9]])))
+    light = tuple(c for c in tuning.request.conditions if c.goals is None)
+    easy = tuple(replace(g, limit=0.001) if g.name == "keep clear" else g for g in tuning.request.goals)
+    request = replace(tuning.request, goals=easy, conditions=light)
+    refuted = replace(tuning, rounds=(fresh,), tuned=good, request=request)
+    [miss] = misses(refuted)
+    assert "seed 77, m11 = 90: min_clearance_m 0.031 m" in miss.text
+    assert miss.text.endswith("missed in 6.00% of the verifying runs")
 
 
 def test_the_counterexamples_of_a_case_are_one_demand():

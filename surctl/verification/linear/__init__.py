@@ -3,7 +3,7 @@
 from surctl.verification.linear.corners import Corners, corners
 from surctl.verification.linear.disk import DiskMargin, disk_margin, disk_profile, structured_bounds
 from surctl.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
-from surctl.verification.linear.modes import Mode, bearable_speed, slowest_mode
+from surctl.verification.linear.modes import Mode, bearable_speed, cap_above_bearable, slowest_mode
 from surctl.verification.linear.places import DISK_PLACES, OpenLoop, open_loop
 from surctl.verification.linear.sampled import SampledLimits, largest_period, sampled_limits, sampled_poles
 from surctl.verification.linear.sensitivity import Sensitivity, sensitivity_of
@@ -20,6 +20,7 @@ __all__ = [
     "SampledLimits",
     "Sensitivity",
     "bearable_speed",
+    "cap_above_bearable",
     "closed_system",
     "corners",
     "disk_margin",

@@ -13,7 +13,7 @@ from surctl.vehicle import Vehicle, plant_parameters
 from surctl.vehicle.linearise import STATE_NAMES
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascade, build_cascades
 
-__all__ = ["Mode", "bearable_speed", "slowest_mode"]
+__all__ = ["Mode", "bearable_speed", "cap_above_bearable", "slowest_mode"]
 
 Array = NDArray[np.float64]
 
@@ -177,6 +177,30 @@ def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, m
             return float(high)
         low, high = float(speeds[lost[0] - 1]) if lost[0] else low, float(speeds[lost[0]])
     return low
+
+
+def cap_above_bearable(vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float) -> str | None:
+    """Return one line if the linear loop becomes unstable below the speed cap [m/s], with both speeds; otherwise None.
+
+    A cap that only the thrust limit makes unreachable gives None.
+
+    Raises:
+        InputError: a gain is missing or not positive.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification.linear import cap_above_bearable
+        >>> gains = load_gains("default").values
+        >>> cap_above_bearable(load_vehicle("bluerov2-wu"), gains, cap=0.47, dt=0.05)
+        'the cap of 0.47 m/s is above the bearable speed of ... m/s, up to which the linear loop ... is stable'
+        >>> cap_above_bearable(load_vehicle("sur400"), gains, cap=0.22, dt=0.05)
+    """
+    bearable = bearable_speed(vehicle, gains, dt=dt)
+    if bearable >= min(cap, _fastest(vehicle), _HIGHEST):
+        return None
+    stable = f"up to which the linear loop of {vehicle.name} is stable"
+    return f"the cap of {cap:g} m/s is above the bearable speed of {bearable:.3g} m/s, {stable}"
 
 
 def _fastest(vehicle: Vehicle) -> float:
