@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.law_option import trust_option
+from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.output import as_json, at_hand, finish, finite, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 
@@ -156,9 +156,10 @@ def tune(
         return
     if scenario or gains_file or port or no_browser:
         raise click.UsageError(_needs_page(scenario, gains_file))
-    from surctl.control import write_gains
+    from surctl.control import law_source, write_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
+    from surctl.own_code import label
     from surctl.study import load_plan
     from surctl.tuning import (
         Request,
@@ -169,6 +170,7 @@ def tune(
         default_tuned,
         gain_ranges,
         goals_at,
+        judged_goals,
         load_goals,
         misses,
         summary,
@@ -195,6 +197,13 @@ def tune(
     _check_cases(goals, plan, goals_file or plan.source)
     kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
     cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in pairs]
+    goals, unjudged = judged_goals(goals, cases)
+    for goal in unjudged:
+        omitted.append(f"goal {goal.name} is not judged: law {label(plan.law)} has no linear model")
+        progress(omitted[-1])
+    if not goals:
+        remedy = "add a goal on a metric of the runs, time_s say"
+        raise InputError("has no goal that can be judged", file=goals_file or plan.source, key="goals", remedy=remedy)
     all_runs = conditions(cases, seeds=range(seeds))
     try:
         check_goals(goals, all_runs)
@@ -221,6 +230,7 @@ def tune(
     result["left_out"] = [
         {"scenario": leg.scenario.name, "vehicle": leg.vehicle.name, "reason": leg.left_out} for leg in plan.left_out
     ]
+    result["not_judged"] = [goal.name for goal in unjudged]
     result["caps"] = caps = _caps(cases, {**plan.gains.values, **tuning.result.gains})
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     from surctl.report import save_tuning  # loads matplotlib only now
@@ -234,8 +244,10 @@ def tune(
     # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
     arguments = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
-    law = ["--law", plan.law, "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
-    then = [shlex.join(["surctl", "verify", *arguments]), shlex.join(["surctl", "export", *about, *law])]
+    law = [*law_words(plan.law), "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
+    then = [shlex.join(["surctl", "export", *about, *law])]
+    if law_source(plan.law).parts:  # the claims are about parts of the built-in laws
+        then = [shlex.join(["surctl", "verify", *arguments]), *then]
     if not tuning.accepted:
         missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]

@@ -1,4 +1,4 @@
-"""Conformance checks for custom laws, plants, controllers, tasks, limits and QP backends; a failed check reports the error and the point."""
+"""Conformance checks for custom laws, systems, tasks, limits and QP backends; a failed check states where it fails."""
 
 from surctl.testing.backends import BACKEND_FAMILIES, BackendReport, check_backend, measure_backend
 from surctl.testing.finding import CheckFailed

@@ -3,7 +3,17 @@
 from surctl.tuning.axes import SEED, Axis, Span, parse_axis
 from surctl.tuning.cegis import Tuning, tune
 from surctl.tuning.design import DESIGNS, Design, grid, make_design, saltelli, spread
-from surctl.tuning.evaluation import Condition, Evaluation, check_goals, conditions, corners, evaluate, figures, scope
+from surctl.tuning.evaluation import (
+    Condition,
+    Evaluation,
+    check_goals,
+    conditions,
+    corners,
+    evaluate,
+    figures,
+    judged_goals,
+    scope,
+)
 from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
 from surctl.tuning.goals import LIBRARY, Goal, GoalTable, goals_at, goals_from_tables, load_goals
 from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
@@ -67,6 +77,7 @@ __all__ = [
     "goals_at",
     "goals_from_tables",
     "grid",
+    "judged_goals",
     "load_goals",
     "load_sweep",
     "lqr_start",

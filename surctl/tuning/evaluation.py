@@ -14,6 +14,7 @@ from surctl.simulation import Case, case_parameters, simulate_batch
 from surctl.tuning.goals import Goal
 from surctl.vehicle import Vehicle
 from surctl.verification import check_held, linear_table
+from surctl.verification.cascade import has_cascade
 
 __all__ = [
     "Condition",
@@ -296,6 +297,23 @@ def figures(
     return table
 
 
+def judged_goals(goals: Sequence[Goal], cases: Sequence[Case]) -> tuple[tuple[Goal, ...], tuple[Goal, ...]]:
+    """Return the goals that can be judged for these cases, and those about a linear loop that the law does not have.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, build_cases, judged_goals
+        >>> goals = [Goal("soon", "time_s", "s", 20.5), Goal("robust", "disk_margin", "1", 0.6, "at least")]
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="dwa")
+        >>> [[goal.name for goal in part] for part in judged_goals(goals, cases)]
+        [['soon'], ['robust']]
+    """
+    linear = all(has_cascade(case.law, case.guidance) for case in cases)
+    left = tuple(goal for goal in goals if goal.linear and not linear)
+    return tuple(goal for goal in goals if goal not in left), left
+
+
 def row(sets: Sets, k: int) -> dict[str, float]:
     """Return the k-th gain set as gain → value."""
     return {name: float(values[k]) for name, values in sets.items()}
@@ -329,6 +347,8 @@ def _linear(
     case: Case, speed: float | None, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
 ) -> dict[str, NDArray[np.float64]]:
     # linear metrics (n, conditions), computed once for each plant: seeds have no effect
+    if not has_cascade(case.law, case.guidance):  # the metrics of another law would mislead
+        return dict.fromkeys(names, np.full((len(next(iter(sets.values()))), len(conditions)), np.nan))
     keys = [tuple(sorted(c.plant.items())) for c in conditions]
     plants = dict(zip(keys, conditions, strict=True))
     place = {key: k for k, key in enumerate(plants)}

@@ -13,7 +13,7 @@ from surctl.tuning.pool import Progress, Request
 from surctl.tuning.refine import refine
 from surctl.vehicle import Vehicle, linearise, plant_parameters
 from surctl.verification import CASCADE_GAINS, build_cascade, linear_table
-from surctl.verification.cascade import build_cascades
+from surctl.verification.cascade import build_cascades, has_cascade
 from surctl.verification.linear import slowest_mode
 
 __all__ = ["lqr_start", "starting_sets"]
@@ -31,13 +31,13 @@ def starting_sets(
 ) -> list[dict[str, float]]:
     """Return gain sets, within the search space, that a search simulates before it samples gain sets at random.
 
-    Each vehicle of the request gives one set: its `lqr_start`, with the start values of the request for the other
-    gains. If `descend` is true, one more set is returned: the start gains of the request, refined by exact gradients
-    (`refine`) over those cases that use mode nsb (closed form) and true positions. The refinement is optional, because
-    one gradient costs as much computing time as about a thousand compiled runs.
+    Each vehicle of the request gives one set, if the law has the linear loop of `lqr_start`: this start, with the start
+    values of the request for the other gains. If `descend` is true, one more set is returned: the start gains of the
+    request, refined by exact gradients (`refine`) over those cases that use mode nsb (closed form) and true positions.
+    The refinement is optional, because one gradient costs as much computing time as about a thousand compiled runs.
     """
     sets = []
-    for case in {c.vehicle.name: c for c in request.cases}.values():
+    for case in {c.vehicle.name: c for c in request.cases if has_cascade(c.law, c.guidance)}.values():
         try:
             regulator = lqr_start(case.model or case.vehicle, cruise=case.scenario.cruise, dt=case.build().dt)
         except InputError as error:

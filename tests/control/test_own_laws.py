@@ -217,3 +217,18 @@ def test_a_changed_file_is_not_run_under_the_old_name(law: str, tmp_path: Path) 
 def test_a_gain_spec_is_checked() -> None:
     with pytest.raises(InputError, match="is outside its range"):
         GainSpec("m", "x", default=1.0, range=(2.0, 3.0)).check_default("a.gains.g")
+
+
+def test_tuning_judges_no_margin_of_another_law(law: str, mission: Path, tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    study.write_text(
+        'kind = "study"\nname = "mine"\nvehicle = "sur540-flooded"\nlaw = "my_law.py:wall"\n[[runs]]\n'
+        'scenario = "water.toml"\n'
+    )
+    tuned = surctl("tune", study, "--trust", "--trials", 3, "--rounds", 1, "--monte-carlo", 2, "--out", tmp_path / "t")
+    assert "goal disk margin is not judged: law my_law.py:wall has no linear model" in tuned.output
+    goals = [line.split()[0] for line in tuned.output.splitlines() if " hard " in line]
+    assert goals
+    assert "disk" not in goals
+    assert "surctl verify" not in tuned.output
+    assert f"--law {own_file(law)}" in tuned.output
