@@ -1,5 +1,6 @@
 """Verdicts, remedies and next commands are about the vehicle, speed and scenario that were named."""
 
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +15,12 @@ from surctl.cli.vehicle_choice import DEFAULT_VEHICLE, choose_vehicle
 from surctl.cli.verify import _speeds
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
+from surctl.simulation import LIBRARY as SCENARIOS
 from surctl.simulation import load_scenario, simulate
 from surctl.vehicle import load_vehicle
 from surctl.verification import check_held
 from tests.cli.process import surctl
+from tests.tools import need_compiler
 
 GAINS = load_gains("default")
 WU = load_vehicle("bluerov2-wu")
@@ -94,6 +97,17 @@ def test_a_replayed_run_that_collides_fails_in_one_line() -> None:
     touching = replace(run, metrics=replace(run.metrics, reached=True, min_clearance_m=0.0))
     assert "the hull touches an obstacle or wall (clearance 0.000 m)" in (failure(touching) or "")
     assert failure(replace(run, metrics=replace(run.metrics, reached=True))) is None
+
+
+def test_an_export_whose_replayed_run_fails_warns_and_exits_with_1(tmp_path: Path) -> None:
+    need_compiler()
+    text = (SCENARIOS / "pool-static.toml").read_text(encoding="utf-8")
+    (tmp_path / "short.toml").write_text(re.sub(r"(?m)^time_limit_s = .*$", "time_limit_s = 1.0", text))
+    words = ("export", "--scenario", "short.toml", "--law", "closed_form", "--sensing", "truth", "--out", "code")
+    done = surctl(*words, cwd=tmp_path)
+    [warning] = [line for line in done.out.splitlines() if line.startswith("warning")]
+    assert done.status == 1 and "pool-static by sur400: it does not arrive (time limit at " in warning
+    assert warning.endswith("see: surctl simulate short.toml --law closed_form") and "passed over" in done.out
 
 
 def test_next_commands_carry_scenario_vehicle_and_gains() -> None:

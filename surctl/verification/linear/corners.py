@@ -85,7 +85,7 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
 
 def _label(vehicle: Vehicle, groups: list[list[str]]) -> str:
     units = {name: vehicle.parameters[name].unit for group in groups for name in group}
-    return ", ".join(f"{name} = {vehicle[name]:g}" + (f" {u}" if u != "1" else "") for name, u in units.items())
+    return ", ".join(f"{name} = {vehicle[name]:.4g}" + (f" {u}" if u != "1" else "") for name, u in units.items())
 
 
 def _alike(vehicle: Vehicle) -> bool:

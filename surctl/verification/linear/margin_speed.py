@@ -15,7 +15,7 @@ from surctl.verification.linear.side import alike_in_states, built, can_cruise
 __all__ = ["LEAST_DISK_MARGIN", "margin_speed"]
 
 LEAST_DISK_MARGIN = 0.3
-"""Disk margin of all loops that `surctl verify` asks of every corner: all gains off by 26 %, or all phases by 17 deg."""
+"""Disk margin of all loops that `surctl verify` asks of every corner: gains off by 26 %, or phases by 17 deg."""
 
 _STEPS, _HALVINGS = 12, 6
 
