@@ -88,9 +88,7 @@ def simulate(
     as_json: bool,
 ) -> None:
     """Simulate scenarios in closed loop. Exit status: 1 if a run collides or does not arrive.
-
-    The path error is the rms distance to the path outside avoidance; the deviation (deviation_m, with --json) is the
-    rms horizontal distance over the whole run.
+    Path error: rms distance to the path outside avoidance.
 
     Sensor options override the scenario's tables. A campaign (--monte-carlo, --random-worlds) saves its runs in DIR and
     resumes there. --controller compares each command of the exported C with Python's.

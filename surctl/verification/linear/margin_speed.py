@@ -70,8 +70,8 @@ def _search(
     low, high = float(speeds[first]), float(speeds[first + 1])
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        kept = _peaks([vehicle], gains, [middle], dt=dt, model=model, least=least)[0, 0] <= _level(least)
-        low, high = (middle, high) if kept else (low, middle)
+        enough = _peaks([vehicle], gains, [middle], dt=dt, model=model, least=least)[0, 0] <= _level(least)
+        low, high = (middle, high) if enough else (low, middle)
     return low
 
 
@@ -91,9 +91,9 @@ def _peaks(
         for group in alike_in_states(able) if able else []:
             cascades = built(group, gains, speed, dt, model, None)
             if least > 0:
-                found = np.max([screened_peaks(open_loop(cascades, place)) for place in DISK_PLACES[:2]], axis=0)
+                values = np.max([screened_peaks(open_loop(cascades, place)) for place in DISK_PLACES[:2]], axis=0)
             else:
-                found = cascades.poles[:, 0].real + 1e-9
-            for vehicle, value in zip(group, found.tolist(), strict=True):
+                values = cascades.poles[:, 0].real + 1e-9
+            for vehicle, value in zip(group, values.tolist(), strict=True):
                 peaks[next(i for i, one in enumerate(vehicles) if one is vehicle), k] = value
     return peaks
