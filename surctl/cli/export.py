@@ -226,6 +226,7 @@ def export(
     if report is not None:
         result["check"] = report.to_dict()
     failed = failure(run)
+    result |= {"failure": failed}
     replay_text = f"replayed: {mission.name} by {robot.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
     lines = [*(f"{f.sha256[:12]}  {f.path}" for f in files), "", f"{replay_text}{metrics.time_s:.2f} s", sil.summary()]
     lines.insert(len(files) + 1, choice.line(robot.name))
