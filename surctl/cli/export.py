@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -210,7 +211,8 @@ def export(
             if check
             else None
         )
-    result = {
+    result: dict[str, Any] = {
+        "failure": failure(run),
         "name": bundle.name,
         "id": bundle.id,
         "vehicle_from": choice.origin,
@@ -225,8 +227,7 @@ def export(
     started = _how_to_start(out, click.get_current_context())
     if report is not None:
         result["check"] = report.to_dict()
-    failed = failure(run)
-    result |= {"failure": failed}
+    failed = result["failure"]
     replay_text = f"replayed: {mission.name} by {robot.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
     lines = [*(f"{f.sha256[:12]}  {f.path}" for f in files), "", f"{replay_text}{metrics.time_s:.2f} s", sil.summary()]
     lines.insert(len(files) + 1, choice.line(robot.name))
