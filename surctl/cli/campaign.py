@@ -135,8 +135,12 @@ class CampaignOptions:
             return [MonteCarlo(case, seed) for case in cases]
         return [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
 
-    def run(self, plans: list[Plan], *, runs: int, out: Path | None, as_json: bool) -> None:
-        """Simulate the campaigns, store them in `out`, print their results, and end the command."""
+    def run(self, plans: list[Plan], *, vehicle: str | None, runs: int, out: Path | None, as_json: bool) -> None:
+        """Simulate the campaigns, store them in `out`, print their results, and end the command.
+
+        `vehicle` is the value of the option `--vehicle`, or None.
+        """
+        from surctl.cli.vehicle_choice import choose_vehicle
         from surctl.errors import InputError
         from surctl.files import write_file
         from surctl.simulation.campaign import CampaignFolder, run_campaign
@@ -161,7 +165,10 @@ class CampaignOptions:
             worst = 5 if self.worst is None else self.worst
             files = [] if folder is None else folder.write(campaign, worst=worst)
             reports.append(_report(campaign, files, worst))
-            lines += _lines(campaign, files, worst)
+            own = None if self.worlds is not None else (plan.case.scenario.name, plan.case.scenario.vehicle)
+            choice = choose_vehicle(vehicle, own)
+            reports[-1]["vehicle_from"] = choice.origin
+            lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst)]
             good = good and campaign.summary.stopped["reached"].count == runs
         if out is not None:
             import json
@@ -220,6 +227,8 @@ def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
     case, table = campaign.plan.case, campaign.table
     lines = [f"{campaign.plan.name} by {case.vehicle.name}, law {label(case.law)}, {case.sensing}, {len(table)} runs:"]
     lines += campaign.summary.lines()
+    if case.law == "guarded" and campaign.summary.violated:
+        lines.append(f"  the no-contact claim: {_claim(case).statement}")
     for place, k in enumerate(table.worst(worst)):
         time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]
         broken = f", violated: {', '.join(table.broken[k])}" if table.broken[k] else ""

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
 from surctl.cli.law_option import law_option
+from surctl.cli.next_export import MISSION
 from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 
 __all__ = ["export"]
-
-MISSION = "pool-static"
-"""The default scenario of an export."""
 
 
 @click.command
@@ -105,7 +104,7 @@ def export(
     Sensor options override the scenario's tables. --check also runs the code built by gcc and clang at -O0 to -O3 and
     on QEMU's Cortex-M3, -M4F and -M7. Every output byte must equal Python's; code sizes and instruction counts are
     printed. --prove takes minutes with sonar sensing; it covers gains within the ranges of the gain file. Exit status:
-    1 if C and Python differ.
+    1 if C and Python differ, or if the replayed run collides or does not arrive.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --sensing truth --real float32
     --check; surctl export --priority-mode projected --fallback bounded; surctl export --law closed_form --sensing truth
@@ -116,6 +115,8 @@ def export(
 
     import numpy as np
 
+    from surctl.cli.single_run import failure
+    from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import build_law, law_ref, law_source, load_gains
     from surctl.errors import InputError, nearest
     from surctl.export import (
@@ -155,7 +156,8 @@ def export(
     law = law_ref(law, key="--law")
     sensors.check(law=law, sensing=sensing)
     mission = sensors.over(load_scenario(scenario))
-    robot = load_vehicle(mission.vehicle if vehicle is None else vehicle)
+    choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
+    robot = load_vehicle(choice.word)
     equipment = mission.sensors.on(robot["radius"])
     built = build_law(
         law,
@@ -206,9 +208,11 @@ def export(
             if check
             else None
         )
-    result = {
+    result: dict[str, Any] = {
+        "failure": failure(run),
         "name": bundle.name,
         "id": bundle.id,
+        "vehicle_from": choice.origin,
         "files": [str(f.path) for f in files],
         "sha256": {f.path.name: f.sha256 for f in files},
         "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
@@ -220,8 +224,11 @@ def export(
     started = _how_to_start(out, click.get_current_context())
     if report is not None:
         result["check"] = report.to_dict()
+    failed = result["failure"]
     replay_text = f"replayed: {mission.name} by {robot.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
     lines = [*(f"{f.sha256[:12]}  {f.path}" for f in files), "", f"{replay_text}{metrics.time_s:.2f} s", sil.summary()]
+    lines.insert(len(files) + 1, choice.line(robot.name))
+    lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
     lines += [] if proof is None else ["", proof.summary()]
     lines += [] if report is None else ["", report.summary()]
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(out)]) for file in certificates[:1]]
@@ -229,7 +236,10 @@ def export(
         result,
         lines,
         as_json=as_json,
-        passed=sil.conclusive and (report is None or report.passed) and (proof is None or proof.proved),
+        passed=failed is None
+        and sil.conclusive
+        and (report is None or report.passed)
+        and (proof is None or proof.proved),
         then=[*belong, *started],
     )
 
@@ -238,6 +248,11 @@ _RUN_OPTIONS = (
     *("vehicle", "gains", "law", "avoidance", "guidance", "priority_mode", "fallback", "sensing"),
     *("faults", "chances", "beam", "own_state", "seed"),
 )
+
+
+def _again(command: str) -> str:
+    """Return the command that simulates the replayed run in Python, without the exported controller."""
+    return command.partition(" --controller ")[0]
 
 
 def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:

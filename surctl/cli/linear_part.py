@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from surctl.vehicle import Vehicle
 
-__all__ = ["LinearPart", "linear_part", "over_speeds"]
+__all__ = ["LinearPart", "linear_part", "over_speeds", "speed_lines"]
 
 
 class LinearPart(NamedTuple):
@@ -65,7 +65,10 @@ def linear_part(
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
     off = f" with mass and drag off by ±{uncertainty:.0%}" if uncertainty else ""
-    word = f"stable, least delay margin {least.delay_margin_s:.2f} s ({least.name})" if stable else "UNSTABLE"
+    word = f"stable, disk margin of all loops {_disk(nominal.disk)}" if mode.stable else f"UNSTABLE (loop {mode.loop})"
+    if len(tried.vehicles) > 1:
+        word += f", at the worst corner {_disk(worst.disk)}" if worst.stable else f", UNSTABLE at {worst.corner}"
+    word += f", least delay margin {least.delay_margin_s:.2f} s ({least.name})" if stable else ""
     lines = [f"margins of {vehicle.name}{off}: {word}", *mode.lines()]
     if not stable:
         lines.append(
@@ -77,6 +80,8 @@ def linear_part(
         peaks = "; ".join(f"S {c.S.max():.2f}, T {c.T.max():.2f} ({c.place})" for c in curves)
         lines.append(f"  largest sensitivity of all loops together: {peaks}")
     lines += [*nominal.lines(), *(worst.lines() if len(tried.vehicles) > 1 else [])]
+    if len(tried.vehicles) > 1 and not worst.stable and worst.at is not None:
+        lines += slowest_mode(worst.at, gains, cruise=cruise, dt=dt, model=vehicle).remedy_lines()
     data = {
         "margins": [m.to_dict() for m in margins],
         "linear": {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": mode.to_dict()}
@@ -85,6 +90,38 @@ def linear_part(
     disk = min(m.disk_margin for m in margins)
     peak = max((float(c.S.max()) for c in curves), default=math.inf)
     return LinearPart(lines, data, stable, cruise, least.delay_margin_s, disk, peak)
+
+
+def speed_lines(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float, uncertainty: float
+) -> tuple[list[str], dict[str, float]]:
+    """Return the speeds [m/s] with stability and with a disk margin over the corners: lines to print, and numbers.
+
+    A line flags a speed cap [m/s] above them.
+    """
+    from surctl.verification.linear import LEAST_DISK_MARGIN, bearable_speed, corners, margin_speed
+
+    tried = corners(vehicle, uncertainty or None)
+    nominal = bearable_speed(vehicle, gains, dt=dt)
+    stable = margin_speed(tried, gains, dt=dt, highest=nominal, least=0.0)
+    robust = margin_speed(tried, gains, dt=dt, highest=stable)
+    whom = "the nominal vehicle and the corners" if len(tried.vehicles) > 1 else "the nominal vehicle"
+    margin = f"disk margin of all loops at least {LEAST_DISK_MARGIN:g}"
+    held = f"up to {robust:.3g} m/s" if robust > 0 else "at no speed with these gains (surctl tune searches others)"
+    lines = [f"speeds of {whom}: stable with enough thrust up to {stable:.3g} m/s; {margin} {held}"]
+    limits = (
+        (nominal, "the bearable speed"),
+        (stable, "up to which every corner is stable and has enough thrust"),
+        (robust, "up to which every corner has that disk margin"),
+    )
+    over = next((f"exceeds {limit:.3g} m/s, {what}" for limit, what in limits if cap > limit > 0), None)
+    lines += [] if over is None else [f"  warning: the cap, {cap:g} m/s, {over}; lower it"]
+    numbers = {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
+    return lines, numbers
+
+
+def _disk(margin: float) -> str:
+    return "not determined" if math.isnan(margin) else f"{margin:.2f}"
 
 
 def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:

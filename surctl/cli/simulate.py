@@ -86,6 +86,7 @@ def simulate(
     as_json: bool,
 ) -> None:
     """Simulate scenarios in closed loop. Exit status: 1 if a run collides or does not arrive.
+    Path error: rms distance to the path outside avoidance.
 
     Sensor options override the scenario's tables. A campaign (--monte-carlo, --random-worlds) saves its runs in DIR and
     resumes there. --controller compares each command of the exported C with Python's.
@@ -102,6 +103,7 @@ def simulate(
         simulate_again(replayed, trust=trust, explained=explained, out=out, animate=animate, as_json=as_json)
     campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     _check_fallback(fallback, mode=priority_mode, explained=explained, campaign=campaign.any)
+    from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import build_law, law_ref, law_source, load_gains
     from surctl.files import prepare_folder
     from surctl.simulation import law_numbers, load_scenario, save_record, stop_reason
@@ -130,9 +132,10 @@ def simulate(
             sensing=sensing,
             seed=seed,
         )
-        campaign.run(campaign_plans, runs=worlds or runs, out=out, as_json=as_json)
+        campaign.run(campaign_plans, vehicle=vehicle, runs=worlds or runs, out=out, as_json=as_json)
     plans = [sensors.over(load_scenario(name)) for name in scenarios]
-    vehicles = [load_vehicle(scenario.vehicle if vehicle is None else vehicle) for scenario in plans]
+    choices = [choose_vehicle(vehicle, (scenario.name, scenario.vehicle)) for scenario in plans]
+    vehicles = [load_vehicle(choice.word) for choice in choices]
     laws = [  # built after the other checks, because it takes a second
         build_law(
             law,
@@ -151,7 +154,8 @@ def simulate(
     results, lines = [], list[str]()
     message = "the runs above are finished" + (f", files in {out}" if out else "") + "; --seed N starts at another seed"
     with stoppable(message if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
-        for scenario, simulated, built in zip(plans, vehicles, laws, strict=True):
+        for scenario, choice, simulated, built in zip(plans, choices, vehicles, laws, strict=True):
+            lines.append(choice.line(simulated.name))
             p = law_numbers(scenario, chosen, simulated)
             with link.opened(built, p, scenario, simulated) as line:
                 for k in range(seed, seed + runs):
@@ -159,7 +163,7 @@ def simulate(
                     run = run_simulation(
                         scenario, simulated, gains=chosen, law=built, sensing=sensing, seed=k, stepper=linked
                     )
-                    results.append(run.to_dict())
+                    results.append(run.to_dict() | {"vehicle_from": choice.origin})
                     if sensing == "sonar":
                         results[-1]["sensors"] = sensor_data(scenario)
                     lines.append(run_line(run))
@@ -179,7 +183,7 @@ def simulate(
                         lines.append(f"  {report.line()}")
                         if report.gone_s is not None:
                             break
-    good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)
+    good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)  # as `failure` says of one run
     good = good and not any("link" in r and r["link"]["differing"] for r in results)
     finish({"runs": results}, lines, as_json=as_json, passed=good)
 

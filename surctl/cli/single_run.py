@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from surctl.simulation import Run
 
-__all__ = ["further_output", "linear_part", "run_line"]
+__all__ = ["failure", "further_output", "linear_part", "run_line"]
 
 
 def run_line(run: Run) -> str:
@@ -22,6 +22,14 @@ def run_line(run: Run) -> str:
         f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
         f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m{missed}"
     )
+
+
+def failure(run: Run) -> str | None:
+    """Return why a run fails, which ends a command with exit status 1; None if it arrives without contact."""
+    m = run.metrics
+    why = [] if m.reached else [f"it does not arrive ({m.stopped_because} at {m.time_s:.2f} s)"]
+    why += [f"the hull touches an obstacle or wall (clearance {m.min_clearance_m:.3f} m)"] * (m.min_clearance_m <= 0)
+    return f"{run.scenario.name} by {run.vehicle.name}: {', and '.join(why)}" if why else None
 
 
 def linear_part(run: Run, result: dict[str, Any]) -> list[str]:

@@ -45,7 +45,9 @@ def study(file: str | None, out: Path, workers: int, trust: bool, as_json: bool)
     marks = {True: "ok  ", False: "FAIL", None: "    "}
     lines += [f"{marks[note.passed]} {note.text}" for note in result.notes]
     lines += ["", "loop          gain   phase   delay   disk"]
-    for m in result.margins:
+    if not all(m.stable for m in result.margins):
+        lines.append(f"unstable      loop {result.mode.loop}; margins of an unstable loop are 0")
+    for m in result.margins if all(m.stable for m in result.margins) else ():
         numbers = f"{m.gain_margin:5.2f} {m.phase_margin_deg:6.1f}° {m.delay_margin_s:6.2f}s {m.disk_margin:6.2f}"
         lines.append(f"{m.name:<12} {numbers}")
     lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]

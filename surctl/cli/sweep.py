@@ -33,6 +33,7 @@ _PRINTED = (  # columns of the text output
     "deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin",
     "disk_margin_at_m_per_s", "reached_worst", "score", "feasible",
 )  # fmt: skip
+_EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed below the points: their names are alike
 
 
 @click.command
@@ -191,7 +192,7 @@ def sweep(
         axis = next(axis for axis in table.axes if axis.name == locus)
         poles = _locus(cases, table.gains, locus, axis.values, at)
         pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
-    lines = _lines(table, sobol)
+    lines = [*_vehicles(cases, vehicles), *_lines(table, sobol)]
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
     lines += ["", where, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
@@ -211,6 +212,15 @@ def sweep(
         "table": str(table.path),
     }
     finish(data, lines, as_json=as_json, passed=picked is not None, then=then)
+
+
+def _vehicles(cases: Sequence[Case], typed: Sequence[str]) -> list[str]:
+    """Return a line for each vehicle of a scenario, with the origin of the choice."""
+    from surctl.cli.vehicle_choice import choose_vehicle
+
+    option = next(iter(typed), None)
+    choices = [(choose_vehicle(option, (c.scenario.name, c.scenario.vehicle)), c.vehicle.name) for c in cases]
+    return list(dict.fromkeys(choice.line(name) for choice, name in choices))
 
 
 def _executor(workers: int | None, dask: str | None) -> Executor:
@@ -269,10 +279,13 @@ def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
         ]
     import numpy as np
 
+    from surctl.simulation import METRICS
+
     indices = list(np.ndindex(table.shape))
     columns = {name: table.column(name) for name in _PRINTED if name in table.columns}
     rows = [table.at(index) | {name: float(v[index]) for name, v in columns.items()} for index in indices[:_SHOWN]]
     lines = ["  ".join(f"{name}={value:.4g}" for name, value in row.items()) for row in rows]
+    lines += [f"  {name}: {METRICS[name].meaning}" for name in _EXPLAINED if name in columns]
     if len(indices) > _SHOWN:
         lines.append(f"... and {len(indices) - _SHOWN} more points in the table")
     return lines

@@ -18,7 +18,6 @@ from surctl.cli.speeds import SPEEDS
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from surctl.control import Law
     from surctl.errors import NotApplicable
     from surctl.simulation import SafetyClaim
     from surctl.vehicle import Vehicle
@@ -33,9 +32,7 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 
 @click.command
 @click.argument("claims", nargs=-1, metavar="[CLAIM | FILE.toml]...")
-@click.option(
-    "--vehicle", default="sur540-flooded", metavar="FILE", help="Vehicle: name or file (default sur540-flooded)."
-)
+@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's, else sur540-flooded).")
 @click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
 @click.option(
     "--uncertainty",
@@ -77,7 +74,7 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 @as_json
 def verify(
     claims: tuple[str, ...],
-    vehicle: str,
+    vehicle: str | None,
     gains: str,
     uncertainty: float,
     cruise: tuple[float, ...] | None,
@@ -111,11 +108,14 @@ def verify(
     braking-inertia-20 --scenario tank-static --uncertainty 0.2
     """
     from surctl.cli.braking import is_braking, prove_all
-    from surctl.cli.linear_part import linear_part, over_speeds
+    from surctl.cli.linear_part import linear_part, over_speeds, speed_lines
+    from surctl.cli.next_export import export_command
     from surctl.cli.regions import is_region, prove_regions, region_of
+    from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import build_law, load_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder
+    from surctl.simulation import load_scenario
     from surctl.vehicle import load_vehicle
     from surctl.verification import Inapplicable, check_held, decide, write_claim
     from surctl.verification.region import write_region
@@ -123,7 +123,9 @@ def verify(
     if time_limit != time_limit:  # click accepts NaN in any range
         raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     values = load_gains(gains).values
-    robot = load_vehicle(vehicle)
+    mission = None if scenario is None else load_scenario(scenario)
+    choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
+    vehicle, robot = choice.word, load_vehicle(choice.word)
     speeds = _speeds(None if cruise is None else max(cruise), cap, scenario)
     at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
     named = [name for name in claims if not is_region(name) and not is_braking(name)]
@@ -161,9 +163,13 @@ def verify(
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
-    lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, vehicle {robot.name}:")
+    lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
     lines += linear.lines
+    held, held_data = ([], {}) if linear.stable is None else speed_lines(robot, values, cap=speeds[1], **about)
+    lines += held
     result: dict[str, Any] = {
+        "vehicle": robot.name,
+        "vehicle_from": choice.origin,
         "claims": [
             *(_verdict_data(v, files) for v in verdicts),
             *(one.to_dict() for one in refused),
@@ -173,6 +179,7 @@ def verify(
         "uncertainty": uncertainty,
         "cruise_m_per_s": speeds[0],
         "cap_m_per_s": speeds[1],
+        "speeds_m_per_s": held_data,
         **linear.data,
     }  # fmt: skip
     for name in stacks:
@@ -184,19 +191,24 @@ def verify(
         margins_at = None if linear.stable is None else cruise or speeds[:1]
         result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=law.dt)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
-    good = linear.stable is not False and regions.passed and braked.passed
-    good = good and all(v.as_expected for v in verdicts) and not (named and refused)
+    failures = [f"the linear loop is unstable at {speeds[0]:g} m/s"] * (linear.stable is False)
+    failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
+    others = [*regions.claims, *braked.claims, *(one.to_dict() for one in refused if named)]
+    failures += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]
     if safety is not None:
         lines += safety.lines()
         result["safety"] = safety.to_dict()
-        good = good and safety.holds
+        failures += [] if safety.holds else [f"the no-contact claim does not hold ({safety.shortfall})"]
+    if failures:
+        lines.append(f"exit status 1, because {'; '.join(failures)}")
+        result["failures"] = failures
     proved = any(claim["verdict"] == "proved" for claim in result["claims"])
     then = [f"{same_command()} --out proofs"] if proved and out is None else []
     if not then:
         then = [shlex.join(["surctl", "check", str(file)]) for file in certificates[:1]]
         if linear.stable:
-            then += _export(scenario, vehicle, gains, certificates, law)
-    finish(result, lines, as_json=as_json, passed=good, then=then)
+            then += export_command(scenario, vehicle, gains, certificates)
+    finish(result, lines, as_json=as_json, passed=not failures, then=then)
 
 
 def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tuple[float, float]:
@@ -204,7 +216,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
 
     The default speed limit is that of the scenario; it is scaled up in proportion if the cruise speed exceeds it.
     """
-    from surctl.cli.export import MISSION
+    from surctl.cli.next_export import MISSION
     from surctl.errors import InputError
     from surctl.simulation import load_scenario
 
@@ -216,30 +228,6 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
         problem = f"must not be below the cruise speed, {speed:g} m/s"
         raise InputError(problem, key="--cap", value=cap, remedy="raise it")
     return speed, cap
-
-
-def _export(scenario: str | None, vehicle: str, gains: str, certificates: Sequence[Path], law: Law) -> list[str]:
-    # with the certificates that apply; empty if the vehicle cannot start the mission
-    from surctl.cli.export import MISSION
-    from surctl.control import load_gains
-    from surctl.errors import InputError
-    from surctl.export import fitting_certificates
-    from surctl.simulation import build_world, law_numbers, load_scenario
-    from surctl.vehicle import load_vehicle
-
-    mission, robot = load_scenario(MISSION if scenario is None else scenario), load_vehicle(vehicle)
-    try:
-        build_world(mission, robot, seed=0)
-    except InputError:  # the start lies inside an obstacle
-        return []
-    travel = (
-        fitting_certificates(certificates, law, robot, law_numbers(mission, load_gains(gains), robot))
-        if certificates
-        else []
-    )
-    words = ["surctl", "export", *(() if scenario is None else ("--scenario", scenario))]
-    words += ["--vehicle", vehicle, "--gains", gains]
-    return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
 
 
 def _safety(

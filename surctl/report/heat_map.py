@@ -17,7 +17,7 @@ __all__ = ["COLUMN_TITLES", "axis_title", "column_title", "plot_heat_map"]
 
 COLUMN_TITLES = {
     "score": "score (low is good)",
-    "deviation_m": "deviation from the path (low is good)",
+    "deviation_m": "deviation from the path over the whole run (low is good)",
     "path_error_m": "path error outside avoidance (low is good)",
     "time_s": "time to the target (low is good)",
     "min_clearance_m_worst": "least clearance (high is good)",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from math import inf, isfinite
+from math import ceil, inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,31 @@ class SafetyClaim:
             for what, figures in (("assumes", self.assumptions), ("gives", self.derived))
             for f in figures
         ]
-        return [head, *rows, f"  {'holds' if self.holds else 'DOES NOT HOLD at every speed up to the cap'}"]
+        end = "holds" if self.holds else f"DOES NOT HOLD at every speed up to the cap: {self.shortfall}"
+        return [head, *rows, f"  {end}"]
+
+    @property
+    def least_margin(self) -> float:
+        """The least value [m] of the gain `margin`, rounded up to 1 mm, with which it is enough; inf if none is."""
+        needed = self["margin needed"]
+        return ceil(needed * 1e3 - 1e-9) / 1e3 if isfinite(needed) else inf
+
+    @property
+    def shortfall(self) -> str:
+        """Which numbers are not enough, by how much, and what to change; empty text if the claim holds."""
+        parts = []
+        if self["margin needed"] > self["margin"]:
+            slow = self["covered speed"]
+            remedy = f"set margin = {self.least_margin:g} in the gain file" if isfinite(self.least_margin) else ""
+            slower = f"lower the speed cap to {slow:.3g} m/s or less" if slow > 0 else ""
+            what = (
+                f"braking needs a margin of {self['margin needed']:.3g} m, and the gain margin is {self['margin']:g} m"
+            )
+            parts.append(f"{what}; {' or '.join(filter(None, (remedy, slower))) or 'lower the speed cap'}")
+        if self["range needed"] > self["detection range"]:
+            what = f"obstacles must be detected at {self['range needed']:.3g} m, and the sensors reach"
+            parts.append(f"{what} {self['detection range']:.3g} m; lower the speed cap")
+        return "; ".join(parts)
 
 
 def safety_claim(

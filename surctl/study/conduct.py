@@ -30,7 +30,7 @@ from surctl.verification import (
     loop_margins,
     over_speeds,
 )
-from surctl.verification.linear import LinearSide, corners, linear_side, worst_linear_side
+from surctl.verification.linear import LinearSide, Mode, corners, linear_side, slowest_mode, worst_linear_side
 
 if TYPE_CHECKING:
     from surctl.report import ExportSummary
@@ -54,6 +54,7 @@ class Study:
         replayed: the sonar runs that the exported C replayed: runs of the exported law in which the hull fits the site.
         linear: linear analysis of the nominal vehicle, and linear analysis of the worst vehicle over the corners of its
             parameter ranges.
+        mode: slowest mode of the nominal vehicle at the largest simulated cruise speed.
         over: metrics of the linear loops at the plan's cruise speeds; None if the plan names no cruise speed.
         sil: software-in-the-loop (SIL) reports, one report for each replayed run.
     """
@@ -62,6 +63,7 @@ class Study:
     sweep: SweepTable
     margins: tuple[LoopMargins, ...]
     linear: tuple[LinearSide, LinearSide]
+    mode: Mode
     over: OverSpeeds | None
     verdicts: tuple[Verdict, ...]
     inapplicable: tuple[Inapplicable, ...]
@@ -101,7 +103,11 @@ class Study:
                 "columns": {name: self.sweep.column(name).tolist() for name in self.sweep.columns},
             },
             "margins": [m.to_dict() for m in self.margins],
-            "linear": {"nominal": self.linear[0].to_dict(), "worst": self.linear[1].to_dict()}
+            "linear": {
+                "nominal": self.linear[0].to_dict(),
+                "worst": self.linear[1].to_dict(),
+                "mode": self.mode.to_dict(),
+            }
             | ({} if self.over is None else {"speeds": self.over.to_dict()}),
             "verdicts": [*(v.to_dict() for v in self.verdicts), *(v.to_dict() for v in self.inapplicable)],
             "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
@@ -178,6 +184,7 @@ def conduct(
             margins = loop_margins(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
             over = over_speeds(plan.vehicle, swept.gains.values, cruise=plan.cruise, dt=law.dt) if plan.cruise else None
             poles = closed_loop_poles(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
+            mode = slowest_mode(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
             linear = (
                 linear_side(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt),
                 worst_linear_side(corners(plan.vehicle), swept.gains.values, cruise=cruise, dt=law.dt),
@@ -218,7 +225,13 @@ def conduct(
         with clock("software in the loop"):
             sil = shipment.replayed(replayed)
     notes = summary(
-        plan, swept, (margins, over), (*verdicts, *inapplicable), tuple(zip(runs, deciding, strict=True)), sil
+        plan,
+        swept,
+        (margins, over),
+        (*verdicts, *inapplicable),
+        tuple(zip(runs, deciding, strict=True)),
+        sil,
+        mode=mode,
     )
     notes += left_out([run for run in sonar_runs if run not in replayed])
     with clock("report"):
@@ -235,6 +248,7 @@ def conduct(
         swept,
         margins,
         linear,
+        mode,
         over,
         verdicts,
         inapplicable,

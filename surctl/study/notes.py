@@ -11,8 +11,9 @@ from surctl.simulation import Run
 from surctl.study.plan import Plan
 from surctl.tuning import SweepTable
 from surctl.verification import Inapplicable, LoopMargins, OverSpeeds, Verdict, speeds_text
+from surctl.verification.linear import Mode
 
-__all__ = ["Note", "left_out", "summary"]
+__all__ = ["Note", "left_out", "summary", "unstable_text"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ def summary(
     verdicts: Sequence[Verdict | Inapplicable],
     runs: Sequence[tuple[Run, bool]],
     sil: Sequence[SilReport],
+    *,
+    mode: Mode | None = None,
 ) -> tuple[Note, ...]:
     """Return the notes that summarise the results of a study.
 
@@ -45,6 +48,7 @@ def summary(
         verdicts: verdicts on the claims of the study.
         runs: runs of the study, each with a flag that says whether the run counts towards the result.
         sil: software-in-the-loop (SIL) reports, one report for each run that the exported law replayed.
+        mode: slowest mode at the largest simulated cruise speed.
     """
     notes = []
     feasible = int((swept.column("feasible") > 0.5).sum())
@@ -61,16 +65,28 @@ def summary(
     speed = max(leg.scenario.cruise for leg in plan.deciding)
     least = min(margins, key=lambda m: m.delay_margin_s)
     stable = all(m.stable for m in margins)
-    margin_text = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), "
-    margin_text += "least disk margin "
-    notes.append(Note(stable, margin_text + f"{min(m.disk_margin for m in margins):.2f}", "margins"))
+    if mode is not None and not mode.stable:
+        margin_text = f"the linear loop at {speed:g} m/s is unstable (loop {mode.loop}): {unstable_text(mode)}"
+    else:
+        margin_text = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), "
+        margin_text += f"least disk margin {min(m.disk_margin for m in margins):.2f}"
+    notes.append(Note(stable, margin_text, "margins"))
+    caps = {leg.scenario.cap for leg in plan.deciding}
+    if mode is not None and max(caps) > mode.bearable:
+        text = f"the speed cap, {max(caps):g} m/s, exceeds the bearable speed, {mode.bearable:.3g} m/s; lower the cap"
+        notes.append(Note(None, text, "margins"))
     if over is not None:
         names = {"delay_margin_s": "delay margin {:.2f} s", "disk_margin": "disk margin {:.2f}"}
         margin_text = ", ".join(
             f"least {word.format(value)} (at {at:g} m/s)"
             for word, (value, at) in ((word, over.worst(name)) for name, word in names.items())
         )
-        held = bool((over.figures["slowest_pole_per_s"] < 0).all())
+        poles = over.figures["slowest_pole_per_s"]
+        held = bool((poles < 0).all())
+        if not held:
+            lost = [u for u, pole in zip(over.cruise, poles.tolist(), strict=True) if not pole < 0]
+            bearable = "" if mode is None else f" (bearable speed {mode.bearable:.3g} m/s)"
+            margin_text = f"the linear loop is unstable at {speeds_text(lost)}{bearable}; {margin_text}"
         notes.append(Note(held, f"margins at {speeds_text(over.cruise)}: {margin_text}", "margins"))
     decided = [v for v in verdicts if isinstance(v, Verdict)]
     unexpected = [v.claim.name for v in decided if not v.as_expected]
@@ -100,6 +116,12 @@ def summary(
     text = f"export of the law with perception: C and Python agree to {worst:.1e} over {steps} steps of {sonar_runs}; "
     notes.append(Note(passed, text + f"{cases} inputs with NaN or infinity tested", "export"))
     return tuple(notes)
+
+
+def unstable_text(mode: Mode) -> str:
+    """Return the dominant states of an unstable mode, its pole, and what stabilises the loop, as text."""
+    states = ", ".join(f"{name} {share:.0%}" for name, share in list(mode.participation.items())[:3])
+    return f"pole {mode.real:.3g} 1/s, dominant states {states}; stable {mode.remedy}"
 
 
 def left_out(runs: Sequence[Run]) -> tuple[Note, ...]:

@@ -14,6 +14,8 @@ def test_verify_prints_the_safety_claim_and_fails_where_it_does_not_hold(tmp_pat
     assert {row["name"] for row in near.json["safety"]["assumptions"]} >= {"thrust lag", "obstacle speed"}
     wide = surctl(*common, cwd=tmp_path)
     assert wide.status == 1 and "DOES NOT HOLD" in wide.out
+    reason = wide.out.splitlines()[-3 if "\nnext" in wide.out else -1]
+    assert reason.startswith("exit status 1, because the no-contact claim does not hold (braking needs a margin of")
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:

@@ -265,7 +265,8 @@ def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):
     need_compiler()
     words = ("export", "--law", "paper", "--scenario", "pool-behind", "--own-state", "truth", "--out", "c", "--json")
     done = surctl(*words, cwd=tmp_path)
-    assert done.status == 0 and done.json["run"]["law"] == "paper"
+    assert done.status == 1 and done.json["run"]["law"] == "paper" and done.json["sil"]["passed"]
+    assert done.json["failure"].startswith("pool-behind by sur400: it does not arrive")  # the law of the paper
     assert done.json["run"]["sensors"] != {}
 
 

@@ -1,5 +1,6 @@
 """Verdicts, remedies and next commands are about the vehicle, speed and scenario that were named."""
 
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -7,15 +8,19 @@ from pathlib import Path
 import pytest
 
 from surctl.cli.linear_part import linear_part as linear_side_of
+from surctl.cli.next_export import export_command
 from surctl.cli.output import at_hand
-from surctl.cli.single_run import linear_part
-from surctl.cli.verify import _export, _speeds
+from surctl.cli.single_run import failure, linear_part
+from surctl.cli.vehicle_choice import DEFAULT_VEHICLE, choose_vehicle
+from surctl.cli.verify import _speeds
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
+from surctl.simulation import LIBRARY as SCENARIOS
 from surctl.simulation import load_scenario, simulate
 from surctl.vehicle import load_vehicle
 from surctl.verification import check_held
 from tests.cli.process import surctl
+from tests.tools import need_compiler
 
 GAINS = load_gains("default")
 WU = load_vehicle("bluerov2-wu")
@@ -53,17 +58,56 @@ def test_a_cruise_beyond_the_thrust_is_refused_if_asked_for_and_else_not_applica
         check_held((3.0,), WU, cap=5.0, key="--cruise")
 
 
-def test_no_export_is_proposed_whose_mission_the_vehicle_cannot_start(tmp_path: Path) -> None:
-    law = build_law()
-    [fits] = _export(None, "sur400", "default", [], law)
-    assert fits == "surctl export --vehicle sur400 --gains default"
-    [named] = _export("tank-static", "bluerov2-wu", "default", [], law)
-    assert "--scenario tank-static --vehicle bluerov2-wu" in named
+def test_the_proposed_export_names_everything_and_a_scenario_that_fits_the_hull(tmp_path: Path) -> None:
+    options = "--gains default --law guarded --sensing sonar"
+    assert export_command(None, "sur400", "default") == [
+        f"surctl export --scenario pool-static --vehicle sur400 {options}"
+    ]
+    fitting = [f"surctl export --scenario tank-static --vehicle bluerov2-wu {options}"]
+    assert export_command(None, "bluerov2-wu", "default") == fitting, "the hull touches a wall of the pool"
+    assert export_command("tank-static", "bluerov2-wu", "default") == fitting
+    assert export_command("pool-static", "bluerov2-wu", "default") == []
     wide = tmp_path / "wide.toml"
     text = Path(WU.source).read_text()
-    wide.write_text(text.replace(f"radius = {{ value = {WU['radius']:g}", "radius = { value = 1.2"))
-    assert tomllib.loads(wide.read_text())["hull"]["radius"]["value"] == 1.2
-    assert _export(None, str(wide), "default", [], law) == []
+    wide.write_text(text.replace(f"radius = {{ value = {WU['radius']:g}", "radius = { value = 3.2"))
+    assert tomllib.loads(wide.read_text())["hull"]["radius"]["value"] == 3.2
+    assert export_command(None, str(wide), "default") == []
+
+
+@pytest.mark.parametrize(("typed", "word", "origin"), [("mine", "mine", "--vehicle"), (None, "sur400", "scenario s")])
+def test_the_vehicle_typed_wins_over_the_scenario_s(typed: str | None, word: str, origin: str) -> None:
+    assert choose_vehicle(typed, ("s", "sur400")) == (word, origin)
+    assert choose_vehicle(typed) == ((word, origin) if typed else (DEFAULT_VEHICLE, "default"))
+
+
+@pytest.mark.parametrize(
+    "words", [("verify", "m-norm-corrected", "--scenario", "pool-static"), ("simulate", "pool-static")]
+)
+def test_every_command_takes_the_vehicle_of_its_scenario_and_says_so(tmp_path: Path, words: tuple[str, ...]) -> None:
+    done = surctl(*words, cwd=tmp_path)
+    assert "vehicle sur400 (from scenario pool-static)" in done.out and "sur540-flooded" not in done.out
+    done = surctl(*words, "--vehicle", "bluerov2-vonbenzon", cwd=tmp_path)
+    assert "vehicle bluerov2-vonbenzon (from --vehicle)" in done.out and "sur400" not in done.out
+
+
+def test_a_replayed_run_that_collides_fails_in_one_line() -> None:
+    mission = replace(load_scenario("pool-static"), time_limit=0.1)
+    run = simulate(mission, load_vehicle("sur400"), gains=GAINS, law=build_law())
+    assert failure(run) == "pool-static by sur400: it does not arrive (time limit at 0.05 s)"
+    touching = replace(run, metrics=replace(run.metrics, reached=True, min_clearance_m=0.0))
+    assert "the hull touches an obstacle or wall (clearance 0.000 m)" in (failure(touching) or "")
+    assert failure(replace(run, metrics=replace(run.metrics, reached=True))) is None
+
+
+def test_an_export_whose_replayed_run_fails_warns_and_exits_with_1(tmp_path: Path) -> None:
+    need_compiler()
+    text = (SCENARIOS / "pool-static.toml").read_text(encoding="utf-8")
+    (tmp_path / "short.toml").write_text(re.sub(r"(?m)^time_limit_s = .*$", "time_limit_s = 1.0", text))
+    words = ("export", "--scenario", "short.toml", "--law", "closed_form", "--sensing", "truth", "--out", "code")
+    done = surctl(*words, cwd=tmp_path)
+    [warning] = [line for line in done.out.splitlines() if line.startswith("warning")]
+    assert done.status == 1 and "pool-static by sur400: it does not arrive (time limit at " in warning
+    assert warning.endswith("see: surctl simulate short.toml --law closed_form") and "passed over" in done.out
 
 
 def test_next_commands_carry_scenario_vehicle_and_gains() -> None:

@@ -14,8 +14,10 @@ from surctl.errors import InputError
 from surctl.simulation import LIBRARY as SCENARIOS
 from surctl.study import LIBRARY as STUDIES
 from surctl.study import conduct, load_plan
+from surctl.study.notes import unstable_text
 from surctl.study.shipping import with_perception
 from surctl.vehicle import LIBRARY, load_vehicle
+from surctl.verification.linear import slowest_mode
 from tests.cli.process import surctl
 from tests.tools import PATIENCE, need_compiler
 
@@ -267,3 +269,9 @@ def test_names_in_a_study_file_may_lie_beside_it(tmp_path):
     (tmp_path / "s.toml").write_text(text)
     plan = load_plan(str(tmp_path / "s.toml"))
     assert plan.vehicle.name == 'my "boat"'
+
+
+def test_an_unstable_loop_is_named_with_its_remedy():
+    mode = slowest_mode(load_vehicle("bluerov2-wu"), load_gains("default").values, cruise=0.25, dt=0.05)
+    text = unstable_text(mode)
+    assert mode.loop == "yaw" and "dominant states psi" in text and "0.202 m/s or less" in text

@@ -13,7 +13,17 @@ from surctl.simulation.clearance import end_findings
 from surctl.simulation.margin import margin_needed, turn_rate
 from surctl.simulation.world import build_world
 
-__all__ = ["assumptions"]
+__all__ = ["MEANINGS", "assumptions"]
+
+MEANINGS: Mapping[str, str] = {
+    "obstacle speed": "an obstacle is faster than the claim covers",
+    "detection": "stopping needs more than the detection range",
+    "thrust": f"a thrust limit is below {LEAST_THRUST:.0%} of the stated one",
+    "range": "a drawn number is outside its stated range",
+    "margin": "braking needs more than the gain margin",
+    "hull": "the hull does not fit at the start or at the target",
+}
+"""What a violation of each assumption means, by the name that `assumptions` returns."""
 
 
 def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fastest: float) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.simulation.campaign.assumptions import MEANINGS
 from surctl.simulation.campaign.share import Share
 from surctl.simulation.campaign.table import RunTable
 from surctl.simulation.metrics import STOPS
@@ -29,6 +31,7 @@ class Summary:
         broken: number of collided runs that violate an assumption, by assumption; the entry `none` counts collided runs
             that violate no assumption.
         inside: share of collisions among the runs that violate no assumption; None if every run violates an assumption.
+        violated: number of runs, collided or not, that violate an assumption, by assumption.
     """
 
     stopped: Mapping[str, Share]
@@ -36,6 +39,7 @@ class Summary:
     clearance_m: Mapping[int, float]
     broken: Mapping[str, int]
     inside: Share | None
+    violated: Mapping[str, int]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the summary as plain data for JSON."""
@@ -45,6 +49,7 @@ class Summary:
             "time_s": {f"p{p}": value for p, value in self.time_s.items()},
             "min_clearance_m": {f"p{p}": value for p, value in self.clearance_m.items()},
             "collisions_by_broken_assumption": dict(self.broken),
+            "runs_by_broken_assumption": dict(self.violated),
         }
 
     def lines(self) -> list[str]:
@@ -64,12 +69,15 @@ class Summary:
         if self.broken:
             counts = ", ".join(f"{n} {k}" for k, n in self.broken.items())
             lines.append(f"  collisions by violated assumption: {counts}")
+        if self.violated:
+            counts = "; ".join(f"{name}, {MEANINGS[name]} ({n} runs)" for name, n in self.violated.items())
+            lines.append(f"  violated assumptions of the no-contact claim: {counts}")
         if self.inside is None:
-            lines.append("  every run violates an assumption of the claim")
+            lines.append("  every run violates an assumption of the no-contact claim")
         else:
             s = self.inside
             lines.append(
-                f"  within the claim's assumptions: {s.count} of {s.runs} collided, "
+                f"  within the assumptions of the no-contact claim: {s.count} of {s.runs} collided, "
                 f"with 95 % confidence at most {s.at_most():.3%}"
             )
         return lines
@@ -91,9 +99,15 @@ def summarise(table: RunTable) -> Summary:
     for k in np.flatnonzero(collided):
         for name in table.broken[int(k)] or ("none",):
             broken[name] = broken.get(name, 0) + 1
+    violated = dict(Counter(name for names in table.broken for name in names).most_common())
     clear = table.column("min_clearance_m")
     return Summary(
-        stopped, _percentiles(table.column("time_s")[arrived]), _percentiles(clear[np.isfinite(clear)]), broken, inside
+        stopped,
+        _percentiles(table.column("time_s")[arrived]),
+        _percentiles(clear[np.isfinite(clear)]),
+        broken,
+        inside,
+        violated,
     )
 
 

@@ -3,6 +3,7 @@
 from surctl.verification.linear.corners import Corners, corners
 from surctl.verification.linear.disk import DiskMargin, disk_margin, disk_profile, structured_bounds
 from surctl.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
+from surctl.verification.linear.margin_speed import LEAST_DISK_MARGIN, margin_speed
 from surctl.verification.linear.modes import Mode, bearable_speed, cap_above_bearable, slowest_mode
 from surctl.verification.linear.places import DISK_PLACES, OpenLoop, open_loop
 from surctl.verification.linear.sampled import SampledLimits, largest_period, sampled_limits, sampled_poles
@@ -11,6 +12,7 @@ from surctl.verification.linear.side import LinearSide, Pole, linear_side, worst
 
 __all__ = [
     "DISK_PLACES",
+    "LEAST_DISK_MARGIN",
     "Corners",
     "DiskMargin",
     "LinearSide",
@@ -28,6 +30,7 @@ __all__ = [
     "largest_period",
     "linear_side",
     "loop_system",
+    "margin_speed",
     "open_loop",
     "open_system",
     "sampled_limits",

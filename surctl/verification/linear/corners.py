@@ -27,10 +27,17 @@ class Corners:
     Attributes:
         vehicles: the plants.
         text: description of the vehicles that fits into a sentence, such as "the corners of …".
+        labels: for each vehicle, the parameters in which it differs from the nominal vehicle, as text.
     """
 
     vehicles: tuple[Vehicle, ...]
     text: str
+    labels: tuple[str, ...] = ()
+
+    def label(self, vehicle: Vehicle) -> str:
+        """Return the label of one of the vehicles; its name if the vehicles have no labels."""
+        at = next(k for k, one in enumerate(self.vehicles) if one is vehicle)
+        return self.labels[at] if self.labels else vehicle.name
 
 
 def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool = True) -> Corners:
@@ -61,14 +68,24 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
         if not vehicles:
             return Corners((vehicle,), "the nominal vehicle alone, because its file states no ranges")
         tied = ", with equal mass in surge and sway" if _MASSES in groups else ""
-        return Corners((vehicle, *vehicles), f"the {len(vehicles)} corners of its parameter ranges{tied}")
+        labels = tuple(_label(one, free) for one in vehicles)
+        text = f"the {len(vehicles)} corners of its parameter ranges{tied}"
+        return Corners((vehicle, *vehicles), text, ("nominal", *labels))
     if not 0 <= uncertainty < 1:
         raise InputError(
             "must be at least 0 and less than 1", key="uncertainty", value=uncertainty, remedy="write 0.2 for ±20 %"
         )
     factors = (1 - uncertainty, 1 + uncertainty) if uncertainty > 0 else ()
     scaled = [_scaled(vehicle, m, d) for m in factors for d in factors]
-    return Corners((vehicle, *scaled), f"the corners with mass and drag off by ±{uncertainty:.0%}")
+    labels = tuple(f"mass {m - 1:+.0%}, drag {d - 1:+.0%}" for m in factors for d in factors)
+    return Corners(
+        (vehicle, *scaled), f"the corners with mass and drag off by ±{uncertainty:.0%}", ("nominal", *labels)
+    )
+
+
+def _label(vehicle: Vehicle, groups: list[list[str]]) -> str:
+    units = {name: vehicle.parameters[name].unit for group in groups for name in group}
+    return ", ".join(f"{name} = {vehicle[name]:.4g}" + (f" {u}" if u != "1" else "") for name, u in units.items())
 
 
 def _alike(vehicle: Vehicle) -> bool:

@@ -59,6 +59,18 @@ class Mode:
         return self.real < -_EDGE
 
     @property
+    def loop(self) -> str:
+        """The loop with the largest participation: surge (x, u), sway (y, v), heave (z, w) or yaw (psi, r)."""
+        share = {
+            loop: sum(self.participation.get(name, 0.0) for name in names)
+            for loop, names in (
+                ("surge", ("x", "u", "Fu")), ("sway", ("y", "v", "Fv")),
+                ("heave", ("z", "w", "Fw")), ("yaw", ("psi", "r", "Fr")),
+            )
+        }  # fmt: skip
+        return max(share, key=lambda loop: share[loop])
+
+    @property
     def cause(self) -> str | None:
         """The physical term whose omission moves the slowest pole farthest to the left; None if no term matters."""
         if not self.without:
@@ -81,8 +93,14 @@ class Mode:
             lines.append(f"  {how} by the {self.cause}: without it the slowest pole is {alone:.3g} 1/s")
         if not self.stable:
             lines.append(f"  stable {self.remedy}")
-        lines.append(f"  bearable speed: the linear loop is stable up to {self.bearable:.3g} m/s")
+        lines.append(
+            f"  bearable speed: the linear loop is stable up to {self.bearable:.3g} m/s (stability limit, no margin)"
+        )
         return lines
+
+    def remedy_lines(self) -> list[str]:
+        """Describe an unstable corner: loop, pole, states, remedy and bearable speed of that vehicle."""
+        return [f"  loop {self.loop}; {self.lines()[0]}", *self.lines()[1:]]
 
     @property
     def remedy(self) -> str:
@@ -104,6 +122,7 @@ class Mode:
             "real": self.real,
             "imaginary": self.imaginary,
             "participation": dict(self.participation),
+            "loop": self.loop,
             "without": dict(self.without),
             "cause": self.cause,
             "remedies": dict(self.remedies),

@@ -18,7 +18,7 @@ from surctl.verification.linear.disk import DiskMargin, disk_margin, screened_pe
 from surctl.verification.linear.places import DISK_PLACES, open_loop
 from surctl.verification.linear.sampled import SampledLimits, sampled_limits
 
-__all__ = ["LinearSide", "Pole", "linear_side", "worst_linear_side"]
+__all__ = ["LinearSide", "Pole", "alike_in_states", "built", "can_cruise", "linear_side", "worst_linear_side"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,9 @@ class LinearSide:
         slowest_per_s: largest real part [1/s] of a pole over all corners.
         least_damping: least damping ratio of the poles, over all corners.
         sampled: limits of the sampled loop; for several corners, the least value of every limit and the largest radius.
+        corner: for several corners, the parameters of the worst corner as text: the corner with the least disk margin,
+            or of an unstable loop the corner with the fastest growing pole.
+        at: the vehicle of that corner.
     """
 
     of: str
@@ -58,6 +61,13 @@ class LinearSide:
     slowest_per_s: float
     least_damping: float
     sampled: SampledLimits
+    corner: str = ""
+    at: Vehicle | None = None
+
+    @property
+    def disk(self) -> float:
+        """The least disk margin over the places where the loops are opened; 0 if unstable, NaN if none is known."""
+        return min((d.guaranteed for d in self.disks if not np.isnan(d.guaranteed)), default=float("nan"))
 
     @property
     def stable(self) -> bool:
@@ -77,18 +87,21 @@ class LinearSide:
             "slowest_per_s": self.slowest_per_s,
             "least_damping": self.least_damping,
             "sampled": self.sampled.to_dict(),
+            "corner": self.corner,
         }
 
     def lines(self) -> list[str]:
         """The analysis as lines of text."""
         if not self.stable:
-            return [f"linear loop of {self.of}: UNSTABLE"]
+            where = f" at the corner {self.corner}: pole {self.slowest_per_s:.3g} 1/s" if self.corner else ""
+            return [f"linear loop of {self.of}: UNSTABLE{where}"]
         disks = ", ".join(f"{_margin(d)} ({d.place})" for d in self.disks)
         none, one, two = (_seconds(t) for t in self.sampled.largest_period_s)
         return [
             f"linear loop of {self.of}:",
             f"  disk margin of all loops at once: {disks}; slowest pole {self.slowest_per_s:.3g} 1/s, least damping "
             f"{self.least_damping:.2f}",
+            *([f"  least disk margin at the corner {self.corner}"] if self.corner else []),
             f"  sampled: stable up to a control period of {none} without delay, {one} with one period of delay, {two} "
             f"with two; at a period of {self.sampled.period_s:g} s stable with up to {self.sampled.delay_periods} "
             "periods of delay",
@@ -127,20 +140,28 @@ def worst_linear_side(
         InputError: `linear_side` finds an error, or none of the vehicles can hold the cruise speed.
     """
     believed = model or tried.vehicles[0]
-    able = [v for v, can in zip(tried.vehicles, _can_cruise(tried.vehicles, cruise), strict=True) if can]
+    able = [v for v, can in zip(tried.vehicles, can_cruise(tried.vehicles, cruise), strict=True) if can]
     unable = len(tried.vehicles) - len(able)
     if not able:
         raise InputError(
             "needs more thrust than any of the vehicles has", key="cruise", value=cruise, remedy="lower it"
         )
-    groups = _alike_in_states(able)
-    delayed, plain = ([_built(g, gains, cruise, dt, believed, d) for g in groups] for d in (None, 0.0))
-    disks = []
+    groups = alike_in_states(able)
+    delayed, plain = ([built(g, gains, cruise, dt, believed, d) for g in groups] for d in (None, 0.0))
+    disks, lowest = [], list[Vehicle]()
     for place in DISK_PLACES:
         loops = [open_loop(group, place) for group in delayed]
         peaks = [screened_peaks(loop) for loop in loops]
         worst = int(np.argmax([each.max() for each in peaks]))
-        disks.append(disk_margin(loops[worst][np.asarray(np.argmax(peaks[worst]))], place))
+        at = int(np.argmax(peaks[worst]))
+        disks.append(disk_margin(loops[worst][np.asarray(at)], place))
+        lowest.append(groups[worst][at])
+    slowest = [group.poles[:, 0].real for group in delayed]
+    fastest = int(np.argmax([each.max() for each in slowest]))
+    if slowest[fastest].max() >= 0:
+        bad = groups[fastest][int(np.argmax(slowest[fastest]))]
+    else:
+        bad = lowest[int(np.argmin([d.guaranteed for d in disks]))]
     every = [_poles(poles) for group in delayed for poles in group.poles]
     beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
     return LinearSide(
@@ -150,17 +171,19 @@ def worst_linear_side(
         slowest_per_s=max(float(group.poles[:, 0].real.max()) for group in delayed),
         least_damping=min(p.damping for poles in every for p in poles),
         sampled=_least_sampled([sampled_limits(group, dt) for group in plain]),
+        corner=tried.label(bad) if len(tried.vehicles) > 1 else "",
+        at=bad,
     )
 
 
-def _alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
-    # thrust lag adds states; the group of the first vehicle comes first
+def alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
+    """Group the vehicles by whether they have thrust lag, which adds states; the first vehicle's group comes first."""
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]
 
 
-def _built(
+def built(
     vehicles: Sequence[Vehicle],
     gains: Mapping[str, float],
     cruise: float,
@@ -180,7 +203,8 @@ def _built(
     )
 
 
-def _can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
+def can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
+    """Return, for each vehicle, whether its thrust can hold the cruise speed [m/s]."""
     nu = np.tile([[cruise], [0.0], [0.0], [0.0]], len(vehicles))
     tau = np.asarray(trim_function()(nu, np.array([plant_parameters(v) for v in vehicles]).T)).T
     return [bool(np.all(np.abs(t) < v.thrust_limit)) for t, v in zip(tau, vehicles, strict=True)]

@@ -96,4 +96,8 @@ def test_a_collision_names_what_was_not_assumed():
 def test_where_every_run_breaks_something_nothing_is_said_of_the_rest():
     told = summarise(table(("reached", 9.0, 0.1, ("margin",))))
     assert told.inside is None and told.to_dict()["collisions_within_assumptions"] is None
-    assert any("every run violates" in line for line in told.lines())
+    lines = told.lines()
+    assert "  every run violates an assumption of the no-contact claim" in lines
+    violated = "margin, braking needs more than the gain margin (1 runs)"
+    assert f"  violated assumptions of the no-contact claim: {violated}" in lines
+    assert told.to_dict()["runs_by_broken_assumption"] == {"margin": 1}

@@ -1,0 +1,68 @@
+"""The export command that another command proposes: with vehicle, gains, law, sensing, and a scenario that fits."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from surctl.simulation import Scenario
+    from surctl.vehicle import Vehicle
+
+__all__ = ["MISSION", "export_command", "fitting_scenario"]
+
+MISSION = "pool-static"
+"""The default scenario of an export."""
+
+_TRIED = (MISSION, "tank-static")
+
+
+def fitting_scenario(vehicle: Vehicle, scenario: str | None = None) -> str | None:
+    """Return the first scenario in which `findings` reports no error for the hull; None if none fits.
+
+    The scenarios are the given one, and without one the default of `surctl export` and `tank-static`, in this order.
+    """
+    from surctl.simulation import load_scenario
+
+    tried = _TRIED if scenario is None else (scenario,)
+    return next((word for word in tried if _fits(load_scenario(word), vehicle)), None)
+
+
+def export_command(
+    scenario: str | None, vehicle: str, gains: str, certificates: Sequence[Path] = (), *, sensing: str = "sonar"
+) -> list[str]:
+    """Return the export command with the certificates that apply; empty if the vehicle fits no scenario.
+
+    Args:
+        scenario: name or file of the scenario; None takes a built-in scenario that fits the hull.
+        vehicle: name or file of the vehicle.
+        gains: name or file of the gains.
+        certificates: certificate files; the command carries those that concern the exported law.
+        sensing: "sonar" or "truth".
+    """
+    from surctl.control import build_law, load_gains
+    from surctl.export import fitting_certificates
+    from surctl.simulation import law_numbers, load_scenario
+    from surctl.vehicle import load_vehicle
+
+    robot = load_vehicle(vehicle)
+    chosen = fitting_scenario(robot, scenario)
+    if chosen is None:
+        return []
+    numbers = law_numbers(load_scenario(chosen), load_gains(gains), robot)
+    travel = fitting_certificates(certificates, build_law(), robot, numbers) if certificates else []
+    words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", gains]
+    words += ["--law", "guarded", "--sensing", sensing]
+    return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
+
+
+def _fits(scenario: Scenario, vehicle: Vehicle) -> bool:
+    from surctl.errors import InputError
+    from surctl.simulation import findings
+
+    try:
+        return not any(finding.level == "error" for finding in findings(scenario, vehicle))
+    except InputError:  # the start lies inside an obstacle
+        return False

@@ -1,0 +1,38 @@
+"""Which vehicle a command takes: that of `--vehicle`, else that of the scenario, else the default of the command."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+__all__ = ["DEFAULT_VEHICLE", "VehicleChoice", "choose_vehicle"]
+
+DEFAULT_VEHICLE = "sur540-flooded"
+"""The vehicle of a command without `--vehicle` and without a scenario."""
+
+
+class VehicleChoice(NamedTuple):
+    """Name or file of a vehicle, and the origin of the choice: "--vehicle", "scenario NAME" or "default"."""
+
+    word: str
+    origin: str
+
+    def line(self, name: str) -> str:
+        """Return one line that names the vehicle and the origin of the choice; `name` is the name in its file."""
+        return f"vehicle {name} (from {self.origin})" if self.origin != "default" else f"vehicle {name} (default)"
+
+
+def choose_vehicle(
+    option: str | None, scenario: tuple[str, str] | None = None, *, default: str = DEFAULT_VEHICLE
+) -> VehicleChoice:
+    """Return the vehicle of `--vehicle`, else the scenario's, else the default.
+
+    Args:
+        option: value of the option `--vehicle`; None if it is not given.
+        scenario: name of the scenario and name or file of its vehicle; None if the command has no scenario.
+        default: vehicle without either.
+    """
+    if option is not None:
+        return VehicleChoice(option, "--vehicle")
+    if scenario is not None:
+        return VehicleChoice(scenario[1], f"scenario {scenario[0]}")
+    return VehicleChoice(default, "default")

@@ -1,0 +1,48 @@
+"""The speed up to which all corners keep a disk margin, and the corner that is worst."""
+
+from dataclasses import replace
+
+import pytest
+
+from surctl.cli.linear_part import linear_part, speed_lines
+from surctl.control import load_gains
+from surctl.vehicle import Vehicle, load_vehicle
+from surctl.verification import build_cascade
+from surctl.verification.linear import corners, disk_margin, margin_speed, open_loop
+
+GAINS = load_gains("default").values
+WU = load_vehicle("bluerov2-wu")
+
+
+def ranged() -> Vehicle:
+    """A hull with unequal masses, each with a range."""
+    known = {"m11": (15.0, 19.0), "m22": (21.5, 27.0)}
+    parameters = {n: replace(p, range=known[n]) if n in known else p for n, p in WU.parameters.items()}
+    return replace(WU, parameters=parameters)
+
+
+def test_the_margin_is_kept_at_every_corner_below_that_speed_and_lost_above() -> None:
+    tried = corners(ranged())
+    speed = margin_speed(tried, GAINS, dt=0.05, highest=0.2)
+
+    def least(cruise: float) -> float:
+        loops = [build_cascade(v, GAINS, cruise=cruise, dt=0.05, model=tried.vehicles[0]) for v in tried.vehicles]
+        return min(disk_margin(open_loop(c, place)).guaranteed for c in loops for place in ("thrust", "measurement"))
+
+    assert least(0.97 * speed) > 0.3 > least(1.03 * speed)
+    stable = margin_speed(tried, GAINS, dt=0.05, highest=0.2, least=0.0)
+    worst = replace(WU).with_values({"m11": 15.0, "m22": 27.0})
+    for factor, good in ((0.98, True), (1.02, False)):
+        assert build_cascade(worst, GAINS, cruise=factor * stable, dt=0.05, model=WU).stable is good
+
+
+def test_an_unstable_corner_is_named_with_loop_and_remedy_and_a_cap_above_the_speeds_is_flagged() -> None:
+    part = linear_part(ranged(), GAINS, cruise=0.2, dt=0.05, uncertainty=0.0)
+    assert "disk margin of all loops 0.01, UNSTABLE at m11 = 15 kg, m22 = 27 kg" in part.lines[0]
+    text = "\n".join(part.lines)
+    assert "loop yaw; UNSTABLE at 0.2 m/s" in text and "stable with k_psi" in text
+    assert part.data["linear"]["worst"]["corner"] == "m11 = 15 kg, m22 = 27 kg"
+    lines, numbers = speed_lines(ranged(), GAINS, cap=0.22, dt=0.05, uncertainty=0.0)
+    assert numbers["with_margin"] < numbers["stable"] < numbers["nominal_stable"] == pytest.approx(0.202, abs=1e-3)
+    assert lines[1] == "  warning: the cap, 0.22 m/s, exceeds 0.202 m/s, the bearable speed; lower it"
+    assert len(speed_lines(ranged(), GAINS, cap=0.1, dt=0.05, uncertainty=0.0)[0]) == 1
