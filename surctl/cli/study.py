@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.law_option import trust_option
+from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.output import as_json, at_hand, finish, progress, refusal_line, same_command, stoppable
 from surctl.cli.verify import claim_line
 
@@ -44,19 +44,25 @@ def study(file: str | None, out: Path, workers: int, trust: bool, as_json: bool)
     lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
     marks = {True: "ok  ", False: "FAIL", None: "    "}
     lines += [f"{marks[note.passed]} {note.text}" for note in result.notes]
-    lines += ["", "loop          gain   phase   delay   disk"]
-    if not all(m.stable for m in result.margins):
-        lines.append(f"unstable      loop {result.mode.loop}; margins of an unstable loop are 0")
-    for m in result.margins if all(m.stable for m in result.margins) else ():
+    loops = result.loops
+    lines += ["", "loop          gain   phase   delay   disk"] if loops.margins else []
+    if loops.mode is not None and not loops.stable:
+        lines.append(f"unstable      loop {loops.mode.loop}; margins of an unstable loop are 0")
+    for m in loops.margins if loops.stable else ():
         numbers = f"{m.gain_margin:5.2f} {m.phase_margin_deg:6.1f}° {m.delay_margin_s:6.2f}s {m.disk_margin:6.2f}"
         lines.append(f"{m.name:<12} {numbers}")
     lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
     lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}", f"report {result.report}"]
-    then = [
-        shlex.join(words)
-        for words in (
-            ["surctl", "tune", *([file] if file else [])],
-            ["surctl", "verify", *at_hand(plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))],
-        )
-    ]
+    tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
+    about = at_hand(plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))
+    then = [shlex.join(words) for words in (tuning, _examined(plan.law, about))]
     finish(result.to_dict(), lines, as_json=as_json, passed=result.passed, then=then)
+
+
+def _examined(law: str, about: list[str]) -> list[str]:
+    """Return the command that examines the picked gains: claims, or the runs of a law that no claim is about."""
+    from surctl.control import law_source
+
+    _, scenario, *others = about
+    simulated = ["surctl", "simulate", scenario, *others, *law_words(law)]
+    return ["surctl", "verify", *about] if law_source(law).parts else simulated

@@ -10,27 +10,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surctl import __version__
-from surctl.control import Law, build_law, write_gains
+from surctl.control import Law, build_law, law_source, write_gains
 from surctl.export import ExportedFile, SilReport
 from surctl.files import prepare_folder, write_file
 from surctl.ir import find_compiler
 from surctl.simulation import Run, simulate
+from surctl.study.loops import Loops, loops_of
 from surctl.study.notes import Note, left_out, summary
 from surctl.study.plan import Leg, Plan
 from surctl.study.shipping import Shipment, shipping, with_perception
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import (
     Inapplicable,
-    LoopMargins,
-    OverSpeeds,
     Verdict,
     applicable_claims,
-    closed_loop_poles,
     decide,
-    loop_margins,
-    over_speeds,
 )
-from surctl.verification.linear import LinearSide, Mode, corners, linear_side, slowest_mode, worst_linear_side
 
 if TYPE_CHECKING:
     from surctl.report import ExportSummary
@@ -52,19 +47,13 @@ class Study:
             it.
         deciding: for each run, whether the run counts towards the result of the study.
         replayed: the sonar runs that the exported C replayed: runs of the exported law in which the hull fits the site.
-        linear: linear analysis of the nominal vehicle, and linear analysis of the worst vehicle over the corners of its
-            parameter ranges.
-        mode: slowest mode of the nominal vehicle at the largest simulated cruise speed.
-        over: metrics of the linear loops at the plan's cruise speeds; None if the plan names no cruise speed.
+        loops: linear analysis of the loops; empty if the law has no linear model.
         sil: software-in-the-loop (SIL) reports, one report for each replayed run.
     """
 
     plan: Plan
     sweep: SweepTable
-    margins: tuple[LoopMargins, ...]
-    linear: tuple[LinearSide, LinearSide]
-    mode: Mode
-    over: OverSpeeds | None
+    loops: Loops
     verdicts: tuple[Verdict, ...]
     inapplicable: tuple[Inapplicable, ...]
     runs: tuple[Run, ...]
@@ -102,13 +91,8 @@ class Study:
                 "table": str(self.sweep.path),
                 "columns": {name: self.sweep.column(name).tolist() for name in self.sweep.columns},
             },
-            "margins": [m.to_dict() for m in self.margins],
-            "linear": {
-                "nominal": self.linear[0].to_dict(),
-                "worst": self.linear[1].to_dict(),
-                "mode": self.mode.to_dict(),
-            }
-            | ({} if self.over is None else {"speeds": self.over.to_dict()}),
+            "margins": [m.to_dict() for m in self.loops.margins],
+            "linear": self.loops.to_dict(),
             "verdicts": [*(v.to_dict() for v in self.verdicts), *(v.to_dict() for v in self.inapplicable)],
             "runs": [run.to_dict() | {"decides": d} for run, d in zip(self.runs, self.deciding, strict=True)],
             "not_simulated": [
@@ -164,7 +148,7 @@ def conduct(
         >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
         ('proved', 'reached', True)
     """
-    from surctl.report import Check, ReportData, loop_responses, runs_section, write_page
+    from surctl.report import Check, ReportData, runs_section, write_page
 
     plan.check_sweep()
     find_compiler()
@@ -180,22 +164,17 @@ def conduct(
         with clock("export"):
             shipment = stack.enter_context(shipping(sonar_laws[first], swept.gains, legs[first], out / "export"))
         with clock("margins"):
-            cruise = max(leg.scenario.cruise for leg in plan.deciding)
-            margins = loop_margins(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
-            over = over_speeds(plan.vehicle, swept.gains.values, cruise=plan.cruise, dt=law.dt) if plan.cruise else None
-            poles = closed_loop_poles(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
-            mode = slowest_mode(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt)
-            linear = (
-                linear_side(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt),
-                worst_linear_side(corners(plan.vehicle), swept.gains.values, cruise=cruise, dt=law.dt),
-            )
+            loops = loops_of(plan, swept.gains, dt=law.dt)
         with clock("claims"):
             # claims about braking take a minute and stay undecided: check them only if the plan names them
             fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
             at_hand = {**swept.gains.values, "speed": fastest.cruise, "speed_max": fastest.cap}
             applicable, refused = applicable_claims(at_hand, plan.claims, vehicle=plan.vehicle)
-            verdicts = tuple(decide(claim) for claim in applicable if plan.claims or claim.paper)
             inapplicable = tuple(Inapplicable.of(name, reason) for name, reason in refused.items())
+            if not law_source(plan.law).parts:  # the claims are about parts of the built-in laws
+                named = plan.claims or ()
+                applicable, inapplicable = [], tuple(Inapplicable(name, _NO_PART, "this law") for name in named)
+            verdicts = tuple(decide(claim) for claim in applicable if plan.claims or claim.paper)
         with clock("runs"):
             leg_runs = _simulate_legs(plan, legs, (law, sonar_laws), swept, progress)
         runs = tuple(run for _, run in leg_runs)
@@ -210,10 +189,10 @@ def conduct(
                 vehicle=plan.vehicle,
                 gains=swept.gains,
                 speeds=(fastest.cruise, fastest.cap),
-                margins=margins,
-                linear=linear,
-                poles=poles,
-                loops=loop_responses(plan.vehicle, swept.gains.values, cruise=cruise, dt=law.dt),
+                margins=loops.margins,
+                linear=loops.sides,
+                poles=loops.poles,
+                loops=loops.responses,
                 gains_file=str(gain_file),
                 verdicts=verdicts,
                 inapplicable=inapplicable,
@@ -227,11 +206,10 @@ def conduct(
     notes = summary(
         plan,
         swept,
-        (margins, over),
+        loops,
         (*verdicts, *inapplicable),
         tuple(zip(runs, deciding, strict=True)),
         sil,
-        mode=mode,
     )
     notes += left_out([run for run in sonar_runs if run not in replayed])
     with clock("report"):
@@ -246,10 +224,7 @@ def conduct(
     return Study(
         plan,
         swept,
-        margins,
-        linear,
-        mode,
-        over,
+        loops,
         verdicts,
         inapplicable,
         runs,
@@ -262,6 +237,9 @@ def conduct(
         gain_file,
         seconds,
     )
+
+
+_NO_PART = "the claim is about a part of the built-in laws"
 
 
 class _Clock:

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from surctl.export import SilReport
+from surctl.own_code import label
 from surctl.simulation import Run
+from surctl.study.loops import Loops
 from surctl.study.plan import Plan
 from surctl.tuning import SweepTable
-from surctl.verification import Inapplicable, LoopMargins, OverSpeeds, Verdict, speeds_text
+from surctl.verification import Inapplicable, Verdict, speeds_text
 from surctl.verification.linear import Mode
 
 __all__ = ["Note", "left_out", "summary", "unstable_text"]
@@ -32,23 +34,20 @@ class Note:
 def summary(
     plan: Plan,
     swept: SweepTable,
-    loops: tuple[Sequence[LoopMargins], OverSpeeds | None],
+    loops: Loops,
     verdicts: Sequence[Verdict | Inapplicable],
     runs: Sequence[tuple[Run, bool]],
     sil: Sequence[SilReport],
-    *,
-    mode: Mode | None = None,
 ) -> tuple[Note, ...]:
     """Return the notes that summarise the results of a study.
 
     Args:
         plan: the plan of the study.
         swept: the parameter sweep of the study.
-        loops: margins at the largest simulated cruise speed, and metrics at the plan's cruise speeds, or None.
+        loops: linear analysis of the loops; empty if the law has no linear model.
         verdicts: verdicts on the claims of the study.
         runs: runs of the study, each with a flag that says whether the run counts towards the result.
         sil: software-in-the-loop (SIL) reports, one report for each run that the exported law replayed.
-        mode: slowest mode at the largest simulated cruise speed.
     """
     notes = []
     feasible = int((swept.column("feasible") > 0.5).sum())
@@ -61,39 +60,17 @@ def summary(
         edges = [a.name for a, k in at if len(a.values) > 1 and k in (0, len(a.values) - 1)]
         edge = f" (on the edge of the grid in {' and '.join(edges)}: extend the grid there)" if edges else ""
         notes.append(Note(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}", "sweep"))
-    margins, over = loops
     speed = max(leg.scenario.cruise for leg in plan.deciding)
-    least = min(margins, key=lambda m: m.delay_margin_s)
-    stable = all(m.stable for m in margins)
-    if mode is not None and not mode.stable:
-        margin_text = f"the linear loop at {speed:g} m/s is unstable (loop {mode.loop}): {unstable_text(mode)}"
-    else:
-        margin_text = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), "
-        margin_text += f"least disk margin {min(m.disk_margin for m in margins):.2f}"
-    notes.append(Note(stable, margin_text, "margins"))
-    caps = {leg.scenario.cap for leg in plan.deciding}
-    if mode is not None and max(caps) > mode.bearable:
-        text = f"the speed cap, {max(caps):g} m/s, exceeds the bearable speed, {mode.bearable:.3g} m/s; lower the cap"
-        notes.append(Note(None, text, "margins"))
-    if over is not None:
-        names = {"delay_margin_s": "delay margin {:.2f} s", "disk_margin": "disk margin {:.2f}"}
-        margin_text = ", ".join(
-            f"least {word.format(value)} (at {at:g} m/s)"
-            for word, (value, at) in ((word, over.worst(name)) for name, word in names.items())
-        )
-        poles = over.figures["slowest_pole_per_s"]
-        held = bool((poles < 0).all())
-        if not held:
-            lost = [u for u, pole in zip(over.cruise, poles.tolist(), strict=True) if not pole < 0]
-            bearable = "" if mode is None else f" (bearable speed {mode.bearable:.3g} m/s)"
-            margin_text = f"the linear loop is unstable at {speeds_text(lost)}{bearable}; {margin_text}"
-        notes.append(Note(held, f"margins at {speeds_text(over.cruise)}: {margin_text}", "margins"))
+    notes += _loop_notes(plan, loops, speed)
     decided = [v for v in verdicts if isinstance(v, Verdict)]
     unexpected = [v.claim.name for v in decided if not v.as_expected]
     counts = Counter(v.verdict for v in decided)
     text = f"claims at {speed:g} m/s: {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}, "
     text += "all as expected" if not unexpected else f"unexpected: {unexpected}"
-    notes.append(Note(not unexpected, text, f"claims-{unexpected[0]}" if unexpected else "claims"))
+    if decided:
+        notes.append(Note(not unexpected, text, f"claims-{unexpected[0]}" if unexpected else "claims"))
+    else:
+        notes.append(Note(None, f"claims: none was decided for law {label(plan.law)}", "claims"))
     notes += [
         Note(False if plan.claims else None, f"claim {one.claim}: {one.sentence}", "claims")
         for one in verdicts
@@ -116,6 +93,37 @@ def summary(
     text = f"export of the law with perception: C and Python agree to {worst:.1e} over {steps} steps of {sonar_runs}; "
     notes.append(Note(passed, text + f"{cases} inputs with NaN or infinity tested", "export"))
     return tuple(notes)
+
+
+def _loop_notes(plan: Plan, loops: Loops, speed: float) -> list[Note]:
+    margins, over, mode, notes = loops.margins, loops.over, loops.mode, list[Note]()
+    if not margins:
+        return [Note(None, f"margins: not judged, because law {label(plan.law)} has no linear model", "margins")]
+    least = min(margins, key=lambda m: m.delay_margin_s)
+    if mode is not None and not mode.stable:
+        margin_text = f"the linear loop at {speed:g} m/s is unstable (loop {mode.loop}): {unstable_text(mode)}"
+    else:
+        margin_text = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), "
+        margin_text += f"least disk margin {min(m.disk_margin for m in margins):.2f}"
+    notes.append(Note(loops.stable, margin_text, "margins"))
+    caps = {leg.scenario.cap for leg in plan.deciding}
+    if mode is not None and max(caps) > mode.bearable:
+        text = f"the speed cap, {max(caps):g} m/s, exceeds the bearable speed, {mode.bearable:.3g} m/s; lower the cap"
+        notes.append(Note(None, text, "margins"))
+    if over is not None:
+        names = {"delay_margin_s": "delay margin {:.2f} s", "disk_margin": "disk margin {:.2f}"}
+        margin_text = ", ".join(
+            f"least {word.format(value)} (at {at:g} m/s)"
+            for word, (value, at) in ((word, over.worst(name)) for name, word in names.items())
+        )
+        poles = over.figures["slowest_pole_per_s"]
+        held = bool((poles < 0).all())
+        if not held:
+            lost = [u for u, pole in zip(over.cruise, poles.tolist(), strict=True) if not pole < 0]
+            bearable = "" if mode is None else f" (bearable speed {mode.bearable:.3g} m/s)"
+            margin_text = f"the linear loop is unstable at {speeds_text(lost)}{bearable}; {margin_text}"
+        notes.append(Note(held, f"margins at {speeds_text(over.cruise)}: {margin_text}", "margins"))
+    return notes
 
 
 def unstable_text(mode: Mode) -> str:

@@ -9,17 +9,22 @@ from pathlib import Path
 
 import pytest
 
-from surctl.control import load_gains
+from surctl.control import build_law, load_gains
 from surctl.errors import InputError
 from surctl.simulation import LIBRARY as SCENARIOS
+from surctl.simulation import simulate
 from surctl.study import LIBRARY as STUDIES
 from surctl.study import conduct, load_plan
-from surctl.study.notes import unstable_text
+from surctl.study.loops import loops_of
+from surctl.study.notes import summary, unstable_text
 from surctl.study.shipping import with_perception
+from surctl.tuning import grid, sweep
 from surctl.vehicle import LIBRARY, load_vehicle
 from surctl.verification.linear import slowest_mode
 from tests.cli.process import surctl
 from tests.tools import PATIENCE, need_compiler
+
+OWN_LAW = Path(__file__).parents[2] / "analysis" / "27_own_law"
 
 
 @pytest.fixture(scope="module")
@@ -275,3 +280,17 @@ def test_an_unstable_loop_is_named_with_its_remedy():
     mode = slowest_mode(load_vehicle("bluerov2-wu"), load_gains("default").values, cruise=0.25, dt=0.05)
     text = unstable_text(mode)
     assert mode.loop == "yaw" and "dominant states psi" in text and "0.202 m/s or less" in text
+
+
+def test_a_study_of_an_own_law_judges_nothing_of_another(tmp_path: Path) -> None:
+    need_compiler()
+    plan = load_plan(str(OWN_LAW / "wall_study.toml"), trust=True)
+    loops = loops_of(plan, plan.gains, dt=0.05)
+    assert (loops.margins, loops.mode, loops.to_dict()) == ((), None, None)
+    run = simulate(plan.legs[0].scenario, plan.vehicle, gains=plan.gains, law=build_law(plan.law))
+    swept = sweep(plan.sweep_cases, grid(plan.axes[:1]), out=tmp_path)
+    notes = {note.about: note for note in summary(plan, swept, loops, (), [(run, True)], ())}
+    assert notes["margins"].passed is None
+    assert notes["margins"].text == "margins: not judged, because law wall_law.py:wall has no linear model"
+    assert notes["claims"].passed is None
+    assert notes["runs-1"].passed

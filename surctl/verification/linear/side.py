@@ -191,7 +191,7 @@ def built(
     model: Vehicle,
     delay: float | None,
 ) -> Cascade:
-    # the vehicles have the same states
+    """Return the cascades of vehicles that have equal states."""
     count = len(vehicles)
     return build_cascades(
         np.array([plant_parameters(v) for v in vehicles]),

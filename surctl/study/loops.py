@@ -1,0 +1,72 @@
+"""The linear loops of a study about straight cruise; empty for a law without a linear model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import Gains
+from surctl.study.plan import Plan
+from surctl.verification import LoopMargins, OverSpeeds, closed_loop_poles, loop_margins, over_speeds
+from surctl.verification.cascade import has_cascade
+from surctl.verification.linear import LinearSide, Mode, corners, linear_side, slowest_mode, worst_linear_side
+
+if TYPE_CHECKING:
+    from surctl.report import LoopResponse
+
+__all__ = ["Loops", "loops_of"]
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Linear analysis at the largest cruise speed of the deciding missions.
+
+    Attributes:
+        margins: margins of each loop.
+        over: metrics at the plan's cruise speeds, or None.
+        poles: closed-loop poles [rad/s], or None.
+        mode: slowest or most unstable mode, or None.
+        sides: all loops together, for the nominal vehicle and the worst corner of its ranges.
+        responses: frequency responses of the loops.
+    """
+
+    margins: tuple[LoopMargins, ...] = ()
+    over: OverSpeeds | None = None
+    poles: NDArray[np.complex128] | None = None
+    mode: Mode | None = None
+    sides: tuple[LinearSide, ...] = ()
+    responses: tuple[LoopResponse, ...] = ()
+
+    @property
+    def stable(self) -> bool:
+        """Whether every loop is stable."""
+        return all(loop.stable for loop in self.margins)
+
+    def to_dict(self) -> dict[str, Any] | None:
+        """Return the analysis of all loops together as plain data; None if the law has no linear model."""
+        if self.mode is None:
+            return None
+        nominal, worst = self.sides
+        table = {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": self.mode.to_dict()}
+        return table | ({} if self.over is None else {"speeds": self.over.to_dict()})
+
+
+def loops_of(plan: Plan, gains: Gains, *, dt: float) -> Loops:
+    """Return the linear analysis of a plan's vehicle with these gains; empty if the law has no linear model."""
+    if not has_cascade(plan.law, plan.guidance):
+        return Loops()
+    from surctl.report import loop_responses  # loads matplotlib only now
+
+    vehicle, values = plan.vehicle, gains.values
+    at = {"cruise": max(leg.scenario.cruise for leg in plan.deciding), "dt": dt}
+    return Loops(
+        loop_margins(vehicle, values, **at),
+        over_speeds(vehicle, values, cruise=plan.cruise, dt=dt) if plan.cruise else None,
+        closed_loop_poles(vehicle, values, **at),
+        slowest_mode(vehicle, values, **at),
+        (linear_side(vehicle, values, **at), worst_linear_side(corners(vehicle), values, **at)),
+        loop_responses(vehicle, values, **at),
+    )
