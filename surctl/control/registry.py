@@ -116,7 +116,7 @@ def law_source(reference: str) -> LawSource:
         return LAWS[reference]
     if not is_own(reference):
         raise InputError("is not known", key=_KEY, value=reference, remedy=nearest(reference, LAW_NAMES))
-    source = made_by(reference if "#" in reference else pinned(reference, key=_KEY), LawSource, key=_KEY)
+    source: LawSource = made_by(reference if "#" in reference else pinned(reference, key=_KEY), LawSource, key=_KEY)
     if source.name in {law.name for law in LAWS.values()} or source.name in LAWS:
         raise InputError(
             "is the name of a built-in law",

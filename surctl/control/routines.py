@@ -57,7 +57,7 @@ def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routin
     together = lower(ca.Function("together", parts, [ca.vertcat(*parts)], names, ["x_next"]))
     anew = ("anew",) if "changing" in state else ()
     gains = dict(decide.inputs)["p"]
-    shared, first = ("p",), ()
+    shared, first = ("p",), tuple[Call, ...]()
     if gains > PARAMETERS.size:  # a law with gains of its own, which perception does not know
         p = ca.SX.sym("p", gains)
         cut = lower(ca.Function("shared", [p], [p[: PARAMETERS.size]], ["p"], ["shared"]))

@@ -119,16 +119,18 @@ def decision_of(source: LawSource, situation: Situation, reference: str) -> Deci
         return source.decide(situation)
     decision = called(reference, source.decide, situation)
     _check_decision(decision, source, file=own_file(reference))
-    return decision
+    checked: Decision = decision
+    return checked
 
 
 def thrust_of(source: LawSource, reference: str) -> Thrust | None:
     """Return the velocity controller of the law, with checks if it is of the user's own."""
-    if source.thrust is None or not is_own(reference):
-        return source.thrust
+    thrust = source.thrust
+    if thrust is None or not is_own(reference):
+        return thrust
 
     def checked(*arguments: Any) -> tuple[ca.SX, ca.SX]:
-        returned = called(reference, source.thrust, *arguments)
+        returned = called(reference, thrust, *arguments)
         return _check_thrust(returned, source, file=own_file(reference))
 
     return checked

@@ -173,7 +173,7 @@ def conduct(
             inapplicable = tuple(Inapplicable.of(name, reason) for name, reason in refused.items())
             if not law_source(plan.law).parts:  # the claims are about parts of the built-in laws
                 named = plan.claims or ()
-                applicable, inapplicable = [], tuple(Inapplicable(name, _NO_PART, "this law") for name in named)
+                applicable, inapplicable = (), tuple(Inapplicable(name, _NO_PART, "this law") for name in named)
             verdicts = tuple(decide(claim) for claim in applicable if plan.claims or claim.paper)
         with clock("runs"):
             leg_runs = _simulate_legs(plan, legs, (law, sonar_laws), swept, progress)

@@ -61,12 +61,15 @@ def loops_of(plan: Plan, gains: Gains, *, dt: float) -> Loops:
     from surctl.report import loop_responses  # loads matplotlib only now
 
     vehicle, values = plan.vehicle, gains.values
-    at = {"cruise": max(leg.scenario.cruise for leg in plan.deciding), "dt": dt}
+    cruise = max(leg.scenario.cruise for leg in plan.deciding)
     return Loops(
-        loop_margins(vehicle, values, **at),
+        loop_margins(vehicle, values, cruise=cruise, dt=dt),
         over_speeds(vehicle, values, cruise=plan.cruise, dt=dt) if plan.cruise else None,
-        closed_loop_poles(vehicle, values, **at),
-        slowest_mode(vehicle, values, **at),
-        (linear_side(vehicle, values, **at), worst_linear_side(corners(vehicle), values, **at)),
-        loop_responses(vehicle, values, **at),
+        closed_loop_poles(vehicle, values, cruise=cruise, dt=dt),
+        slowest_mode(vehicle, values, cruise=cruise, dt=dt),
+        (
+            linear_side(vehicle, values, cruise=cruise, dt=dt),
+            worst_linear_side(corners(vehicle), values, cruise=cruise, dt=dt),
+        ),
+        loop_responses(vehicle, values, cruise=cruise, dt=dt),
     )

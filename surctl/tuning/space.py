@@ -86,8 +86,8 @@ def gain_ranges(
     for name in table:
         if name not in base.specs:
             raise InputError("no such gain", key="--gain", value=name, remedy=nearest(name, base.specs))
-    tops = {name: base.specs[name].below for name in table}
-    return tuple(GainRange(name, *(ends or _default(name, base)), tops[name]) for name, ends in table.items())
+    stated = ((name, ends or _default(name, base)) for name, ends in table.items())
+    return tuple(GainRange(name, low, high, base.specs[name].below) for name, (low, high) in stated)
 
 
 def default_tuned(base: Gains) -> tuple[str, ...]:
