@@ -17,9 +17,9 @@ from typing import Any, TypeVar
 
 from surctl.errors import InputError, SurctlError, nearest
 
-__all__ = ["called", "check_trusted", "is_own", "label", "made_by", "own_file", "pinned"]
+__all__ = ["called", "check_trusted", "is_own", "label", "object_of", "own_file", "pinned"]
 
-Made = TypeVar("Made")
+Built = TypeVar("Built")
 
 _MARK = ".py:"
 _TRUTH = "truth value of a CasADi"  # of the error if Python's `if` is used on an expression
@@ -110,7 +110,7 @@ def check_trusted(reference: str, *, file: object, key: str, trust: bool) -> Non
 
 
 @cache
-def made_by(reference: str, kind: type[Made], *, key: str) -> Made:
+def object_of(reference: str, kind: type[Built], *, key: str) -> Built:
     """Return the object that a function returns when called without arguments; a pinned reference is called once.
 
     Args:
@@ -123,9 +123,9 @@ def made_by(reference: str, kind: type[Made], *, key: str) -> Made:
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.own_code import made_by, pinned
+        >>> from surctl.own_code import object_of, pinned
         >>> _ = Path("mine.py").write_text("def answer():\\n    return 42\\n")
-        >>> made_by(pinned("mine.py:answer", key="--law"), int, key="--law")
+        >>> object_of(pinned("mine.py:answer", key="--law"), int, key="--law")
         42
     """
     path, function, stated = _parts(reference)
@@ -138,15 +138,15 @@ def made_by(reference: str, kind: type[Made], *, key: str) -> Made:
         here = space["__name__"]
         known = [name for name, value in space.items() if getattr(value, "__module__", None) == here]
         raise InputError("has no such function", file=path, key=key, value=function, remedy=nearest(function, known))
-    made = _guarded(path, function, builder)
-    if not isinstance(made, kind):
+    built = _guarded(path, function, builder)
+    if not isinstance(built, kind):
         raise InputError(
-            f"returns {type(made).__name__}, not {kind.__name__}",
+            f"returns {type(built).__name__}, not {kind.__name__}",
             file=path,
             key=function,
             remedy=f"return a surctl {kind.__name__}",
         )
-    return made
+    return built
 
 
 @cache

@@ -109,11 +109,11 @@ class Gains:
         """Return this set for a law with the gains `own`; a gain that the set does not have takes its default."""
         if self.own == own:
             return self
-        kept = {name: value for name, value in self.values.items() if name in GAINS}
+        shared = {name: value for name, value in self.values.items() if name in GAINS}
         values = {name: self.values.get(name, spec.default or 0.0) for name, spec in own.items()}
         ranges = {name: spec.range for name, spec in own.items() if spec.range is not None}
         stated = {name: bounds for name, bounds in self.ranges.items() if name in GAINS or name in own}
-        return replace(self, values=kept | values, ranges=ranges | stated, own=own)
+        return replace(self, values=shared | values, ranges=ranges | stated, own=own)
 
     def with_values(
         self, values: Mapping[str, float], *, provenance: str | None = None, how: str | None = None

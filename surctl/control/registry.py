@@ -14,7 +14,7 @@ from surctl.control.paper import paper_law
 from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
 from surctl.control.stopping import BARRIERS
 from surctl.errors import InputError, nearest
-from surctl.own_code import check_trusted, is_own, made_by, own_file, pinned
+from surctl.own_code import check_trusted, is_own, object_of, own_file, pinned
 
 __all__ = ["LAWS", "LAW_NAMES", "law_ref", "law_source"]
 
@@ -116,7 +116,7 @@ def law_source(reference: str) -> LawSource:
         return LAWS[reference]
     if not is_own(reference):
         raise InputError("is not known", key=_KEY, value=reference, remedy=nearest(reference, LAW_NAMES))
-    source: LawSource = made_by(reference if "#" in reference else pinned(reference, key=_KEY), LawSource, key=_KEY)
+    source: LawSource = object_of(reference if "#" in reference else pinned(reference, key=_KEY), LawSource, key=_KEY)
     if source.name in {law.name for law in LAWS.values()} or source.name in LAWS:
         raise InputError(
             "is the name of a built-in law",

@@ -27,7 +27,7 @@ PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoi
 loop is the cascade of path following and velocity control; it avoids by (20); it has the barrier on closing speeds."""
 
 _VELOCITIES = 4
-_KEPT = frozenset({"progress", "integral", "drift"})
+_ALWAYS = frozenset({"progress", "integral", "drift"})
 _LATCHED = frozenset(port.name for port in DECISION_PORTS)
 
 
@@ -54,7 +54,7 @@ class LawSource:
         parts: parts of the law that the library's claims and linear models are about; none: not judged.
 
     Raises:
-        InputError: a name is not a C identifier or is taken, or a gain has no default within its bounds.
+        InputError: a name is not a C identifier or is reserved, or a gain has no default within its bounds.
 
     Example:
         >>> from surctl.control import Decision, GainSpec, LawSource
@@ -92,22 +92,22 @@ class LawSource:
         for port in self.state:
             if not isinstance(port, Port):
                 raise InputError("is not a Port", key=f"{self.name}.state", value=type(port).__name__)
-            taken = _KEPT | _LATCHED if self.latches else _KEPT
-            _check_port(port.name, port.unit, where=f"{self.name}.state", taken=taken)
+            reserved = _ALWAYS | _LATCHED if self.latches else _ALWAYS
+            _check_port(port.name, port.unit, where=f"{self.name}.state", reserved=reserved)
         for name, spec in self.gains.items():
             where = f"{self.name}.gains"
             if not isinstance(spec, GainSpec):
                 raise InputError("is not a GainSpec", key=f"{where}.{name}", value=type(spec).__name__)
-            _check_port(name, spec.unit, where=where, taken=frozenset(port.name for port in PARAMETERS))
+            _check_port(name, spec.unit, where=where, reserved=frozenset(port.name for port in PARAMETERS))
             spec.check_default(f"{where}.{name}")
 
 
-def _check_port(name: str, unit: str, *, where: str, taken: frozenset[str]) -> None:
+def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -> None:
     try:
         identifier(name)
     except InputError as error:
         raise InputError(error.problem, key=where, value=name, remedy=error.remedy) from None
-    if name in taken:
+    if name in reserved:
         raise InputError("is a name that every law has", key=where, value=name, remedy="choose another name")
     if not unit.strip():
         raise InputError("has no unit", key=f"{where}.{name}", remedy='give its unit, "1" if it has none')
