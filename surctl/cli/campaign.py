@@ -222,12 +222,14 @@ def _claim(case: Case) -> SafetyClaim:
 
 
 def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
+    from surctl.control import BARRIER, law_source
     from surctl.own_code import label
 
     case, table = campaign.plan.case, campaign.table
     lines = [f"{campaign.plan.name} by {case.vehicle.name}, law {label(case.law)}, {case.sensing}, {len(table)} runs:"]
-    lines += campaign.summary.lines()
-    if case.law == "guarded" and campaign.summary.violated:
+    claim = BARRIER in law_source(case.law).parts
+    lines += campaign.summary.lines(claim=claim)
+    if claim and campaign.summary.violated:
         lines.append(f"  the no-contact claim: {_claim(case).statement}")
     for place, k in enumerate(table.worst(worst)):
         time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]

@@ -52,8 +52,8 @@ class Summary:
             "runs_by_broken_assumption": dict(self.violated),
         }
 
-    def lines(self) -> list[str]:
-        """Return the summary as lines of text."""
+    def lines(self, *, claim: bool = True) -> list[str]:
+        """Return the summary as lines of text; with `claim`, also those about the no-contact claim, if the law has it."""
         lines = []
         for reason in ("collision", "time limit", "standstill", "dead end", "fault"):
             s = self.stopped[reason]
@@ -66,6 +66,8 @@ class Summary:
             if percentiles:
                 values = ", ".join(f"{value:.4g} {unit} ({p} %)" for p, value in percentiles.items())
                 lines.append(f"  {name:<11}{values}")
+        if not claim:
+            return lines
         if self.broken:
             counts = ", ".join(f"{n} {k}" for k, n in self.broken.items())
             lines.append(f"  collisions by violated assumption: {counts}")
