@@ -1,6 +1,14 @@
 """Closed loops of any plant and any sampled controller, for simulation, parameter sweeps and linearisation."""
 
-from surctl.system.controller import NONFINITE, Action, Controller, ControllerStep, SampledController, Step
+from surctl.system.controller import (
+    NONFINITE,
+    Action,
+    Controller,
+    ControllerStep,
+    SampledController,
+    Step,
+    command_ports,
+)
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise
 from surctl.system.loop import Cost, Signals, System
 from surctl.system.plant import Parts, Plant
@@ -23,6 +31,7 @@ __all__ = [
     "Signals",
     "Step",
     "System",
+    "command_ports",
     "find_equilibrium",
     "linearise",
     "run_system",
