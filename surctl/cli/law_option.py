@@ -13,6 +13,4 @@ law_option = click.option(
     help="Law: guarded (default), paper, closed_form, apf, dwa, vo, cbf; or your own, FILE.py:FUNCTION, which is run.",
 )
 
-trust_option = click.option(
-    "--trust", is_flag=True, help="Run the Python file that FILE names as its law (FILE.py:FUNCTION)."
-)
+trust_option = click.option("--trust", is_flag=True, help="Run the law of your own that FILE names.")

@@ -1,4 +1,4 @@
-"""`surctl new`: write a commented vehicle, scenario, study or task file for the user to edit."""
+"""`surctl new`: write a commented vehicle, scenario, study, task or system file for the user to edit."""
 
 from __future__ import annotations
 
@@ -18,6 +18,12 @@ _NEXT = {
     "scenario": ("surctl lint {}", "surctl simulate {}"),
     "study": ("surctl lint {}", "surctl study {}"),
     "task": ("python {}",),
+    "system": (
+        "surctl simulate {}:build --seconds 5 --out plots",
+        "surctl verify {}:build",
+        "surctl sweep {}:build k_p=4..20:9 --seconds 5 --out sweep",
+        "surctl export {}:build --seconds 5 --out firmware",
+    ),
 }
 
 
@@ -30,7 +36,8 @@ _NEXT = {
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write a commented file to start from: a vehicle, a scenario, a study, or a task in Python.
+    """Write a commented file to start from: a vehicle, a scenario, a study, or in Python a task or a
+    closed loop (system).
 
     The file works without changes.
 
@@ -44,7 +51,7 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     if kind == "task" and not identifier.isidentifier():
         raise InputError("cannot name a task", key="name", value=name, remedy="begin with a letter")
     text = template.read_text(encoding="utf-8").replace("@NAME@", quoted(name)).replace("@IDENTIFIER@", identifier)
-    suffix = ".py" if kind == "task" else ".toml"
+    suffix = ".py" if kind in ("task", "system") else ".toml"
     target = write_new(out or path_of(name, suffix), text, force=force)
     shown = shlex.quote(str(target))
     then = [command.format(shown) for command in _NEXT[kind]]

@@ -11,11 +11,14 @@ from surctl.system.controller import (
 )
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise
 from surctl.system.loop import Cost, Signals, System
+from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Parts, Plant
 from surctl.system.record import Record, run_system
-from surctl.system.runs import Runs, simulate_system
+from surctl.system.runs import ENDED, LOST, Runs, periods, simulate_system
 
 __all__ = [
+    "ENDED",
+    "LOST",
     "NONFINITE",
     "Action",
     "Controller",
@@ -32,8 +35,11 @@ __all__ = [
     "Step",
     "System",
     "command_ports",
+    "entry_labels",
+    "entry_units",
     "find_equilibrium",
     "linearise",
+    "periods",
     "run_system",
     "simulate_system",
 ]
