@@ -31,9 +31,9 @@ def verify_system(words: Sequence[str], *, as_json: bool) -> None:
     openings = linear.channels()
     commands = openings[: own.system.commands.size]
     margins = system_margins(linear, *commands)
-    together = [system_disk_margin(linear, *commands)] if len(commands) > 1 else []
-    together.append(system_disk_margin(linear))
-    stable = together[-1].stable
+    together = {"commands": system_disk_margin(linear, *commands)} if len(commands) > 1 else {}
+    together["commands and measurements"] = system_disk_margin(linear)
+    stable = together["commands and measurements"].stable
     mode = _slowest(complex(poles[0]), own.system.dt)
     resting = _equilibrium(own.system, at)
     lines = [f"{own.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
@@ -42,7 +42,7 @@ def verify_system(words: Sequence[str], *, as_json: bool) -> None:
     lines.append(f"  slowest mode: {_mode_text(mode)}")
     if stable:
         lines += ["loop opened at a command, all others closed:", *map(_margin_line, margins)]
-        lines += ["all loops at once:", *map(_disk_line, together)]
+        lines += [_disk_line(what, margin) for what, margin in together.items()]
     data = {
         **own.names,
         "values": {name: value.ravel().tolist() for name, value in values.items()},
@@ -51,7 +51,7 @@ def verify_system(words: Sequence[str], *, as_json: bool) -> None:
         "poles": [[float(pole.real), float(pole.imag)] for pole in poles],
         "slowest_mode": mode,
         "margins": [margin.to_dict() for margin in margins],
-        "disk_margins": [margin.to_dict() for margin in together],
+        "disk_margins": [margin.to_dict() for margin in together.values()],
     }
     settings = [word for word in own.settings if not word.startswith("start.")]
     then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
@@ -63,7 +63,9 @@ def _equilibrium(system: System, at: Operating) -> dict[str, list[tuple[str, flo
     from surctl.system import entry_labels, entry_units
 
     def rows(layout: Layout, numbers: Sequence[float]) -> list[tuple[str, float, str]]:
-        return list(zip(entry_labels(layout), map(float, numbers), entry_units(layout), strict=True))
+        return list(
+            zip(entry_labels(layout), (float(number) + 0.0 for number in numbers), entry_units(layout), strict=True)
+        )
 
     return {
         "state": rows(system.plant.state, at.x.tolist()),
@@ -99,9 +101,9 @@ def _margin_line(margin: LoopMargins) -> str:
     )
 
 
-def _disk_line(margin: DiskMargin) -> str:
+def _disk_line(what: str, margin: DiskMargin) -> str:
     low, high = margin.gain
     return (
-        f"  {margin.place}: disk margin {margin.guaranteed:.3g}, gain factors {low:.3g} … {high:.3g} "
+        f"all {what} at once: disk margin {margin.guaranteed:.3g}, gain factors {low:.3g} … {high:.3g} "
         f"or phase ±{margin.phase_deg:.3g} deg, tightest at {margin.frequency_rad_s:.4g} rad/s"
     )

@@ -42,6 +42,8 @@ def plot_record(record: Record) -> Figure:
             curve(ax, record.time, values, label=label, k=k)
             if held:
                 ax.lines[-1].set_drawstyle("steps-post")
+            if len(values) == 1:
+                ax.lines[-1].set_marker("o")
         dress(ax, y=f"{name} [{unit}]", x="time [s]" if ax is axes[-1] else "")
         if len(lines) > 1:
             legend_above(ax)
