@@ -23,6 +23,7 @@ _ROOT = 1e-6  # largest ratio of imaginary to absolute value of L where it count
 _POINTS = 1500  # number of angles towards each end of (0, π)
 _NEAR = np.geomspace(1e-3, 30.0, 24)  # distances from a pole's angle, in distances of the pole from the unit circle
 _BISECTIONS = 50
+_INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
 
@@ -162,9 +163,11 @@ def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
 def _continuous(linear: Linearisation, *openings: str) -> OpenLoop:
     """Transform the open loop by z = (1 + s)/(1 - s), which maps the unit circle to the imaginary axis.
 
-    The values of the frequency response do not change.
+    The values of the frequency response do not change, except by 1e-6 for a loop with a pole at z = -1.
     """
     A, B, C, D = linear.opened(*openings)
+    if np.linalg.cond(A + np.eye(len(A))) > _SINGULAR:  # a pole at z = -1, which the transform maps to infinity
+        A = A * (1 - _INWARDS)
     whole = np.linalg.inv(A + np.eye(len(A)))
     root = np.sqrt(2)
     return OpenLoop(whole @ (A - np.eye(len(A))), root * whole @ B, root * C @ whole, D - C @ whole @ B)

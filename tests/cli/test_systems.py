@@ -58,6 +58,9 @@ def number():
 
 def fails():
     return 1 / 0
+
+def leaves():
+    raise SystemExit(0)
 """
 
 
@@ -193,6 +196,7 @@ MISTAKES = {
     "no such function": (("verify", "mine.py:bild"), "no such function; did you mean 'build'"),
     "another type": (("verify", "mine.py:number"), "returns float, not System"),
     "a function that fails": (("simulate", "mine.py:fails", "--seconds", "1"), "fails with ZeroDivisionError"),
+    "a function that exits": (("verify", "mine.py:leaves"), "fails with SystemExit: 0; correct the file"),
     "a file that fails": (("verify", "broken.py:build"), "line 1"),
     "no function": (("simulate", "mine.py", "--seconds", "1"), "write mine.py:FUNCTION"),
     "two systems": (("verify", "mine.py:build", "mine.py:bare"), "one system, first"),

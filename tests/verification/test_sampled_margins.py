@@ -118,6 +118,26 @@ def test_all_loops_at_once_bear_less_than_each_and_break_where_it_says() -> None
     assert 0 < together.frequency_rad_s <= np.pi / 0.01
 
 
+def test_a_pole_at_the_nyquist_frequency_is_no_obstacle() -> None:
+    """A derivative by the trapezoidal rule has its pole at z = -1."""
+    place, speed, force = Port("x", (1,), "m", ""), Port("v", (1,), "m/s", ""), Port("f", (1,), "N", "")
+    mass = Plant(
+        "mass", Layout((place, speed)), Layout((force,)), lambda x, f, d, p: {"x": x["v"], "v": f["f"] - 3 * x["v"]}
+    )
+
+    def loop(pole: float) -> System:
+        def law(z, u, p):
+            rate = pole * z["rate"] + (1 - pole) / 0.02 * (u["x"] - z["last"])
+            return Action(-2 * u["x"] + 0.005 * rate, {"last": u["x"], "rate": rate})
+
+        memory = Layout((Port("last", (1,), "m", ""), Port("rate", (1,), "m/s", "")))
+        return System(mass, Controller("pd", 0.02, Layout((place,)), Layout((force,)), law, state=memory))
+
+    at, near = linearise(loop(-1.0)), linearise(loop(-0.99999))
+    assert system_margins(at, "f")[0].disk_margin == pytest.approx(system_margins(near, "f")[0].disk_margin, rel=1e-4)
+    assert system_disk_margin(at).guaranteed == pytest.approx(system_disk_margin(near).guaranteed, rel=1e-4)
+
+
 def test_an_unstable_loop_has_no_margins() -> None:
     slack = replace(pendulum(), costs={}, controller=Controller(
         "slack", 0.01, Layout((ANGLE, RATE)), Layout((TORQUE,)), lambda x, u, p: -5 * u["angle"] - ca.SX(0)
