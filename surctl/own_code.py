@@ -190,7 +190,7 @@ def _guarded(path: Path, key: str, call: Callable[[], Any]) -> Any:
         raise error.inside(path, error.key or key) from None
     except SurctlError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         text = " ".join(str(error).split())

@@ -14,11 +14,15 @@ from surctl.cli.next_export import MISSION
 from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
+from surctl.cli.system_export import export_system
+from surctl.cli.system_option import is_system, seconds_option
 
 __all__ = ["export"]
 
 
 @click.command
+@click.argument("system", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE]...]")
+@seconds_option
 @click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option(
@@ -73,6 +77,8 @@ __all__ = ["export"]
 )
 @as_json
 def export(
+    system: tuple[str, ...],
+    seconds: float | None,
     gains: str,
     vehicle: str | None,
     scenario: str,
@@ -103,13 +109,18 @@ def export(
 
     Sensor options override the scenario's tables. --check also runs the code built by gcc and clang at -O0 to -O3 and
     on QEMU's Cortex-M3, -M4F and -M7. Every output byte must equal Python's; code sizes and instruction counts are
-    printed. --prove takes minutes with sonar sensing; it covers gains within the ranges of the gain file. Exit status:
-    1 if C and Python differ, or if the replayed run collides or does not arrive.
+    printed. --prove takes minutes with sonar sensing; it covers gains within the ranges of the gain file.
+    FILE.py:FUNCTION names a system of your own, whose controller is exported. Exit status: 1 if C and Python differ,
+    or if the replayed run collides or does not arrive.
 
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --sensing truth --real float32
-    --check; surctl export --priority-mode projected --fallback bounded; surctl export --law closed_form --sensing truth
-    --scenario pool-ahead --constant-gains
+    --check; surctl export --law closed_form --sensing truth --constant-gains; surctl export my_system.py:build
+    --seconds 5
     """
+    if is_system(system, "seconds", "name", "out", "as_json"):
+        export_system(system, seconds=seconds, name=name, out=out, as_json=as_json)
+    if system:
+        raise click.UsageError(f"Got unexpected extra argument ({system[0]})")
     import tempfile
     from dataclasses import replace
 

@@ -21,6 +21,4 @@ def law_words(reference: str) -> list[str]:
     return ["--law", own_file(reference)]
 
 
-trust_option = click.option(
-    "--trust", is_flag=True, help="Run the Python file that FILE names as its law (FILE.py:FUNCTION)."
-)
+trust_option = click.option("--trust", is_flag=True, help="Run the law of your own that FILE names.")

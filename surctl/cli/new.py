@@ -1,4 +1,4 @@
-"""`surctl new`: write a commented vehicle, scenario, study, task or law file for the user to edit."""
+"""`surctl new`: write a commented vehicle, scenario, study, task, law or system file for the user to edit."""
 
 from __future__ import annotations
 
@@ -23,8 +23,14 @@ _NEXT = {
         "surctl new scenario open-water",
         "surctl simulate open-water.toml --law {}:@IDENTIFIER@",
     ),
+    "system": (
+        "surctl simulate {}:build --seconds 5 --out plots",
+        "surctl verify {}:build",
+        "surctl sweep {}:build k_p=4..20:9 --seconds 5 --out sweep",
+        "surctl export {}:build --seconds 5 --out firmware",
+    ),
 }
-_IN_PYTHON = ("task", "law")
+_IN_PYTHON = ("task", "law", "system")
 
 
 @click.command
@@ -36,7 +42,8 @@ _IN_PYTHON = ("task", "law")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
 def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write a commented file to start from: a vehicle, a scenario, a study, or a task or a control law in Python.
+    """Write a commented file to start from: a vehicle, a scenario, a study, or in Python a task, a control law or a
+    closed loop (system).
 
     The file works without changes.
 

@@ -13,7 +13,7 @@ priority_options = together(
         "--priority-mode",
         default="nsb",
         metavar="NAME",
-        help="Priorities: nsb (default), filter, projected or lexicographic.",
+        help="Mode: nsb (default), filter, projected, lexicographic.",
     ),
     click.option(
         "--fallback",

@@ -15,12 +15,15 @@ from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 from surctl.cli.single_run import further_output, linear_part, run_line
+from surctl.cli.system_option import is_system, seconds_option
+from surctl.cli.system_simulate import simulate_system
 
 __all__ = ["simulate"]
 
 
 @click.command
-@click.argument("scenarios", nargs=-1)
+@click.argument("scenarios", nargs=-1, metavar="SCENARIO... | FILE.py:FUNCTION NAME=VALUE...")
+@seconds_option
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
 @law_option
@@ -50,6 +53,7 @@ __all__ = ["simulate"]
 @as_json
 def simulate(
     scenarios: tuple[str, ...],
+    seconds: float | None,
     vehicle: str | None,
     gains: str,
     law: str,
@@ -85,15 +89,16 @@ def simulate(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Simulate scenarios in closed loop. Exit status: 1 if a run collides or does not arrive.
-    Path error: rms distance to the path outside avoidance.
+    """Simulate scenarios, or a system of your own (surctl new system NAME).
 
-    Sensor options override the scenario's tables. A campaign (--monte-carlo, --random-worlds) saves its runs in DIR and
-    resumes there. --controller compares each command of the exported C with Python's.
+    Exit status: 1 if a run collides, does not arrive or diverges. Sensor options override the scenario's tables. A
+    campaign (--monte-carlo, --random-worlds) saves its runs in DIR and resumes there.
 
-    Examples: surctl simulate pool-static --sensing sonar --runs 5; surctl simulate tank-static --runs 1000
-    --monte-carlo --out mc; surctl simulate pool-static --controller tcp://127.0.0.1:5555
+    Examples: surctl simulate pool-static --sensing sonar; surctl simulate tank-static --runs 1000 --monte-carlo --out
+    mc; surctl simulate my_system.py:build plant.mass=2 --seconds 5
     """
+    if is_system(scenarios, "seconds", "out", "as_json"):
+        simulate_system(scenarios, seconds=seconds, out=out, as_json=as_json)
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
     link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout)
     link.check(campaign=campaign.any or replayed is not None)

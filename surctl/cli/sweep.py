@@ -11,6 +11,8 @@ import click
 from surctl.cli.law_option import law_option, law_words
 from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
+from surctl.cli.system_option import is_system, seconds_option
+from surctl.cli.system_sweep import sweep_system
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,7 +39,13 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 
 
 @click.command
-@click.argument("axes", nargs=-1, required=True, metavar="PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ...")
+@click.argument(
+    "axes",
+    nargs=-1,
+    required=True,
+    metavar="[FILE.py:FUNCTION] PARAMETER=V1,V2,...|LOW..HIGH[:COUNT][:log] ...",
+)
+@seconds_option
 @click.option(
     "--scenario",
     "scenarios",
@@ -113,6 +121,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 @as_json
 def sweep(
     axes: tuple[str, ...],
+    seconds: float | None,
     scenarios: tuple[str, ...],
     vehicles: tuple[str, ...],
     sensing: str,
@@ -136,10 +145,16 @@ def sweep(
     A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
     model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
 
+    FILE.py:FUNCTION names a system of your own: its costs over a grid of gains (k) and of plant.NAME, reference.NAME,
+    disturbance.NAME, start.NAME.
+
     Examples: surctl sweep lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log --scenario pool-static --out sweep;
     surctl sweep k_v=1..3 plant.m11=30..60 --design sobol --points 128;
-    surctl sweep k_v=1..3 k_r=1..3 --sensitivity deviation_m
+    surctl sweep k_v=1..3 k_r=1..3 --sensitivity deviation_m;
+    surctl sweep my_system.py:build k=1..8:20:log --seconds 5
     """
+    if is_system(axes, "seconds", "workers", "out", "as_json"):
+        sweep_system(axes, seconds=seconds, workers=workers, out=out, as_json=as_json)
     from surctl.control import law_ref, law_source, load_gains, write_gains
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder, write_file

@@ -14,6 +14,8 @@ import click
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
+from surctl.cli.system_option import is_system
+from surctl.cli.system_verify import verify_system
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,8 +33,8 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 
 
 @click.command
-@click.argument("claims", nargs=-1, metavar="[CLAIM | FILE.toml]...")
-@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's, else sur540-flooded).")
+@click.argument("claims", nargs=-1, metavar="[CLAIM | FILE.toml | FILE.py:FUNCTION]...")
+@click.option("--vehicle", metavar="FILE", help="Vehicle (default: the scenario's, else sur540-flooded).")
 @click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
 @click.option(
     "--uncertainty",
@@ -89,7 +91,7 @@ def verify(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Prove or refute the paper's claims, as printed and as corrected, or your own claims, and print stability margins.
+    """Prove or refute the paper's claims, or your own, and print stability margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither was found), or not applicable (this vehicle or these gains violate an assumption). The paper's claims
@@ -103,10 +105,13 @@ def verify(
     prints which tasks of a law are orthogonal, independent or dependent, and which converge. Exit status: 1 if a
     verdict is not as expected, a named claim is not applicable, the linear loop is unstable, or the safety claim fails.
 
-    Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml --gains
-    my-gains.toml; surctl verify --cruise 0.05,0.15,0.22; surctl verify region-cruise-20 --show; surctl verify
-    braking-inertia-20 --scenario tank-static --uncertainty 0.2
+    FILE.py:FUNCTION [NAME=VALUE]... names a system of your own: equilibrium, poles and margins of its sampled loop.
+
+    Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml;
+    surctl verify my_system.py:build plant.mass=2; surctl verify braking-inertia-20 --scenario tank-static
     """
+    if is_system(claims, "as_json"):
+        verify_system(claims, as_json=as_json)
     from surctl.cli.braking import is_braking, prove_all
     from surctl.cli.linear_part import linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command

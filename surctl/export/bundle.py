@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.certcheck.bundle import numbers_sha256
 from surctl.errors import InputError
-from surctl.export.contract import FILES, Exportable, checked_name
+from surctl.export.contract import FILES, Exportable, checked_name, commands, is_robot_law
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.guard_text import range_text
 from surctl.export.origin import Origin, check_belonging, manifest_entries
@@ -164,6 +164,7 @@ def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Env
         "surctl": __version__,
         "dt_s": float(law.dt),
         "real": real,
+        **({} if is_robot_law(law) else {"commands": {port.name: port.unit for port in commands(law)}}),
         "ranges": {
             struct: {port.name: range_text(box[layout.slice(port.name)]) for port in layout if port.size}
             for struct, (layout, box) in boxes.items()

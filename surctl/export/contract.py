@@ -9,9 +9,20 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, identifier
-from surctl.system import SampledController
+from surctl.system import Controller, SampledController, command_ports
 
-__all__ = ["STATUS", "Around", "Exportable", "checked_name", "telemetry_ports", "thrust"]
+__all__ = [
+    "STATUS",
+    "Around",
+    "Exportable",
+    "checked_name",
+    "command_size",
+    "command_word",
+    "commands",
+    "is_robot_law",
+    "status_table",
+    "telemetry_ports",
+]
 
 STATUS: tuple[tuple[str, int, str], ...] = (
     ("OK", 0, "thrust is valid"),
@@ -43,7 +54,7 @@ _HEADERS = frozenset(f"{_HEADERS_OF_C} {_HEADERS_OF_POSIX} {_HEADERS_OF_FMI}".sp
 
 
 Exportable: TypeAlias = SampledController
-"""A law that can be exported; its first output is the thrust tau."""
+"""A controller that can be exported: a law of the robot, whose only command is the thrust tau, or any other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,25 +85,49 @@ class Around:
 
     @property
     def outputs(self) -> Layout:
-        """Return the layout of the outputs: the thrust tau (4,), then the telemetry (k,)."""
+        """Return the layout of the outputs: commands, then telemetry."""
         return self.law.outputs
 
 
-def thrust(law: Exportable) -> Port:
-    """Return the port of the thrust, which is the first output."""
-    return law.outputs.ports[0]
+def commands(law: Exportable) -> tuple[Port, ...]:
+    """Return the ports of the commands, which are the first outputs."""
+    return command_ports(law).ports
+
+
+def command_size(law: Exportable) -> int:
+    """Return the number of command entries."""
+    return command_ports(law).size
 
 
 def telemetry_ports(law: Exportable) -> tuple[Port, ...]:
-    """Return the output ports that follow the thrust."""
-    return law.outputs.ports[1:]
+    """Return the output ports that follow the commands."""
+    return law.outputs.ports[len(commands(law)) :]
+
+
+def is_robot_law(law: Exportable) -> bool:
+    """Return whether the controller is a law of the robot, and not one of any plant (`surctl.system.Controller`)."""
+    while isinstance(law, Around):
+        law = law.law
+    return not isinstance(law, Controller)
+
+
+def command_word(law: Exportable) -> str:
+    """Return what text calls the commands: thrust for a law of the robot, otherwise command."""
+    return "thrust" if is_robot_law(law) else "command"
+
+
+def status_table(law: Exportable) -> tuple[tuple[str, int, str], ...]:
+    """Return (name, code, meaning) of each status; a controller of any plant defines its own bits."""
+    if is_robot_law(law):
+        return STATUS
+    return tuple((name, code, text.replace("thrust", "command")) for name, code, text in STATUS if code <= 0)
 
 
 def checked_name(law: Exportable, name: str | None = None) -> str:
     """Check every name that the C text uses, and return the bundle's name.
 
     Raises:
-        InputError: a name is not a C identifier or collides with that of another file, the first output is not `tau`,
+        InputError: a name is not a C identifier or collides with that of another file or member, nothing is commanded,
             the period is not positive, or the sizes of the law's program or routine differ from its layouts.
     """
     chosen = identifier(law.name if name is None else name)
@@ -100,8 +135,10 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
     for layout in (law.state, law.inputs, law.gains, law.outputs):
         for port in layout:
             identifier(port.name)
-    if not law.outputs.ports or thrust(law).name != "tau":
-        raise InputError("the first output is not tau", key=f"{chosen}.outputs", remedy="put tau first")
+    if "sample" in law.inputs:
+        raise InputError("is the name of the sample number", key=f"{chosen}.inputs.sample", remedy="rename this input")
+    if not command_size(law):
+        raise InputError("commands nothing", key=f"{chosen}.outputs", remedy="begin with the commands")
     if not (np.isfinite(law.dt) and law.dt > 0.0):
         raise InputError("is not a positive time", key=f"{chosen}.dt", value=law.dt, remedy="give seconds")
     _check_sizes(law, chosen)
@@ -139,7 +176,7 @@ def _check_files(name: str) -> None:
 
 
 def _check_sizes(law: Exportable, name: str) -> None:
-    n_tau = thrust(law).size
+    n_tau = command_size(law)
     have = [size for _, size in (*law.block.inputs, *law.block.outputs)]
     want = [law.state.size, law.inputs.size, law.gains.size]
     want += [n_tau, law.state.size, 1, law.outputs.size - n_tau]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surctl.export.contract import Exportable, telemetry_ports, thrust
+from surctl.export.contract import Exportable, commands, telemetry_ports
 from surctl.export.fields import entries
 from surctl.ir import C_TYPE, Parts, Program, Real
 from surctl.ir.c99_folded import folded_lines, helpers
@@ -23,7 +23,7 @@ def direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
         [f"gains->{member}" for member, _ in entries(law.gains)],
     ]
     left = [
-        [f"output->{member}" for member, _ in entries([thrust(law)])],
+        [f"output->{member}" for member, _ in entries(commands(law))],
         [f"next[{k}]" for k in range(law.state.size)],
         ["*status"],
         [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
@@ -66,7 +66,7 @@ def changing(block: Program) -> list[int]:
 def results(law: Exportable, block: Program) -> list[str]:
     """Return the C names of results that may be NaN or infinite (no constants, copied inputs or truth values)."""
     left = [
-        [f"output->{member}" for member, _ in entries([thrust(law)])],
+        [f"output->{member}" for member, _ in entries(commands(law))],
         [f"state->next[{k}]" for k in range(law.state.size)],
         [],
         [f"output->{member}" for member, _ in entries(telemetry_ports(law))],

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.errors import InputError
 from surctl.export.bundle import Bundle, ExportedFile
-from surctl.export.contract import STATUS, Exportable
+from surctl.export.contract import Exportable, is_robot_law, status_table
 from surctl.export.rendering import render_unit
 from surctl.ir import Layout, compile_program
 
@@ -117,6 +117,9 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
     return ExportedFile(target, digest)
 
 
+_ROBOT = "Controller of a small underwater robot. SI units, radians; frames ENU (world) and FLU (body)."
+
+
 def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str]) -> bytes:
     # modelDescription.xml
     root = ElementTree.Element(
@@ -124,7 +127,7 @@ def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequen
         fmiVersion="2.0",
         modelName=bundle.name,
         guid=bundle.id,
-        description="Controller of a small underwater robot. SI units, radians; frames ENU (world) and FLU (body).",
+        description=_ROBOT if is_robot_law(law) else "Controller. SI units, radians.",
         generationTool=f"surctl {__version__}",
         variableNamingConvention="structured",
         numberOfEventIndicators="0",
@@ -157,7 +160,7 @@ def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequen
             value = {} if starts is None else {"start": repr(float(np.float64(starts[k])))}
             ElementTree.SubElement(scalar, "Real", value)
             count += 1
-    codes = "; ".join(f"{code}: {meaning}" for _, code, meaning in STATUS)
+    codes = "; ".join(f"{code}: {meaning}" for _, code, meaning in status_table(law))
     scalar = ElementTree.SubElement(
         variables,
         "ScalarVariable",

@@ -18,7 +18,7 @@ from surctl.control import Law, LawStep
 from surctl.errors import InputError
 from surctl.export.bundle import law_id
 from surctl.export.closed import closed_form
-from surctl.export.contract import Exportable, thrust
+from surctl.export.contract import Exportable, command_size
 from surctl.export.envelope import Envelope
 from surctl.export.link import Line, LineDown, Reply
 from surctl.export.precision import Guarded, Rounded, replayed, rounded
@@ -185,7 +185,7 @@ class LinkedLaw:
         self._failsafe = 0
         self._times: list[float] = []
         self._gone: tuple[float, str] | None = None
-        self._telemetry = np.zeros(self.law.outputs.size - thrust(self.law).size)
+        self._telemetry = np.zeros(self.law.outputs.size - command_size(self.law))
 
     def _shipped(self, identity: str) -> tuple[Exportable, Vector]:
         # the variant with constant gains if `identity` is its id
@@ -210,7 +210,7 @@ class LinkedLaw:
             return LawStep(now.reply.tau, self._state, now.reply.status, self._telemetry)
         self._failsafe += 1
         return LawStep(
-            np.zeros(thrust(self.law).size), self._state, LATE if self._gone is None else GONE, self._telemetry
+            np.zeros(command_size(self.law)), self._state, LATE if self._gone is None else GONE, self._telemetry
         )
 
     def _request(self, u: Vector) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import LawStep
-from surctl.export.contract import Around, Exportable, thrust
+from surctl.export.contract import Around, Exportable, command_size
 from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope
 from surctl.export.records import Records
 from surctl.export.rows import Rows
@@ -68,7 +68,7 @@ class Rounded(_Same):
         return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def _batch(self, X: Vector, U: Vector, P: Vector) -> Rows:
-        n_tau = thrust(self.law).size
+        n_tau = command_size(self.law)
         safe = Rows(
             np.full(len(X), NONFINITE),
             np.zeros((len(X), n_tau)),
@@ -113,7 +113,7 @@ class Guarded(_Same):
         x, u, p = (rounded(np.asarray(v, dtype=float), self.real) for v in (x, u, p))
         refused = int(self.envelope.refusals(Records(*(v[None] for v in (x, u, p))))[0])
         if refused == RANGE:  # the law itself refuses numbers that are not finite
-            size = thrust(self.law).size
+            size = command_size(self.law)
             return LawStep(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
         step = self.law.step(x, u, p)
         return LawStep(step.tau, step.x_next, step.status, step.telemetry)
@@ -139,7 +139,7 @@ def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
     if isinstance(law, Rounded):
         return law.steps(X, U, P)
     steps = [law.step(x, u, p) for x, u, p in zip(X, U, P, strict=True)]
-    width = law.outputs.size - thrust(law).size
+    width = law.outputs.size - command_size(law)
     return Rows(
         np.array([int(s.status) for s in steps], dtype=np.int64),
         np.array([s.tau for s in steps], dtype=float).reshape(len(steps), -1),
@@ -150,7 +150,7 @@ def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
 
 def _let_in(law: Guarded, records: Records) -> Rows:
     status = law.envelope.refusals(records)
-    size = thrust(law).size
+    size = command_size(law)
     out = Rows(
         status,
         np.zeros((len(records), size)),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import SurctlError
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.export.contract import Exportable, thrust
+from surctl.export.contract import Exportable, command_size
 from surctl.export.precision import in_precision
 from surctl.export.records import Records
 from surctl.export.rows import Rows
@@ -36,7 +36,7 @@ class FaultResults:
 
     Attributes:
         status: status codes (K,).
-        tau: thrust (K, n_tau) [N, N m].
+        tau: commands (K, n_tau).
         changed: number of state entries that each step changed (K,).
     """
 
@@ -93,7 +93,7 @@ class Controller:
 
     @property
     def _widths(self) -> tuple[int, int, int, int]:
-        n_tau = thrust(self.law).size
+        n_tau = command_size(self.law)
         return 1, n_tau, self.law.state.size, self.law.outputs.size - n_tau
 
     @property
@@ -103,7 +103,7 @@ class Controller:
     def run_faults(self, record: Vector, at: Vector, values: Vector) -> FaultResults:
         """Run K steps from `record` (state, input, gains end to end); step k sets entry `at[k]` to `values[k]`."""
         numbers = np.concatenate([record, np.column_stack([at, values]).ravel()])
-        n_tau = thrust(self.law).size
+        n_tau = command_size(self.law)
         with np.errstate(over="ignore"):
             sent = numbers.astype(self._dtype).tobytes()
         rows = self._rows(self._output(["--faults"], sent, len(at), 2 + n_tau), len(at), 2 + n_tau)

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.export.bundle import Bundle, manifest_with
-from surctl.export.contract import Exportable, thrust
+from surctl.export.contract import Exportable, commands
 from surctl.export.envelope import anywhere
 from surctl.export.fields import entries
 from surctl.ir import Block, Loop, Program, Real, Routine, c_literal
@@ -238,7 +238,7 @@ def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
     if not law.gains.size:
         lines.append(f"gains.reserved = {c_literal(0.0, real)};")
     bounds = [Decimal(float(np.dtype(real).type(most))) for most in limit]
-    taus = [member for member, _ in entries([thrust(law)])]
+    taus = [member for member, _ in entries(commands(law))]
     claims = [f"/*@ assert limit: -{b} <= output.{tau} <= {b}; */" for tau, b in zip(taus, bounds, strict=True)]
     body = [
         *("state.sample = any_count(0U, 4294967295U);", "input.sample = any_count(0U, 4294967295U);"),

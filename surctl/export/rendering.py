@@ -13,7 +13,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.export.contract import STATUS, Exportable, telemetry_ports, thrust
+from surctl.export.contract import (
+    Exportable,
+    command_size,
+    command_word,
+    commands,
+    is_robot_law,
+    status_table,
+    telemetry_ports,
+)
 from surctl.export.direct import changing, direct_law, results
 from surctl.export.envelope import Envelope
 from surctl.export.fields import entries, field, starts, transfers
@@ -107,6 +115,7 @@ def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str
         "inputs": law.inputs,
         "gains": law.gains,
         "outputs": law.outputs,
+        "word": command_word(law),
         "input_starts": [(k, repr(float(v))) for k, v in enumerate(law.inputs.pack()) if v],
         "transfers": transfers,
         "f": lambda text: c_literal(float(text), real),
@@ -142,7 +151,7 @@ def _words(real: Real) -> dict[str, Any]:
 def _values(
     law: Exportable, gains: Vector, within: Envelope, name: str, identity: str, tests: SelfTest, real: Real
 ) -> dict[str, Any]:
-    n_tau = thrust(law).size
+    n_tau = command_size(law)
     literal = partial(c_literal, real=real)
     return {
         "name": name,
@@ -153,12 +162,15 @@ def _values(
         "f": lambda text: literal(float(text)),
         "dt": literal(float(law.dt)),
         "period": repr(float(law.dt)),
-        "status": STATUS,
+        "status": status_table(law),
         "structs": _structs(law),
         "state": law.state,
         "inputs": law.inputs,
         "gains": law.gains,
-        "tau": thrust(law),
+        "commands": commands(law),
+        "robot": is_robot_law(law),
+        "word": command_word(law),
+        "zero": _fields(commands(law)),
         "telemetry": telemetry_ports(law),
         "n_tau": n_tau,
         "n_telemetry": law.outputs.size - n_tau,
@@ -176,7 +188,7 @@ def _values(
         "direct": isinstance(law.block, Program),
         "changing": changing(law.block) if isinstance(law.block, Program) else [],
         "results": results(law, law.block) if isinstance(law.block, Program) else [],
-        "thrusts": [f"output->{member}" for member, _ in entries([thrust(law)])]
+        "thrusts": [f"output->{member}" for member, _ in entries(commands(law))]
         if isinstance(law.block, Program)
         else [f"tau[{k}]" for k in range(n_tau)],
         "pragma": PRAGMA,
@@ -190,6 +202,11 @@ def _values(
         "test_status": ", ".join(str(s) for s in tests.status),
         "flags": " ".join(FLAGS),
     }
+
+
+def _fields(ports: Sequence[Port]) -> str:
+    """Return the members of the output with the verb that follows them, such as "output.tau is"."""
+    return f"{', '.join(f'output.{port.name}' for port in ports)} {'is' if len(ports) == 1 else 'are'}"
 
 
 def _structs(law: Exportable) -> list[tuple[str, str, tuple[Port, ...]]]:

@@ -15,7 +15,7 @@ class Rows(NamedTuple):
 
     Attributes:
         status: status codes (T,).
-        tau: thrust (T, n_tau) [N, N m].
+        tau: commands (T, n_tau).
         state: state after each step (T, nx).
         telemetry: telemetry (T, k).
     """

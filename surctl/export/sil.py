@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.export.bundle import build_bundle
-from surctl.export.contract import Exportable
+from surctl.export.contract import Exportable, command_word
 from surctl.export.faults import fault_failures
 from surctl.export.precision import evaluated, replayed, rounded
 from surctl.export.process import Controller, build_controller
@@ -73,6 +73,7 @@ class SilReport:
         self_test: whether the exported self-test passes.
         compiler: the compiler's version line.
         code_bytes: size of code and constants, None when unknown.
+        command: what the summary calls tau: thrust, or command for a controller of another plant.
     """
 
     name: str
@@ -88,6 +89,7 @@ class SilReport:
     self_test: bool
     compiler: str
     code_bytes: int | None
+    command: str = "thrust"
 
     @property
     def passed(self) -> bool:
@@ -121,7 +123,7 @@ class SilReport:
         resets = f", state loaded anew {len(self.resets)} times" if self.resets else ""
         lines = [
             f"SIL {self.name}: {'passed' if self.passed else 'FAILED'} over {self.steps} steps{resets}",
-            f"  largest difference (bar {TOLERANCE:g}): thrust {self.tau.mixed:.1e}, "
+            f"  largest difference (bar {TOLERANCE:g}): {self.command} {self.tau.mixed:.1e}, "
             f"state {self.state.mixed:.1e}, telemetry {self.telemetry.mixed:.1e}",
             f"  status: {self.status_mismatches} of {self.steps} steps differ; "
             f"self-test {'ok' if self.self_test else 'FAILED'}",
@@ -262,6 +264,7 @@ def _compare(controller: Controller, run: Records) -> SilReport:
         self_test=controller.self_test(),
         compiler=compiler_version(),
         code_bytes=controller.code_bytes,
+        command=command_word(law),
     )
 
 

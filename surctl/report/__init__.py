@@ -30,6 +30,7 @@ from surctl.report.region_plots import plot_region
 from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
+from surctl.report.system_plot import plot_record, save_record_plot
 from surctl.report.verify_files import save_margins, save_regions, save_verdicts
 
 __all__ = [
@@ -63,6 +64,7 @@ __all__ = [
     "plot_poles",
     "plot_position_errors",
     "plot_priority",
+    "plot_record",
     "plot_region",
     "plot_replay",
     "plot_replay_sensor",
@@ -82,6 +84,7 @@ __all__ = [
     "save_margins",
     "save_parallel",
     "save_priority",
+    "save_record_plot",
     "save_regions",
     "save_run",
     "save_sensitivity",

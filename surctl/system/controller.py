@@ -15,7 +15,7 @@ from surctl.errors import InputError
 from surctl.ir import Block, Layout, Port, Recording, identifier, runnable, without_libm
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 
-__all__ = ["NONFINITE", "Action", "Controller", "ControllerStep", "SampledController", "Step"]
+__all__ = ["NONFINITE", "Action", "Controller", "ControllerStep", "SampledController", "Step", "command_ports"]
 
 Vector = NDArray[np.float64]
 
@@ -215,3 +215,21 @@ class Controller:
     @cached_property
     def _run(self) -> Callable[..., list[Vector]]:
         return runnable(self.block)
+
+
+def command_ports(controller: SampledController) -> Layout:
+    """Return the layout of the commands, which are the first outputs of a controller.
+
+    Example:
+        >>> from surctl.control import build_law
+        >>> from surctl.system import command_ports
+        >>> [(port.name, port.size) for port in command_ports(build_law("closed_form"))]
+        [('tau', 4)]
+    """
+    size, ports, at = controller.block.outputs[0][1], [], 0
+    for port in controller.outputs:
+        if at >= size:
+            break
+        ports.append(port)
+        at += port.size
+    return Layout(tuple(ports))

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Layout, to_casadi
+from surctl.ir import to_casadi
 from surctl.system.controller import Controller, SampledController
 from surctl.system.loop import System
+from surctl.system.parts import entry_labels
 from surctl.system.values import RunNumbers, run_numbers
 
 __all__ = ["Linearisation", "Operating", "find_equilibrium", "linearise"]
@@ -58,11 +59,11 @@ class Linearisation:
 
         A, B, E, C, D = self.plant
         plant = self.system.plant
-        inputs = [*_labels(plant.inputs), *_labels(plant.disturbances)]
+        inputs = [*entry_labels(plant.inputs), *entry_labels(plant.disturbances)]
         through = np.hstack([np.zeros((len(C), B.shape[1])), D])
         return control.ss(
-            A, np.hstack([B, E]), C, through, states=_labels(plant.state), inputs=inputs,
-            outputs=_labels(plant.measurements, "measured "), name=plant.name,
+            A, np.hstack([B, E]), C, through, states=entry_labels(plant.state), inputs=inputs,
+            outputs=entry_labels(plant.measurements, "measured "), name=plant.name,
         )  # fmt: skip
 
     def controller_system(self) -> Any:
@@ -72,9 +73,9 @@ class Linearisation:
         A, By, Br, C, Dy, Dr = self.law
         system = self.system
         return control.ss(
-            A, np.hstack([By, Br]), C, np.hstack([Dy, Dr]), system.dt, states=_labels(system.controller.state),
-            inputs=[*_labels(system.plant.measurements, "measured "), *_labels(system.references)],
-            outputs=_labels(system.commands), name=system.controller.name,
+            A, np.hstack([By, Br]), C, np.hstack([Dy, Dr]), system.dt, states=entry_labels(system.controller.state),
+            inputs=[*entry_labels(system.plant.measurements, "measured "), *entry_labels(system.references)],
+            outputs=entry_labels(system.commands), name=system.controller.name,
         )  # fmt: skip
 
     def closed(self) -> Any:
@@ -89,7 +90,7 @@ class Linearisation:
         import control  # takes seconds to import
 
         system = self.system
-        inputs = [*_labels(system.references), *_labels(system.plant.disturbances)]
+        inputs = [*entry_labels(system.references), *entry_labels(system.plant.disturbances)]
         if not inputs:
             raise InputError("has neither references nor disturbances", key="closed", remedy="call poles()")
         _, Bd, Ed = self._sampled_plant
@@ -100,7 +101,8 @@ class Linearisation:
         through = np.block([[np.zeros((len(C), Dr.shape[1])), D], [Dr, Dy @ D]])
         return control.ss(
             self._transition(), B, outputs, through, system.dt, states=self.states(), inputs=inputs,
-            outputs=[*_labels(system.plant.measurements, "measured "), *_labels(system.commands)], name="closed loop",
+            outputs=[*entry_labels(system.plant.measurements, "measured "), *entry_labels(system.commands)],
+            name="closed loop",
         )  # fmt: skip
 
     def loop(self, *openings: str) -> Any:
@@ -125,7 +127,7 @@ class Linearisation:
     def opened(self, *openings: str) -> tuple[Array, Array, Array, Array]:
         """Return the matrices (A, B, C, D) of the opened loop that `loop` returns."""
         system = self.system
-        commands, outputs = _labels(system.commands), _labels(system.plant.measurements)
+        commands, outputs = entry_labels(system.commands), entry_labels(system.plant.measurements)
         if not openings:
             raise InputError("is missing", key="opening", remedy="name a command or a measured output")
         for name in openings:
@@ -154,8 +156,8 @@ class Linearisation:
 
     def channels(self) -> list[str]:
         """Return the labels of signals at which the loop can be opened: every command, then every measured output."""
-        commands = _labels(self.system.commands)
-        return [*commands, *(name for name in _labels(self.system.plant.measurements) if name not in commands)]
+        commands = entry_labels(self.system.commands)
+        return [*commands, *(name for name in entry_labels(self.system.plant.measurements) if name not in commands)]
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the poles z of the sampled closed loop, largest first; it is stable if all lie in the unit circle."""
@@ -181,7 +183,7 @@ class Linearisation:
     def _selection(self) -> Array:
         # (plant inputs, commands): 1 where an actuator takes a command
         system = self.system
-        commands, inputs = _labels(system.commands), _labels(system.plant.inputs)
+        commands, inputs = entry_labels(system.commands), entry_labels(system.plant.inputs)
         return np.array([[float(name == label) for label in commands] for name in inputs])
 
 
@@ -284,8 +286,8 @@ def linearise(
     rate, y = plant.derivative(x, f, d, ca.SX(p)), plant.measurement(x, d, ca.SX(p))
     jacobians = [ca.jacobian(rate, v) for v in (x, f, d)] + [ca.jacobian(y, v) for v in (x, d)]
     late = ca.Function("late", [d], [system.disturbance_at(ca.SX(0), d)])(numbers.disturbance[0])
-    commands = dict(zip(_labels(system.commands), point.f, strict=True))
-    applied = np.array([commands[label] for label in _labels(plant.inputs)])
+    commands = dict(zip(entry_labels(system.commands), point.f, strict=True))
+    applied = np.array([commands[label] for label in entry_labels(plant.inputs)])
     matrices = tuple(np.array(m) for m in ca.Function("plant", [x, f, d], jacobians).call([point.x, applied, late]))
     return Linearisation(system, point, matrices, functions.law(point))
 
@@ -364,8 +366,4 @@ def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]
 
 
 def _state_labels(system: System) -> list[str]:
-    return [*_labels(system.plant.state), *_labels(system.controller.state, "controller ")]
-
-
-def _labels(layout: Layout, prefix: str = "") -> list[str]:
-    return [f"{prefix}{p.name}{f'[{k}]' if p.size > 1 else ''}" for p in layout for k in range(p.size)]
+    return [*entry_labels(system.plant.state), *entry_labels(system.controller.state, "controller ")]

@@ -14,7 +14,7 @@ import casadi as ca
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, identifier
-from surctl.system.controller import SampledController
+from surctl.system.controller import SampledController, command_ports
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
 
@@ -147,13 +147,7 @@ class System:
     @cached_property
     def commands(self) -> Layout:
         """Return the commands of the controller, in its order; the plant uses the commands named like its inputs."""
-        size, ports, at = self.controller.block.outputs[0][1], [], 0
-        for port in self.controller.outputs:
-            if at >= size:
-                break
-            ports.append(port)
-            at += port.size
-        return Layout(tuple(ports))
+        return command_ports(self.controller)
 
     @cached_property
     def telemetry(self) -> Layout:

@@ -10,7 +10,7 @@ import casadi as ca
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, identifier
 
-__all__ = ["EMPTY", "Parts", "called", "checked_layout", "joined"]
+__all__ = ["EMPTY", "Parts", "called", "checked_layout", "entry_labels", "entry_units", "joined"]
 
 Parts: TypeAlias = Mapping[str, ca.SX]
 EMPTY = Layout(())
@@ -82,6 +82,34 @@ def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:
             f"returns {flat.numel()} numbers, expected {layout.size}", key=key, remedy=f"return a dict of {names}"
         )
     return ca.reshape(flat, -1, 1)
+
+
+def entry_labels(layout: Layout, prefix: str = "") -> list[str]:
+    """Return a label for each entry of a layout: the name of the port, with [i] if the port has several entries.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import entry_labels
+        >>> entry_labels(Layout((Port("speed", (1,), "m/s", ""), Port("force", (2,), "N", ""))))
+        ['speed', 'force[0]', 'force[1]']
+    """
+    return [f"{prefix}{p.name}{f'[{k}]' if p.size > 1 else ''}" for p in layout for k in range(p.size)]
+
+
+def entry_units(layout: Layout) -> list[str]:
+    """Return the unit of each entry of a layout; the unit of a port may list one for each entry, such as "m, m, rad".
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import entry_units
+        >>> entry_units(Layout((Port("pose", (3,), "m, m, rad", ""), Port("force", (2,), "N", ""))))
+        ['m', 'm', 'rad', 'N', 'N']
+    """
+    units: list[str] = []
+    for port in layout:
+        each = [unit.strip() for unit in port.unit.split(",")]
+        units += each if len(each) == port.size else [port.unit] * port.size
+    return units
 
 
 def _expression(value: Any, *, key: str) -> ca.SX:

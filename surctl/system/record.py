@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import on_vectors
+from surctl.ir import Layout, Port, on_vectors
 from surctl.system.controller import NONFINITE
 from surctl.system.loop import How, System, once_per_system
+from surctl.system.parts import entry_labels, entry_units
 from surctl.system.runs import ENDED, LOST, moved_state, periods
 from surctl.system.values import run_numbers
 
@@ -50,6 +51,29 @@ class Record:
         if name not in known:
             raise InputError("no such signal or figure", key=name, remedy=nearest(name, known))
         return known[name]
+
+    @property
+    def duration(self) -> float:
+        """Return the duration of the run [s]; a run that ended early ends at its last control instant."""
+        return float(self.time[-1] + (self.system.dt if self.stopped == ENDED else 0.0))
+
+    def ports(self, *kinds: str) -> dict[str, Port]:
+        """Return the port of each signal by name, of the given kinds; by default of all.
+
+        Kinds are state, command, output, reference, telemetry and controller.
+        """
+        places = _places(self.system).items()
+        return {name: layout.port(port) for name, (kind, layout, port) in places if kind in (kinds or _KINDS)}
+
+    def table(self) -> dict[str, Array]:
+        """Return the time, every entry of every signal, and the status as columns (n,), by label with unit."""
+        columns: dict[str, Array] = {"time [s]": self.time}
+        for name, port in self.ports().items():
+            alone = Layout((port,))
+            labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
+            heads = (f"{label} [{unit}]" for label, unit in zip(labels, entry_units(alone), strict=True))
+            columns |= dict(zip(heads, self.signals[name].T, strict=True))
+        return columns | {"status [1]": self.status.astype(float)}
 
 
 def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None) -> Record:
@@ -115,18 +139,25 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
 
 
 def _named(system: System, tables: list[Array]) -> dict[str, Array]:
+    by_kind = dict(zip(_KINDS, tables, strict=False))
+    return {name: by_kind[kind][:, layout.slice(port)] for name, (kind, layout, port) in _places(system).items()}
+
+
+_KINDS = ("state", "command", "output", "reference", "telemetry", "controller")
+
+
+def _places(system: System) -> dict[str, tuple[str, Layout, str]]:
+    """Return (kind, layout, port name) of each signal by name; of equal names, the first kind has the signal."""
     layouts = (
         system.plant.state, system.commands, system.plant.measurements, system.references, system.telemetry,
         system.controller.state,
     )  # fmt: skip
-    signals: dict[str, Array] = {}
-    for layout, table in zip(layouts, tables, strict=False):
+    places: dict[str, tuple[str, Layout, str]] = {}
+    for kind, layout in zip(_KINDS, layouts, strict=True):
         for port in layout:
-            name = port.name
-            if name in signals and layout is system.controller.state:
-                name = f"controller.{name}"
-            signals.setdefault(name, table[:, layout.slice(port.name)])
-    return signals
+            prefix = "controller." if port.name in places and kind == "controller" else ""
+            places.setdefault(f"{prefix}{port.name}", (kind, layout, port.name))
+    return places
 
 
 @once_per_system

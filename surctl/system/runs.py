@@ -115,6 +115,15 @@ def periods(system: System, seconds: float) -> int:
 
     Raises:
         InputError: the duration is not a positive number, or is less than half a period.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, periods
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> periods(System(cart, brake), 2.0)
+        20
     """
     steps = round(seconds / system.dt) if np.isfinite(seconds) else 0
     if steps < 1:

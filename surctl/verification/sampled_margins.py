@@ -1,8 +1,8 @@
-"""Margins of any sampled linear system: of one loop at a time by python-control, of several loops by disk margins."""
+"""Margins of any sampled linear system: of one loop from its frequency response, of several by disk margins."""
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,11 @@ __all__ = ["system_disk_margin", "system_margins"]
 
 _SPURIOUS = 1e-6  # a gain factor below this value, or above its inverse, comes from a zero of the loop
 _SINGULAR = 1e12  # condition number from which z counts as a pole
+_ROOT = 1e-6  # largest ratio of imaginary to absolute value of L where it counts as real
+_POINTS = 1500  # number of angles towards each end of (0, π)
+_NEAR = np.geomspace(1e-3, 30.0, 24)  # distances from a pole's angle, in distances of the pole from the unit circle
+_BISECTIONS = 50
+_INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
 
@@ -86,29 +91,62 @@ def _stable(linear: Linearisation) -> bool:
 
 
 def _margins(linear: Linearisation, opening: str) -> LoopMargins:
-    # a loop without gain has infinite margins
-    import control  # takes seconds to import
-
-    loop = linear.loop(opening)
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # warnings at z = 1 and z = -1, which `_at_ends` covers
-        gains, phases, _, _, crossings, _ = control.stability_margins(loop, returnall=True)
-    gains, phases, crossings = (np.atleast_1d(np.asarray(v, dtype=float)) for v in (gains, phases, crossings))
-    gains = np.concatenate([gains, _at_ends(*linear.opened(opening))])
+    """Compute the margins of one loop from all its crossings; margins of a loop that never crosses are infinite."""
+    matrices, dt = linear.opened(opening), linear.system.dt
+    angles = _angles(matrices[0], linear.poles())
+    response = _response(matrices, angles)
+    real = _response(matrices, _roots(matrices, angles, response, np.imag))
+    crossed = real[(real.real < 0) & (np.abs(real.imag) <= _ROOT * np.abs(real))].real  # no jump at a pole
+    gains = np.concatenate([-1 / crossed, _at_ends(*matrices)])
     gains = gains[(gains > _SPURIOUS) & (gains < 1 / _SPURIOUS)]
-    lags = np.remainder(phases, 360.0)  # a lead counts as a lag of 360° less
-    delays = np.deg2rad(lags[crossings > 0]) / crossings[crossings > 0]
+    at = _roots(matrices, angles, response, lambda value: np.abs(value) - 1)
+    lags = np.remainder(np.angle(-_response(matrices, at)), 2 * np.pi)  # a lead counts as a lag of 360° less
     disk = disk_margin(_continuous(linear, opening), opening)
     return LoopMargins(
         opening,
         True,
         float(min(gains[gains > 1], default=np.inf)),
-        float(min(lags, default=np.inf)),
-        float(min(delays, default=np.inf)),
+        float(min(np.rad2deg(lags), default=np.inf)),
+        float(min(lags / at * dt, default=np.inf)),
         disk.guaranteed,
-        float(max(crossings, default=0.0)),
+        float(max(at, default=0.0)) / dt,
         float(max(gains[gains < 1], default=0.0)),
     )
+
+
+def _angles(A: Array, closed: NDArray[np.complex128]) -> Array:
+    """Return angles of z [rad] in (0, π), dense towards both ends and around each pole of the open and closed loop."""
+    ends = np.geomspace(1e-8, 1.0, _POINTS)
+    poles = np.concatenate([np.linalg.eigvals(A), closed])
+    width = np.maximum(np.abs(1 - np.abs(poles)), 1e-6)
+    near = np.abs(np.angle(poles))[:, None] + width[:, None] * np.concatenate([-_NEAR, _NEAR])
+    angles = np.unique(np.concatenate([np.pi * ends, np.pi * (1 - ends / 2), near.ravel()]))
+    return angles[(angles > 1e-9) & (angles < np.pi * (1 - 1e-9))]
+
+
+def _response(matrices: tuple[Array, ...], angles: Array) -> NDArray[np.complex128]:
+    """Return L(z) (n,) at the angles of z; in state space, because polynomials of several states lose all digits."""
+    A, B, C, D = matrices
+    pencils = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
+    states = np.linalg.solve(pencils, np.broadcast_to(B, (len(angles), *B.shape)))
+    return np.asarray((C @ states)[:, 0, 0] + D[0, 0], dtype=np.complex128)
+
+
+def _roots(
+    matrices: tuple[Array, ...],
+    angles: Array,
+    response: NDArray[np.complex128],
+    function: Callable[[NDArray[np.complex128]], Array],
+) -> Array:
+    """Return the angles at which a function of L changes its sign, by bisection between neighbouring angles."""
+    signs = np.sign(function(response))
+    between = np.flatnonzero(signs[1:] != signs[:-1])
+    low, high, sign = angles[between], angles[between + 1], signs[between]
+    for _ in range(_BISECTIONS if len(between) else 0):
+        middle = (low + high) / 2
+        same = np.sign(function(_response(matrices, middle))) == sign
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return (low + high) / 2
 
 
 def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
@@ -125,9 +163,11 @@ def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
 def _continuous(linear: Linearisation, *openings: str) -> OpenLoop:
     """Transform the open loop by z = (1 + s)/(1 - s), which maps the unit circle to the imaginary axis.
 
-    The values of the frequency response do not change.
+    The values of the frequency response do not change, except by 1e-6 for a loop with a pole at z = -1.
     """
     A, B, C, D = linear.opened(*openings)
+    if np.linalg.cond(A + np.eye(len(A))) > _SINGULAR:  # a pole at z = -1, which the transform maps to infinity
+        A = A * (1 - _INWARDS)
     whole = np.linalg.inv(A + np.eye(len(A)))
     root = np.sqrt(2)
     return OpenLoop(whole @ (A - np.eye(len(A))), root * whole @ B, root * C @ whole, D - C @ whole @ B)

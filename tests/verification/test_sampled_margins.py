@@ -33,6 +33,41 @@ def test_a_factor_at_its_margin_is_at_the_edge(opening: str) -> None:
     assert largest_pole(linear, opening, np.exp(-0.9j * np.deg2rad(found.phase_margin_deg))) < 1.0
 
 
+def vessel() -> System:
+    """Three axes held by proportional-integral-derivative control with four thrusters: nine slow poles near z = 1."""
+    place, speed = Port("place", (3,), "m", ""), Port("speed", (3,), "m/s", "")
+    thrust, total = Port("thrust", (4,), "N", ""), Port("total", (3,), "N", "")
+    spread = np.array([[1.0, 1, 0, 0], [0, 0, 1, 1], [-0.1, 0.1, 0.5, -0.5]])
+    mass, drag = ca.DM([25.8, 33.8, 2.76]), ca.DM([0.7, 0.9, 1.9])
+
+    def ode(x, f, d, p):
+        return {"place": x["speed"], "speed": (ca.DM(spread) @ f["thrust"] - drag * x["speed"]) / mass}
+
+    def law(x, u, p):
+        force = -(0.15 * u["place"] + 0.6 * u["speed"]) * mass - x["total"]
+        return Action(ca.DM(np.linalg.pinv(spread)) @ force, {"total": x["total"] + 0.05 * 0.5 * u["place"]})
+
+    measured = Layout((place, speed))
+    hold = Controller("hold", 0.05, measured, Layout((thrust,)), law, state=Layout((total,)))
+    return System(Plant("vessel", measured, Layout((thrust,)), ode), hold)
+
+
+def test_the_margins_of_a_loop_with_many_slow_poles_are_those_of_its_states() -> None:
+    linear = linearise(vessel())
+    for found in system_margins(linear):
+        for edge in (found.gain_margin, found.least_gain):
+            if 0 < edge < np.inf:
+                assert largest_pole(linear, found.name, edge) == pytest.approx(1.0, abs=1e-7), found
+        if found.phase_margin_deg < np.inf:
+            lag = np.exp(-1j * np.deg2rad(found.phase_margin_deg))
+            A, B, C, D = linear.opened(found.name)
+            poles = np.linalg.eigvals(A - lag * B @ C / (1 + lag * D[0, 0]))  # a lead may be at the edge before the lag
+            assert np.abs(np.abs(poles) - 1).min() < 1e-7, found
+        half = found.disk_margin / 2
+        assert found.phase_margin_deg >= np.rad2deg(2 * np.arctan(half)) - 1e-6, found
+        assert (1 - half) * found.gain_margin >= 1 + half - 1e-6, found
+
+
 def test_a_factor_that_makes_the_loop_oscillate_at_the_nyquist_frequency_counts() -> None:
     force = Port("force", (1,), "m/s^2", "")
     cart = Plant("cart", Layout((RATE,)), Layout((force,)), lambda x, f, d, p: f["force"])
@@ -81,6 +116,26 @@ def test_all_loops_at_once_bear_less_than_each_and_break_where_it_says() -> None
     together = system_disk_margin(linear)
     assert 0 < together.guaranteed <= together.reached and together.guaranteed <= alone * 1.001
     assert 0 < together.frequency_rad_s <= np.pi / 0.01
+
+
+def test_a_pole_at_the_nyquist_frequency_is_no_obstacle() -> None:
+    """A derivative by the trapezoidal rule has its pole at z = -1."""
+    place, speed, force = Port("x", (1,), "m", ""), Port("v", (1,), "m/s", ""), Port("f", (1,), "N", "")
+    mass = Plant(
+        "mass", Layout((place, speed)), Layout((force,)), lambda x, f, d, p: {"x": x["v"], "v": f["f"] - 3 * x["v"]}
+    )
+
+    def loop(pole: float) -> System:
+        def law(z, u, p):
+            rate = pole * z["rate"] + (1 - pole) / 0.02 * (u["x"] - z["last"])
+            return Action(-2 * u["x"] + 0.005 * rate, {"last": u["x"], "rate": rate})
+
+        memory = Layout((Port("last", (1,), "m", ""), Port("rate", (1,), "m/s", "")))
+        return System(mass, Controller("pd", 0.02, Layout((place,)), Layout((force,)), law, state=memory))
+
+    at, near = linearise(loop(-1.0)), linearise(loop(-0.99999))
+    assert system_margins(at, "f")[0].disk_margin == pytest.approx(system_margins(near, "f")[0].disk_margin, rel=1e-4)
+    assert system_disk_margin(at).guaranteed == pytest.approx(system_disk_margin(near).guaranteed, rel=1e-4)
 
 
 def test_an_unstable_loop_has_no_margins() -> None:

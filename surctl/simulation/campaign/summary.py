@@ -53,7 +53,7 @@ class Summary:
         }
 
     def lines(self, *, claim: bool = True) -> list[str]:
-        """Return the summary as lines of text; with `claim`, also those about the no-contact claim, if the law has it."""
+        """Return the summary as lines; with `claim`, also those about the no-contact claim, if the law has one."""
         lines = []
         for reason in ("collision", "time limit", "standstill", "dead end", "fault"):
             s = self.stopped[reason]

@@ -1,0 +1,155 @@
+"""A closed loop of the user's own, named FILE.py:FUNCTION, as the first argument of a command."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from surctl.system import System
+
+__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "load_system", "seconds_option"]
+
+seconds_option = click.option("--seconds", type=float, metavar="S", help="Duration of a run of a system [s].")
+
+_MOST_PERIODS = 10_000_000  # of a run in Python, whose signals are in memory
+
+
+@dataclass(frozen=True)
+class OwnSystem:
+    """A system of the user's own, and how it was named.
+
+    Attributes:
+        system: the closed loop.
+        word: FILE.py:FUNCTION as typed.
+        label: FILE.py:FUNCTION without folder.
+        settings: further words of the command line.
+    """
+
+    system: System
+    word: str
+    label: str
+    settings: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        """Return the names of plant and controller as text."""
+        return f"{self.system.plant.name} under {self.system.controller.name}"
+
+    @property
+    def names(self) -> dict[str, Any]:
+        """Return the names of system, plant and controller, and the control period, for JSON."""
+        system = self.system
+        return {
+            "system": self.label,
+            "plant": system.plant.name,
+            "controller": system.controller.name,
+            "period_s": float(system.dt),
+        }
+
+    def seconds(self, seconds: float | None) -> float:
+        """Return the duration of a run [s].
+
+        Raises:
+            InputError: it is missing, or no duration of a run.
+        """
+        from surctl.errors import InputError
+        from surctl.system import periods
+
+        if seconds is None:
+            raise InputError("is missing", key="--seconds", remedy="give the duration of a run [s]")
+        try:
+            steps = periods(self.system, seconds)
+        except InputError as error:
+            raise InputError(error.problem, key="--seconds", value=seconds, remedy=error.remedy) from None
+        if steps > _MOST_PERIODS:
+            remedy = f"give at most {_MOST_PERIODS * self.system.dt:g} s"
+            raise InputError(f"is {steps} control periods", key="--seconds", value=seconds, remedy=remedy)
+        return seconds
+
+
+def is_system(words: Sequence[str], *allowed: str) -> bool:
+    """Return whether the words of a command begin with a system of the user's own.
+
+    Args:
+        words: positional arguments of the command.
+        allowed: names of the parameters that the command takes for a system.
+
+    Raises:
+        InputError: an option of the command line applies only to a system, or only to the robot; or a word names a
+            system or a Python file where none can be.
+    """
+    from surctl.errors import InputError
+    from surctl.own_code import is_own
+
+    context = click.get_current_context()
+    own = bool(words) and is_own(words[0])
+    for word in words[own:]:
+        if is_own(word):
+            raise InputError("is not the first argument", key="system", value=word, remedy="give one system, first")
+        if word.endswith(".py"):
+            raise InputError("names no function", key="system", value=word, remedy=f"write {word}:FUNCTION")
+    if not own:
+        if context.params.get("seconds") is not None:
+            remedy = "begin with FILE.py:FUNCTION, or drop it"
+            raise InputError("applies only to a system", key="--seconds", remedy=remedy)
+        return False
+    for option in context.command.params:
+        typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
+        if isinstance(option, click.Option) and typed and option.name not in allowed:
+            raise InputError("does not apply to a system of your own", key=option.opts[0], remedy="drop it")
+    return True
+
+
+def load_system(words: Sequence[str]) -> OwnSystem:
+    """Return the system that the first word names; what its file prints goes to stderr.
+
+    Raises:
+        InputError: there is no such file or function, it fails, or it returns something else.
+    """
+    from surctl.own_code import label, object_of, pinned
+    from surctl.system import System
+
+    with contextlib.redirect_stdout(sys.stderr):
+        reference = pinned(words[0], key="system")
+        return OwnSystem(object_of(reference, System, key="system"), words[0], label(reference), tuple(words[1:]))
+
+
+def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
+    """Return the numbers of NAME=VALUE words by name; entries of a port are separated by commas.
+
+    Raises:
+        InputError: a word is no assignment, its value is no number, or a name is given twice.
+    """
+    import numpy as np
+
+    from surctl.errors import InputError
+
+    values: dict[str, NDArray[np.float64]] = {}
+    for word in words:
+        name, equals, text = (part.strip() for part in word.partition("="))
+        if not (name and equals):
+            raise InputError("is not NAME=VALUE", value=word, key="setting", remedy="write such as plant.mass=2")
+        if name in values:
+            raise InputError("is given twice", key=name, remedy="give it once")
+        try:
+            numbers = [float(number) for number in text.split(",")]
+        except ValueError:
+            raise InputError("is not a number", key=name, value=text, remedy=f"write {name}=1.5") from None
+        values[name] = np.array(numbers[0] if len(numbers) == 1 else [numbers])
+    return values
+
+
+def command_line(command: str, own: OwnSystem, *words: str) -> str:
+    """Return the command line that runs a command on the same system."""
+    return shlex.join(["surctl", command, own.word, *words])

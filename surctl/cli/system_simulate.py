@@ -1,0 +1,93 @@
+"""`surctl simulate FILE.py:FUNCTION`: one recorded run of a system of the user's own."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surctl.cli.output import finish
+from surctl.cli.system_option import OwnSystem, assigned, command_line, load_system
+
+if TYPE_CHECKING:
+    from surctl.system import Record, System
+
+__all__ = ["cost_data", "cost_lines", "end_text", "simulate_system", "write_table"]
+
+
+def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | None, as_json: bool) -> None:
+    """Simulate one run, print how it ended and its costs, and write its signals and their plot to `out`."""
+    from surctl.files import prepare_folder
+    from surctl.system import LOST, run_system
+
+    own = load_system(words)
+    duration, values = own.seconds(seconds), assigned(own.settings)
+    if out is not None:
+        prepare_folder(out)
+    record = run_system(own.system, duration, values)
+    lines = [end_text(own, record), *cost_lines(own.system, record.figures)]
+    files = [] if out is None else _write(own, record, out)
+    lines += [f"  {file}" for file in files]
+    data = {
+        **own.names,
+        "values": {name: value.ravel().tolist() for name, value in values.items()},
+        "stopped": record.stopped,
+        "duration_s": record.duration,
+        "costs": cost_data(own.system, record.figures),
+        "files": [str(file) for file in files],
+    }
+    fine = record.stopped != LOST
+    then = [command_line("verify", own, *own.settings), _sweep(own, duration)] if fine else []
+    finish(data, lines, as_json=as_json, passed=fine, then=[command for command in then if command])
+
+
+def end_text(own: OwnSystem, record: Record) -> str:
+    """Return one line with the system, and when and why the run ended."""
+    return f"{own.title}: ended after {record.duration:.10g} s ({record.stopped}), control period {own.system.dt:g} s"
+
+
+def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
+    """Return one line for each cost: name, value with unit, and what it means."""
+    width = max(map(len, figures), default=0)
+    return [
+        f"  {name:<{width}}  {value:.6g} {cost.unit} ({cost.how}){f'  {cost.meaning}' if cost.meaning else ''}"
+        for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True)
+    ]
+
+
+def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
+    """Return the costs with unit, kind and meaning, for JSON."""
+    return {
+        name: {"value": figures[name], "unit": cost.unit, "how": cost.how, "meaning": cost.meaning}
+        for name, cost in system.costs.items()
+    }
+
+
+def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> Path:
+    """Write columns as CSV, with all digits that are needed to restore each number; return the path."""
+    from surctl.files import write_file
+
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(columns)
+    rows.writerows(zip(*columns.values(), strict=True))
+    return write_file(path, text.getvalue())
+
+
+def _write(own: OwnSystem, record: Record, out: Path) -> list[Path]:
+    from surctl.report import save_record_plot
+
+    name = f"{own.system.plant.name}-{own.system.controller.name}"
+    table = {head: column.tolist() for head, column in record.table().items()}
+    return [save_record_plot(record, out, name=name), write_table(out / f"{name}.csv", table)]
+
+
+def _sweep(own: OwnSystem, seconds: float) -> str:
+    """Return the command that sweeps the first gain about its nominal value; "" if there is no such gain."""
+    swept = [port for port in own.system.controller.gains if port.size == 1 and port.default > 0]
+    if not swept or not own.system.costs:
+        return ""
+    axis = f"{swept[0].name}={swept[0].default / 2:.4g}..{swept[0].default * 2:.4g}:9"
+    return command_line("sweep", own, axis, "--seconds", f"{seconds:g}", "--out", "sweep")

@@ -1,0 +1,125 @@
+"""`surctl sweep FILE.py:FUNCTION`: costs of a system of the user's own over a grid of its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surctl.cli.output import finish
+from surctl.cli.system_option import OwnSystem, command_line, load_system
+from surctl.cli.system_simulate import write_table
+
+if TYPE_CHECKING:
+    from surctl.system import Runs
+    from surctl.tuning import Design
+
+__all__ = ["sweep_system"]
+
+_SHOWN = 40  # largest number of points in the text output
+_MOST_JSON = 100_000  # largest number of points printed as JSON
+_NAMED = 5  # largest number of points that a line names
+
+
+def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | None, out: Path, as_json: bool) -> None:
+    """Simulate a run at each point of the grid in compiled code, and print costs, their range and best points."""
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder
+    from surctl.system import LOST, simulate_system
+    from surctl.tuning import make_design, parse_axis
+
+    own = load_system(words)
+    duration = own.seconds(seconds)
+    if not own.system.costs:
+        raise InputError("has no costs", key="system", value=own.label, remedy="give System(..., costs={...})")
+    design = make_design("grid", [parse_axis(text) for text in own.settings])
+    if as_json and len(design.points) > _MOST_JSON:
+        problem = f"would print {len(design.points)} points"
+        raise InputError(problem, key="--json", remedy="drop this option and read sweep.csv")
+    values = {name: design.points[:, k] for k, name in enumerate(design.names)}
+    prepare_folder(out)
+    runs = simulate_system(own.system, duration, values, threads=workers or 2)
+    table = write_table(out / "sweep.csv", _columns(own, design, runs))
+    best = _best(own, design, runs)
+    lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
+    lines = [f"{own.title}: {len(design.points)} runs of {duration:g} s, control period {own.system.dt:g} s"]
+    lines += _rows(own, design, runs)
+    lines += [_best_line(own, name, row) for name, row in best.items()]
+    if lost:
+        named = "; ".join(_point(design, k) for k in lost[:_NAMED])
+        lines.append(f"{len(lost)} of {len(design.points)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
+    lines.append(f"table {table}")
+    data = {
+        **own.names,
+        "seconds": duration,
+        "axes": {name: sorted(set(design.points[:, k].tolist())) for k, name in enumerate(design.names)},
+        "units": {name: cost.unit for name, cost in own.system.costs.items()},
+        "results": [_result(design, runs, k) for k in range(len(design.points))] if as_json else [],
+        "best": best,
+        "not_finite": [_at(design, k) for k in lost],
+        "table": str(table),
+    }
+    then = []
+    if best:
+        at = next(iter(best.values()))["at"]
+        then = [command_line("simulate", own, *(f"{n}={v!r}" for n, v in at.items()), "--seconds", f"{duration:g}")]
+    finish(data, lines, as_json=as_json, passed=bool(best), then=then)
+
+
+def _at(design: Design, k: int) -> dict[str, float]:
+    return dict(zip(design.names, design.points[k].tolist(), strict=True))
+
+
+def _point(design: Design, k: int) -> str:
+    return ", ".join(f"{name}={value:.6g}" for name, value in _at(design, k).items())
+
+
+def _result(design: Design, runs: Runs, k: int) -> dict[str, Any]:
+    costs = {name: float(values[k]) for name, values in runs.figures.items()}
+    return {"at": _at(design, k), "costs": costs, "stopped": str(runs.stopped[k]), "duration_s": float(runs.time[k])}
+
+
+def _columns(own: OwnSystem, design: Design, runs: Runs) -> dict[str, list[Any]]:
+    """Return the columns of the table: axes, costs with units, why each run ended, and its duration."""
+    columns: dict[str, list[Any]] = {name: design.points[:, k].tolist() for k, name in enumerate(design.names)}
+    for name, cost in own.system.costs.items():
+        columns[f"{name} [{cost.unit}]"] = runs[name].tolist()
+    return columns | {"stopped": runs.stopped.tolist(), "duration [s]": runs.time.tolist()}
+
+
+def _rows(own: OwnSystem, design: Design, runs: Runs) -> list[str]:
+    rows, units = [], {name: cost.unit for name, cost in own.system.costs.items()}
+    for k in range(min(len(design.points), _SHOWN)):
+        costs = "  ".join(f"{name}={values[k]:.6g} {units[name]}" for name, values in runs.figures.items())
+        rows.append(f"  {_point(design, k)}: {costs}{_ended(str(runs.stopped[k]), float(runs.time[k]))}")
+    more = len(design.points) - _SHOWN
+    return [*rows, f"  ... and {more} more points in the table"] if more > 0 else rows
+
+
+def _ended(stopped: str, time: float) -> str:
+    from surctl.system import ENDED
+
+    return "" if stopped == ENDED else f"  ({stopped} at {time:.6g} s)"
+
+
+def _best(own: OwnSystem, design: Design, runs: Runs) -> dict[str, Any]:
+    """Return the point with the least value of each cost, and the range of its finite values."""
+    import numpy as np
+
+    best: dict[str, Any] = {}
+    for name, values in runs.figures.items():
+        if not np.isfinite(values).any():
+            continue
+        k = int(np.nanargmin(values))
+        finite = values[np.isfinite(values)]
+        best[name] = _result(design, runs, k) | {"least": float(finite.min()), "largest": float(finite.max())}
+    return best
+
+
+def _best_line(own: OwnSystem, name: str, row: dict[str, Any]) -> str:
+    unit = own.system.costs[name].unit
+    at = ", ".join(f"{key}={value:.6g}" for key, value in row["at"].items())
+    return (
+        f"least {name}: {row['least']:.6g} {unit} at {at}{_ended(row['stopped'], row['duration_s'])}, "
+        f"range {row['least']:.6g} … {row['largest']:.6g} {unit}"
+    )

@@ -1,0 +1,109 @@
+"""`surctl verify FILE.py:FUNCTION`: equilibrium, poles and margins of a system of the user's own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from surctl.cli.output import finish
+from surctl.cli.system_option import assigned, command_line, load_system
+
+if TYPE_CHECKING:
+    from surctl.ir import Layout
+    from surctl.system import Operating, System
+    from surctl.verification import LoopMargins
+    from surctl.verification.linear import DiskMargin
+
+__all__ = ["verify_system"]
+
+
+def verify_system(words: Sequence[str], *, as_json: bool) -> None:
+    """Print the equilibrium, the sampled closed-loop poles and the margins; exit with status 1 if it is unstable."""
+    from surctl.system import find_equilibrium, linearise
+    from surctl.verification import system_disk_margin, system_margins
+
+    own = load_system(words)
+    values = assigned(own.settings)
+    at = find_equilibrium(own.system, values)
+    linear = linearise(own.system, values, at=at)
+    poles = linear.poles()
+    openings = linear.channels()
+    commands = openings[: own.system.commands.size]
+    margins = system_margins(linear, *commands)
+    together = {"commands": system_disk_margin(linear, *commands)} if len(commands) > 1 else {}
+    together["commands and measurements"] = system_disk_margin(linear)
+    stable = together["commands and measurements"].stable
+    mode = _slowest(complex(poles[0]), own.system.dt)
+    resting = _equilibrium(own.system, at)
+    lines = [f"{own.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
+    lines += [f"  {kind} {label} = {value:.6g} {unit}" for kind, rows in resting.items() for label, value, unit in rows]
+    lines.append(f"sampled every {own.system.dt:g} s: {'stable' if stable else 'UNSTABLE'}, {len(poles)} poles")
+    lines.append(f"  slowest mode: {_mode_text(mode)}")
+    if stable:
+        lines += ["loop opened at a command, all others closed:", *map(_margin_line, margins)]
+        lines += [_disk_line(what, margin) for what, margin in together.items()]
+    data = {
+        **own.names,
+        "values": {name: value.ravel().tolist() for name, value in values.items()},
+        "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in resting.items()},
+        "stable": stable,
+        "poles": [[float(pole.real), float(pole.imag)] for pole in poles],
+        "slowest_mode": mode,
+        "margins": [margin.to_dict() for margin in margins],
+        "disk_margins": [margin.to_dict() for margin in together.values()],
+    }
+    settings = [word for word in own.settings if not word.startswith("start.")]
+    then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
+    finish(data, lines, as_json=as_json, passed=stable, then=then if stable else ())
+
+
+def _equilibrium(system: System, at: Operating) -> dict[str, list[tuple[str, float, str]]]:
+    """Return (label, value, unit) of every number at the equilibrium, by kind."""
+    from surctl.system import entry_labels, entry_units
+
+    def rows(layout: Layout, numbers: Sequence[float]) -> list[tuple[str, float, str]]:
+        return list(
+            zip(entry_labels(layout), (float(number) + 0.0 for number in numbers), entry_units(layout), strict=True)
+        )
+
+    return {
+        "state": rows(system.plant.state, at.x.tolist()),
+        "controller state": rows(system.controller.state, at.z.tolist()),
+        "command": rows(system.commands, at.f.tolist()),
+    }
+
+
+def _slowest(pole: complex, dt: float) -> dict[str, Any]:
+    """Return size, time constant [s] (negative if it grows) and angular frequency [rad/s] of the mode of a pole z."""
+    size = abs(pole)
+    rate = math.log(size) / dt if size > 0.0 else -math.inf
+    return {
+        "pole": [pole.real, pole.imag],
+        "size": size,
+        "time_constant_s": -1.0 / rate if rate else math.inf,
+        "frequency_rad_per_s": abs(math.atan2(pole.imag, pole.real)) / dt,
+    }
+
+
+def _mode_text(mode: dict[str, Any]) -> str:
+    constant, frequency = mode["time_constant_s"], mode["frequency_rad_per_s"]
+    change = f"{'decays' if constant >= 0 else 'grows'} with time constant {abs(constant):.4g} s"
+    beat = f", oscillates at {frequency:.4g} rad/s" if frequency > 0 else ""
+    return f"|z| = {mode['size']:.6g}, {'does not decay' if math.isinf(constant) else change}{beat}"
+
+
+def _margin_line(margin: LoopMargins) -> str:
+    least = f" (and above {margin.least_gain:.3g})" if margin.least_gain > 0 else ""
+    return (
+        f"  {margin.name}: gain factor below {margin.gain_margin:.4g}{least}, phase {margin.phase_margin_deg:.4g} deg, "
+        f"delay {margin.delay_margin_s:.4g} s, disk margin {margin.disk_margin:.3g}"
+    )
+
+
+def _disk_line(what: str, margin: DiskMargin) -> str:
+    low, high = margin.gain
+    return (
+        f"all {what} at once: disk margin {margin.guaranteed:.3g}, gain factors {low:.3g} … {high:.3g} "
+        f"or phase ±{margin.phase_deg:.3g} deg, tightest at {margin.frequency_rad_s:.4g} rad/s"
+    )

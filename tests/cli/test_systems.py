@@ -1,0 +1,234 @@
+"""A closed loop of the user's own, FILE.py:FUNCTION, in simulate, verify, sweep and export."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from surctl.cli.app import app
+from surctl.errors import InputError
+from surctl.own_code import object_of, pinned
+from surctl.system import System, find_equilibrium, linearise, run_system, simulate_system
+from surctl.verification import system_disk_margin, system_margins
+from tests.tools import need_compiler
+
+# without control, x is about 1/(1 + t); with `blow` = 1 the root is not a number below x = 0.5, from about t = 1 s on
+FILE = """
+import casadi as ca
+from surctl.ir import Layout, Port
+from surctl.system import Action, Controller, Cost, Plant, System
+
+def loop(blow, costs):
+    x, f = Port("x", (1,), "m", "", 1.0), Port("f", (1,), "m/s", "")
+    pose, turn = Port("pose", (2,), "m, rad", ""), Port("turn", (2,), "1", "")
+    late = Port("blow", (1,), "1", "", blow)
+
+    def ode(s, u, d, p):
+        root = ca.sqrt(s["x"] + 1 - 1.5 * p["blow"])
+        return {"x": u["f"] - s["x"] ** 2 - 0.001 * root, "pose": u["turn"] - s["pose"]}
+
+    def law(z, u, p):
+        return {"f": -p["k"] * (u["x"] - u["goal"]), "turn": [0.1 * u["goal"], 0]}
+
+    plant = Plant("pool", Layout((x, pose)), Layout((f, turn)), ode, parameters=Layout((late,)))
+    control = Controller(
+        "pump", 0.01, Layout((x, Port("goal", (1,), "m", "reference"))), Layout((f, turn)), law,
+        gains=Layout((Port("k", (1,), "1/s", "", 1.0),)),
+    )
+    return System(plant, control, costs=costs, stops={"high": lambda s: s.x["x"] > 5})
+
+def build():
+    return loop(0.0, {
+        "final": Cost(lambda s: s.x["x"], "final", "m", "at the end"),
+        "work": Cost(lambda s: s.f["f"] ** 2, "rms", "m/s"),
+    })
+
+def bare():
+    return loop(0.0, {})
+
+def number():
+    return 1.0
+
+def fails():
+    return 1 / 0
+
+def leaves():
+    raise SystemExit(0)
+"""
+
+
+def run(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def data(*words: str, status: int = 0) -> dict:
+    done = run(*words, "--json")
+    assert done.exit_code == status, (done.output, done.exception)
+    return json.loads(done.stdout)
+
+
+def complaint(*words: str) -> str:
+    done = run(*words)
+    if isinstance(done.exception, InputError):
+        assert done.stdout == ""
+        return str(done.exception)
+    assert done.exit_code == 2, (done.output, done.exception)
+    return done.output.strip().splitlines()[-1]
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(FILE)
+    return "mine.py:build"
+
+
+def own(word: str) -> System:
+    return object_of(pinned(word, key="system"), System, key="system")
+
+
+def test_the_commands_that_new_prints_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_compiler()
+    monkeypatch.chdir(tmp_path)
+    written = data("new", "system", "my-loop")
+    space = ModuleType("my_loop")
+    exec(Path("my-loop.py").read_text(), vars(space))
+    assert len(Path("my-loop.py").read_text().splitlines()) <= 60
+    assert run_system(space.build(), 2.0).stopped == "time"
+    assert [shlex.split(line)[1] for line in written["next"]] == ["simulate", "verify", "sweep", "export"]
+    for line in written["next"]:
+        done = run(*shlex.split(line)[1:])
+        assert done.exit_code == 0, (line, done.output, done.exception)
+    assert {path.name for path in Path("plots").iterdir()} == {"pendulum-balance.png", "pendulum-balance.csv"}
+    manifest = json.loads(Path("firmware/manifest.json").read_text())
+    assert manifest["commands"] == {"torque": "N m"}
+    assert "double torque; /* [N m] at the pivot */" in Path("firmware/balance.h").read_text()
+
+
+def test_a_run_gives_the_figures_and_signals_of_the_system(file: str) -> None:
+    words = ("simulate", file, "k=2", "reference.goal=0.5", "start.pose=0.2,-0.1", "--seconds", "0.5")
+    values = {"k": 2.0, "reference.goal": 0.5, "start.pose": np.array([[0.2, -0.1]])}
+    record, done = run_system(own(file), 0.5, values), data(*words, "--out", "out")
+    assert {name: cost["value"] for name, cost in done["costs"].items()} == dict(record.figures)
+    assert (done["stopped"], done["duration_s"], done["costs"]["work"]["unit"]) == ("time", 0.5, "m/s")
+    with Path("out/pool-pump.csv").open(newline="") as text:
+        head, *rows = csv.reader(text)
+    assert head == [
+        "time [s]", "x [m]", "pose[0] [m]", "pose[1] [rad]", "f [m/s]", "turn[0] [1]", "turn[1] [1]", "goal [m]",
+        "status [1]",
+    ]  # fmt: skip
+    np.testing.assert_array_equal(np.array(rows, dtype=float)[:, 2:4], record["pose"])
+    assert Path("out/pool-pump.png").stat().st_size > 10_000
+    assert "final  0.5" in run(*words).stdout and "m (final)  at the end" in run(*words).stdout
+    high = data("simulate", file, "start.x=6", "--seconds", "0.5")
+    assert (high["stopped"], high["duration_s"]) == ("high", 0.0)
+
+
+def test_a_run_that_is_not_finite_fails(file: str) -> None:
+    words = ("simulate", file, "plant.blow=1", "k=0", "--seconds", "3")
+    lost = data(*words, status=1)
+    exact = run_system(own(file), 3.0, {"plant.blow": 1.0, "k": 0.0})
+    assert lost["stopped"] == "not finite" and lost["duration_s"] == exact.duration and 0.9 < exact.duration < 1.1
+    assert lost["costs"]["final"]["value"] is None and "next" not in lost
+    assert "not finite" in run(*words, "--out", "out").stdout and Path("out/pool-pump.png").exists()
+
+
+def test_the_linear_loop_is_that_of_the_system(file: str) -> None:
+    done = data("verify", file, "reference.goal=0.5")
+    at = find_equilibrium(own(file), {"reference.goal": 0.5})
+    linear = linearise(own(file), {"reference.goal": 0.5}, at=at)
+    assert done["equilibrium"]["state"] == dict(zip(("x", "pose[0]", "pose[1]"), at.x, strict=True))
+    assert [pole[0] for pole in done["poles"]] == linear.poles().real.tolist() and done["stable"]
+    assert [m["name"] for m in done["margins"]] == ["f", "turn[0]", "turn[1]"]
+    assert done["margins"][0]["delay_margin_s"] == system_margins(linear, "f")[0].delay_margin_s
+    assert done["disk_margins"][-1]["guaranteed"] == system_disk_margin(linear).guaranteed
+    assert done["slowest_mode"]["time_constant_s"] == pytest.approx(1.0)  # of the pose
+    text = run("verify", file, "reference.goal=0.5").stdout
+    assert "stable, 3 poles" in text and "f: gain factor below" in text and "m/s" in text and "surge" not in text
+    unstable = data("verify", file, "k=-0.5", status=1)
+    assert not unstable["stable"] and unstable["slowest_mode"]["time_constant_s"] < 0 and "next" not in unstable
+
+
+def test_a_sweep_gives_the_costs_of_each_run(file: str) -> None:
+    need_compiler()
+    words = ("sweep", file, "k=0..2:3", "plant.blow=0,1", "--seconds", "3", "--out", "swept")
+    done = data(*words)
+    runs = simulate_system(own(file), 3.0, {"k": [0, 0, 1, 1, 2, 2], "plant.blow": [0, 1, 0, 1, 0, 1]})
+    finite = np.isfinite(runs["final"])
+    assert 0 < np.count_nonzero(~finite) < 6
+    assert [row["costs"]["final"] is None for row in done["results"]] == (~finite).tolist()
+    assert len(done["not_finite"]) == np.count_nonzero(~finite) and done["not_finite"][0] == {
+        "k": 0.0,
+        "plant.blow": 1.0,
+    }
+    best = done["best"]["final"]
+    assert best["least"] == np.nanmin(runs["final"]) and best["largest"] == np.nanmax(runs["final"])
+    assert best["at"] == done["results"][int(np.nanargmin(runs["final"]))]["at"]
+    with Path("swept/sweep.csv").open(newline="") as text:
+        head, *rows = csv.reader(text)
+    assert head == ["k", "plant.blow", "final [m]", "work [m/s]", "stopped", "duration [s]"] and len(rows) == 6
+    text = run(*words).stdout
+    assert (
+        f"{np.count_nonzero(~finite)} of 6 runs are not finite: k=0, plant.blow=1" in text and "least final: " in text
+    )
+    assert data("sweep", file, "plant.blow=1", "k=0", "--seconds", "3", "--out", "swept", status=1)["best"] == {}
+
+
+def test_the_exported_controller_gives_the_numbers_of_the_run(file: str) -> None:
+    need_compiler()
+    done = data("export", file, "k=3", "reference.goal=0.5", "--seconds", "1", "--name", "mine", "--out", "c")
+    assert done["largest_difference"] == 0.0 and done["sil"]["passed"] and done["sil"]["steps"] == 100
+    assert done["commands"] == {"f": "m/s", "turn": "1"} and "double turn[2];" in Path("c/mine.h").read_text()
+    assert {
+        row["name"]: row["values"] for row in json.loads(Path("c/manifest.json").read_text())["gains"]["values"]
+    } == {"k": [3.0]}
+
+
+MISTAKES = {
+    "no such file": (("simulate", "yours.py:build", "--seconds", "1"), "yours.py: system: cannot be read"),
+    "no such function": (("verify", "mine.py:bild"), "no such function; did you mean 'build'"),
+    "another type": (("verify", "mine.py:number"), "returns float, not System"),
+    "a function that fails": (("simulate", "mine.py:fails", "--seconds", "1"), "fails with ZeroDivisionError"),
+    "a function that exits": (("verify", "mine.py:leaves"), "fails with SystemExit: 0; correct the file"),
+    "a file that fails": (("verify", "broken.py:build"), "line 1"),
+    "no function": (("simulate", "mine.py", "--seconds", "1"), "write mine.py:FUNCTION"),
+    "two systems": (("verify", "mine.py:build", "mine.py:bare"), "one system, first"),
+    "a system behind a scenario": (("simulate", "tank-static", "mine.py:build"), "one system, first"),
+    "an unknown number": (("simulate", "mine.py:build", "kk=1", "--seconds", "1"), "did you mean 'k'"),
+    "an unknown axis": (("sweep", "mine.py:build", "kk=1", "--seconds", "1"), "did you mean 'k'"),
+    "no number": (("simulate", "mine.py:build", "k=one", "--seconds", "1"), "k = 'one': is not a number"),
+    "no assignment": (("verify", "mine.py:build", "v1-printed"), "is not NAME=VALUE"),
+    "a number twice": (("verify", "mine.py:build", "k=1", "k=2"), "k: is given twice"),
+    "an infinite number": (("verify", "mine.py:build", "k=inf"), "k: is not finite"),
+    "too many entries": (("verify", "mine.py:build", "start.pose=1,2,3"), "start.pose: has shape"),
+    "no duration": (("simulate", "mine.py:build"), "--seconds: is missing"),
+    "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is no duration"),
+    "duration nan": (("sweep", "mine.py:build", "k=1", "--seconds", "nan"), "--seconds = nan: is no duration"),
+    "a century": (("export", "mine.py:build", "--seconds", "3e9"), "give at most 100000 s"),
+    "a grid without count": (("sweep", "mine.py:build", "k=1..2", "--seconds", "1"), "write k=1..2:COUNT"),
+    "no axis": (("sweep", "mine.py:build", "--seconds", "1"), "nothing to sweep"),
+    "no costs": (("sweep", "mine.py:bare", "k=1", "--seconds", "1"), "has no costs"),
+    "an option of the robot": (("simulate", "mine.py:build", "--gains", "x"), "--gains: does not apply"),
+    "its export": (("export", "mine.py:build", "--sensing", "truth", "--seconds", "1"), "--sensing: does not apply"),
+    "its sweep": (("sweep", "mine.py:build", "k=1", "--seeds", "2", "--seconds", "1"), "--seeds: does not apply"),
+    "its claims": (("verify", "mine.py:build", "--cruise", "0.1"), "--cruise: does not apply"),
+    "seconds of a scenario": (("simulate", "tank-static", "--seconds", "1"), "--seconds: applies only to a system"),
+    "seconds of a sweep": (("sweep", "k_v=1,2", "--seconds", "1"), "--seconds: applies only to a system"),
+    "seconds of an export": (("export", "--seconds", "1"), "--seconds: applies only to a system"),
+    "another word": (("export", "pool-static"), "unexpected extra argument (pool-static)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_a_mistake_is_one_line(file: str, case: str) -> None:
+    Path("broken.py").write_text("import no_such_module\n")
+    words, fragment = MISTAKES[case]
+    said = complaint(*words)
+    assert fragment in said and "\n" not in said
