@@ -1,8 +1,8 @@
-"""Margins of any sampled linear system: of one loop at a time by python-control, of several loops by disk margins."""
+"""Margins of any sampled linear system: classical margins of one loop at a time, disk margins of several at once."""
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,11 +14,15 @@ from surctl.verification.linear.places import OpenLoop
 from surctl.verification.margins import LoopMargins
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 __all__ = ["system_disk_margin", "system_margins"]
 
 _SPURIOUS = 1e-6  # a gain factor below this value, or above its inverse, comes from a zero of the loop
 _SINGULAR = 1e12  # condition number from which z counts as a pole
+_LOWEST, _HIGHEST, _POINTS = 1e-6, 1e4, 2000  # grid of tan(ω dt/2)
+_AROUND = np.concatenate([1 - np.geomspace(1e-4, 0.1, 16), 1 + np.geomspace(1e-4, 0.1, 16)])
+_HALVINGS = 44
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
 
@@ -86,29 +90,56 @@ def _stable(linear: Linearisation) -> bool:
 
 
 def _margins(linear: Linearisation, opening: str) -> LoopMargins:
-    """Compute the margins of one loop from all crossings that python-control finds; without gain they are infinite."""
-    import control  # takes seconds to import
+    """Compute the margins of one loop from all crossings of its frequency response; without gain they are infinite.
 
-    loop = linear.loop(opening)
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # warnings at z = 1 and z = -1, which `_at_ends` covers
-        gains, phases, _, _, crossings, _ = control.stability_margins(loop, returnall=True)
-    gains, phases, crossings = (np.atleast_1d(np.asarray(v, dtype=float)) for v in (gains, phases, crossings))
-    gains = np.concatenate([gains, _at_ends(*linear.opened(opening))])
+    The response comes from the state-space matrices. The polynomials of a transfer function of this order have lost
+    the digits in which poles and zeros cancel, and their roots give crossings that do not exist.
+    """
+    loop = _continuous(linear, opening)
+    phase = _response(loop, _crossings(loop, lambda value: np.where(value.real < 0, value.imag, np.nan)))
+    gains = np.concatenate([1 / np.abs(phase), _at_ends(*linear.opened(opening))])
     gains = gains[(gains > _SPURIOUS) & (gains < 1 / _SPURIOUS)]
-    lags = np.remainder(phases, 360.0)  # a lead counts as a lag of 360° less
-    delays = np.deg2rad(lags[crossings > 0]) / crossings[crossings > 0]
-    disk = disk_margin(_continuous(linear, opening), opening)
+    at = _crossings(loop, lambda value: np.abs(value) - 1)
+    lags = np.remainder(np.rad2deg(np.angle(-_response(loop, at))), 360.0)  # a lead counts as a lag of 360° less
+    crossings = 2 * np.arctan(at) / linear.system.dt
+    disk = disk_margin(loop, opening)
     return LoopMargins(
         opening,
         True,
         float(min(gains[gains > 1], default=np.inf)),
         float(min(lags, default=np.inf)),
-        float(min(delays, default=np.inf)),
+        float(min(np.deg2rad(lags) / crossings, default=np.inf)),
         disk.guaranteed,
         float(max(crossings, default=0.0)),
         float(max(gains[gains < 1], default=0.0)),
     )
+
+
+def _crossings(loop: OpenLoop, value: Callable[[Complex], Array]) -> Array:
+    """Return the frequencies of the transformed loop at which a function of its response changes sign.
+
+    The grid is finer near the natural frequencies of the open and of the closed loop, where the response has its peaks.
+    """
+    poles = np.concatenate([np.linalg.eigvals(A) for A in (loop.A, loop.complementary().A)])
+    near = np.outer(np.abs(poles[np.abs(poles) > _LOWEST]), _AROUND).ravel()
+    grid = np.unique(np.concatenate([np.geomspace(_LOWEST, _HIGHEST, _POINTS), near]))
+
+    def side(omega: Array) -> Array:
+        values = value(_response(loop, omega))
+        return np.where(np.isnan(values), np.nan, np.where(values < 0, -1.0, 1.0))
+
+    sides = side(grid)
+    at = np.flatnonzero(sides[:-1] * sides[1:] < 0)  # not a number, which is no crossing, compares as false
+    low, high = np.log(grid[at]), np.log(grid[at + 1])
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        same = side(np.exp(middle)) == sides[at]
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return np.asarray(np.exp((low + high) / 2), dtype=float)
+
+
+def _response(loop: OpenLoop, omega: Array) -> Complex:
+    return loop.response(omega)[:, 0, 0]
 
 
 def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
