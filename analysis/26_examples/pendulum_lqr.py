@@ -36,12 +36,12 @@ FORCE = Layout((Port("tau", (1,), "N", "force on the cart"),))
 def cart_pole(x, f, d, p):
     """x' of the cart with its pole, a uniform rod."""
     s, c = ca.sin(x["angle"]), ca.cos(x["angle"])
-    push = (f["tau"] + POLE * HALF * x["rate"] ** 2 * s) / (CART + POLE)
-    turn = (GRAVITY * s - c * push) / (HALF * (4 / 3 - POLE * c**2 / (CART + POLE)))
+    drive = (f["tau"] + POLE * HALF * x["rate"] ** 2 * s) / (CART + POLE)
+    turn = (GRAVITY * s - c * drive) / (HALF * (4 / 3 - POLE * c**2 / (CART + POLE)))
     return {
         "place": x["speed"],
         "angle": x["rate"],
-        "speed": push - POLE * HALF * turn * c / (CART + POLE),
+        "speed": drive - POLE * HALF * turn * c / (CART + POLE),
         "rate": turn,
     }
 
@@ -68,7 +68,7 @@ system = System(
     },
     stops={
         "fallen": lambda s: ca.fabs(s.x["angle"]) > 1.2,
-        "end_of_rail": lambda s: ca.fabs(s.x["place"]) > 2.4,
+        "off_the_rail": lambda s: ca.fabs(s.x["place"]) > 2.4,
     },
 )
 

@@ -107,9 +107,9 @@ def main() -> int:
         return mean_cost(simulate_system(system, 12.0, values), 1)[0]
 
     began = np.log([*choose(system, tried, cost, ("tau",), {}).values()])
-    found = minimize(of, began, method="Nelder-Mead", options={"maxfev": 3 * states, "xatol": 1e-3, "fatol": 1e-4})
-    best = dict(zip(tried, np.exp(found.x), strict=True))
-    print(f"search: {named(best)}, cost {found.fun:.4g}, {found.nfev} evaluations of {states} runs")
+    optimum = minimize(of, began, method="Nelder-Mead", options={"maxfev": 3 * states, "xatol": 1e-3, "fatol": 1e-4})
+    best = dict(zip(tried, np.exp(optimum.x), strict=True))
+    print(f"search: {named(best)}, cost {optimum.fun:.4g}, {optimum.nfev} evaluations of {states} runs")
     record = run_system(system, 12.0, {**best, "disturbance.wind": -3})
     print(f"the same run: cost {record['cost']:.4g}, in the gust {record['error_in_gust']:.3f} m")
     stable = print_margins(linearise(system, best), "tau", "height", "speed")
