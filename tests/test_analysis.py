@@ -1,4 +1,5 @@
 import csv
+import math
 import pickle
 import re
 import runpy
@@ -400,3 +401,19 @@ def test_a_system_of_ones_own_ends_where_its_peers_do() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [row for row in table(done.stdout) if len(row) == 6 and row[1].startswith(("surctl", "scipy", "python"))]
     assert len(rows) == 6 and all(float(row[4]) < 1e-6 for row in rows)
+
+
+@pytest.mark.parametrize("example", ["pendulum_lqr", "cybership2", "bluerov2_attitude", "quadrotor_altitude"])
+def test_an_example_chooses_stable_gains_and_its_c_equals_python(example: str) -> None:
+    need_compiler()
+    done = run(ANALYSIS / "26_examples" / f"{example}.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "sweep: 100 runs" in done.stdout and "command 0.0e+00, state 0.0e+00" in done.stdout
+    chosen = re.search(r"cost ([\d.]+), disk margin ([\d.]+) at the commands", done.stdout)
+    assert chosen and float(chosen[2]) >= 0.75
+    margins = [row for row in table(done.stdout) if row[0].startswith("`")]
+    assert len(margins) >= 3
+    for row in margins:  # a disk of radius α bears at least these gains and phases
+        gain, least, phase, disk = (float(row[k].strip(" °|")) for k in (1, 2, 3, 5))
+        assert gain >= 0.99 * (2 + disk) / (2 - disk) - 0.02 and least <= (2 - disk) / (2 + disk) + 0.02
+        assert phase >= 2 * math.degrees(math.atan(disk / 2)) - 0.5

@@ -76,6 +76,39 @@ def test_a_factor_that_makes_the_loop_oscillate_at_the_nyquist_frequency_counts(
     assert found.gain_margin == pytest.approx(10.0) and found.least_gain == 0.0  # z = 1 - 0.2 k
 
 
+def carts(rates: list[float]) -> System:
+    """Carts side by side, each with integral action of its own; no cart acts on another."""
+    place, speed, force, total = (
+        Port(name, (len(rates),), unit, "")
+        for name, unit in (("place", "m"), ("speed", "m/s"), ("force", "m/s^2"), ("total", "m s"))
+    )
+
+    def law(x, u, p):
+        w = ca.DM(rates)
+        return Action(
+            -(w**2 * u["place"] + 1.4 * w * u["speed"] + w**3 / 10 * x["total"]),
+            {"total": x["total"] + 0.05 * u["place"]},
+        )
+
+    plant = Plant(
+        "carts", Layout((place, speed)), Layout((force,)),
+        lambda x, f, d, p: {"place": x["speed"], "speed": f["force"] - 0.02 * x["speed"]},
+    )  # fmt: skip
+    return System(
+        plant, Controller("hold", 0.05, Layout((place, speed)), Layout((force,)), law, state=Layout((total,)))
+    )
+
+
+def test_loops_beside_a_loop_do_not_change_its_margins() -> None:
+    rates = [1.0, 1.3, 1.7, 2.1]
+    together = linearise(carts(rates))
+    for k, rate in enumerate(rates):
+        (alone,) = system_margins(linearise(carts([rate])), "force")
+        (beside,) = system_margins(together, f"force[{k}]")
+        found = [getattr(beside, name) / getattr(alone, name) for name in vars(alone) if name not in ("name", "stable")]
+        assert found == pytest.approx([1.0] * 6, rel=1e-4)  # not exact: poles and zeros of the others cancel
+
+
 def test_whole_periods_of_delay_within_the_margin_are_stable_and_beyond_it_not() -> None:
     (found,) = system_margins(linearise(pendulum()), "torque")
     borne = int(found.delay_margin_s / 0.01)

@@ -1,0 +1,120 @@
+"""Example: the altitude of a quadrotor with motor lag and drag in a vertical gust.
+
+    python analysis/26_examples/quadrotor_altitude.py            # 10,000 runs, then a search
+    python analysis/26_examples/quadrotor_altitude.py --quick    # 100 runs, then a short search
+
+Parameters of the AscTec Hummingbird. Status 0 if the loop is stable and C equals Python, else 1.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import minimize
+from worked import back_to_back, choose, draw, every_pair, mean_cost, named, print_margins, sizes, sweep
+
+from surctl.ir import Layout, Port
+from surctl.system import Action, Controller, Cost, Plant, System, linearise, run_system, simulate_system
+
+MASS, GRAVITY = 0.5, 9.81  # kg, m/s^2
+WEIGHT = MASS * GRAVITY
+BODY_DRAG = 0.01  # N s^2/m^2, vertical
+INFLOW = 4 * 2.32e-4 * math.sqrt(WEIGHT / (4 * 5.57e-6))  # N s/m, loss of thrust of four rotors at hover speed
+LIMIT = 3 * WEIGHT  # N, assumed
+PERIOD = 0.01  # s
+GUST = (5.0, 2.0)  # s, begin and duration of the gust
+
+HEIGHT, SPEED = Port("height", (1,), "m", "above the ground", 1.0), Port("speed", (1,), "m/s", "upwards")
+THRUST, TARGET = Port("thrust", (1,), "N", "of the rotors", WEIGHT), Port("target", (1,), "m", "desired height", 2.0)
+COMMAND = Layout((Port("tau", (1,), "N", "desired thrust"),))
+K_P, K_D, K_I = Port("k_p", (1,), "1/s^2", "", 6), Port("k_d", (1,), "1/s", "", 4), Port("k_i", (1,), "1/s^3", "", 2)
+
+
+def quadrotor(x, f, d, p):
+    """x' of the vertical motion; the air moves upwards at the speed d."""
+    air = x["speed"] - d["wind"]
+    drag = BODY_DRAG * ca.fabs(air) * air + INFLOW * air
+    return {
+        "height": x["speed"],
+        "speed": (x["thrust"] - drag) / p["mass"] - GRAVITY,
+        "thrust": (f["tau"] - x["thrust"]) / p["lag"],
+    }
+
+
+def hold(x, u, p):
+    """PID law about the hover thrust; the integral stops while the thrust is at a limit."""
+    error = u["target"] - u["height"]
+    free = WEIGHT + MASS * (p["k_p"] * error - p["k_d"] * u["speed"] + x["sum"])
+    tau = ca.fmax(0, ca.fmin(LIMIT, free))
+    grown = ca.if_else(free == tau, x["sum"] + PERIOD * p["k_i"] * error, x["sum"])
+    return Action(tau, {"sum": grown}, status=free != tau)
+
+
+def gust(t, d):
+    """Wind speed: half a sine of amplitude d."""
+    since = (t - GUST[0]) / GUST[1]
+    return {"wind": ca.if_else(ca.logic_and(since > 0, since < 1), d["wind"] * ca.sin(math.pi * since), 0)}
+
+
+def cost_rate(s):
+    """Integrand of the cost: 1 for an error of 0.1 m, or a thrust of a fifth of the weight above or below hover."""
+    return ((s.r["target"] - s.x["height"]) / 0.1) ** 2 + ((s.f["tau"] - WEIGHT) / (0.2 * WEIGHT)) ** 2
+
+
+system = System(
+    Plant(
+        "quadrotor",
+        Layout((HEIGHT, SPEED, THRUST)),
+        COMMAND,
+        quadrotor,
+        parameters=Layout((Port("mass", (1,), "kg", "", MASS), Port("lag", (1,), "s", "of the motors", 0.05))),
+        disturbances=Layout((Port("wind", (1,), "m/s", "upwards, peak of the gust"),)),
+    ),
+    Controller(
+        "quadrotor_altitude",
+        PERIOD,
+        Layout((HEIGHT, SPEED, TARGET)),
+        COMMAND,
+        hold,
+        state=Layout((Port("sum", (1,), "m/s^2", "integral action"),)),
+        gains=Layout((K_P, K_D, K_I)),
+    ),
+    substeps=1,
+    costs={
+        "cost": Cost(cost_rate, "integral", "s"),
+        "error_in_gust": Cost(lambda s: ca.fabs(s.r["target"] - s.x["height"]) * (s.t >= GUST[0]), "max", "m"),
+    },
+    stops={"ground": lambda s: s.x["height"] < 0},
+    disturbance=gust,
+)
+
+
+def main() -> int:
+    """Print the example; 1 if the loop is unstable or C differs from Python."""
+    sets, states = sizes(__doc__)
+    record = run_system(system, 12.0, {"disturbance.wind": -3})
+    print(f"one run, default gains: cost {record['cost']:.4g}, in the gust {record['error_in_gust']:.3f} m")
+    tried = draw(sets, 1, {"k_p": (1, 60), "k_d": (1, 20), "k_i": (0, 40)})
+    starts = draw(states, 2, {"start.height": (1, 3), "start.speed": (-1, 1), "plant.mass": (0.45, 0.6),
+                              "plant.lag": (0.02, 0.08), "disturbance.wind": (-4, 4)})  # fmt: skip
+    cost = sweep(system, 12.0, tried, starts)
+
+    def of(p):  # mean cost of one gain set in logarithms
+        values = every_pair({name: np.exp(p[k : k + 1]) for k, name in enumerate(tried)}, starts)
+        return mean_cost(simulate_system(system, 12.0, values), 1)[0]
+
+    began = np.log([*choose(system, tried, cost, ("tau",), {}).values()])
+    optimum = minimize(of, began, method="Nelder-Mead", options={"maxfev": 3 * states, "xatol": 1e-3, "fatol": 1e-4})
+    best = dict(zip(tried, np.exp(optimum.x), strict=True))
+    print(f"search: {named(best)}, cost {optimum.fun:.4g}, {optimum.nfev} evaluations of {states} runs")
+    record = run_system(system, 12.0, {**best, "disturbance.wind": -3})
+    print(f"the same run: cost {record['cost']:.4g}, in the gust {record['error_in_gust']:.3f} m")
+    stable = print_margins(linearise(system, best), "tau", "height", "speed")
+    return 0 if back_to_back(record) and stable else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
