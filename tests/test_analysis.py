@@ -417,3 +417,10 @@ def test_an_example_chooses_stable_gains_and_its_c_equals_python(example: str) -
         gain, least, phase, disk = (float(row[k].strip(" °|")) for k in (1, 2, 3, 5))
         assert gain >= 0.99 * (2 + disk) / (2 - disk) - 0.02 and least <= (2 - disk) / (2 + disk) + 0.02
         assert phase >= 2 * math.degrees(math.atan(disk / 2)) - 0.5
+
+
+def test_the_study_of_a_law_of_ones_own() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "27_own_law" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [row[2] for row in table(done.stdout)][1:] == ["yes"] * 3

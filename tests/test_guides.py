@@ -28,7 +28,17 @@ README = ROOT / "README.md"
 GUIDES = sorted((ROOT / "notebooks" / "guides").glob("*.md"))
 PAGES = [README, *GUIDES]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
-NAMES = {"add-a-task", "add-a-vehicle", "architecture", "design", "export", "tune", "verify", "what-is-proved"}
+NAMES = {
+    "add-a-task",
+    "add-a-vehicle",
+    "architecture",
+    "design",
+    "export",
+    "own-law",
+    "tune",
+    "verify",
+    "what-is-proved",
+}
 
 
 def commands(text: str) -> list[tuple[str, list[str]]]:

@@ -91,7 +91,7 @@ def simulate(
     loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step)
     reason, record = loop.run(), loop.record()
     metrics = measure(scenario, law, record, reason=reason, least=loop.least)
-    return Run(scenario, vehicle, gains, law, sensing, seed, metrics, record)
+    return Run(scenario, vehicle, gains, law, sensing, seed, metrics, record, stepper is not None)
 
 
 class _StepNoise(NamedTuple):

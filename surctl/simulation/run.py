@@ -51,7 +51,10 @@ class DepthChange:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One closed-loop run: its scenario, vehicle, law, metrics and record of signals."""
+    """One closed-loop run: its scenario, vehicle, law, metrics and record of signals.
+
+    `replaced` is true if a stepper computed the commands in place of the law (argument `stepper` of `simulate`).
+    """
 
     scenario: Scenario
     vehicle: Vehicle
@@ -61,6 +64,7 @@ class Run:
     seed: int
     metrics: Metrics
     record: Record = field(repr=False)
+    replaced: bool = False
 
     def telemetry(self, name: str) -> NDArray[np.float64]:
         """Return the values (n, size) over time of the law's telemetry port with the given name."""
@@ -80,6 +84,7 @@ class Run:
             "scenario": self.scenario.name,
             "vehicle": self.vehicle.name,
             "law": label(self.law.ref),
+            "replaced": self.replaced,
             "avoidance": self.law.avoidance,
             "guidance": self.law.guidance,
             "sensing": self.sensing,

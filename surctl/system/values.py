@@ -42,7 +42,7 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
         system: the loop.
         values: values by the name of a gain (`k`), or by `plant.NAME`, `reference.NAME`, `disturbance.NAME` or
             `start.NAME`; with `[i]`, the name denotes one entry of a port. A scalar holds for every run and entry; an
-            array (n,) has one number for each run; an array (n, size) has one row for each run.
+            array (n,) has one number for each run, for a port with one entry; an array (n, size) has one row for each run.
 
     Raises:
         InputError: an unknown name, a number that is not finite, or arrays of different numbers of runs.
@@ -59,6 +59,12 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
         if not np.isfinite(array).all():
             raise InputError("is not finite", key=name, remedy="give finite numbers")
         size = place.stop - place.start
+        if array.ndim == 1 and size > 1:
+            raise InputError(
+                f"has {len(array)} numbers: for one run, or one for each run?",
+                key=name,
+                remedy=f"give shape (1, {size}) for one run, (n, {size}) for n runs",
+            )
         if array.ndim > 2 or (array.ndim == 2 and array.shape[1] != size):
             raise InputError(f"has shape {array.shape}", key=name, remedy=f"give a number, (n,) or (n, {size})")
         if array.ndim:

@@ -365,6 +365,7 @@ def test_a_flight_through_a_process_is_the_flight_in_python_and_a_killed_one_coa
         linked = LinkedLaw(mission.law, mission.p, opened)
         run = mission.fly(linked)
         same_flight(run, mission.fly(Rounded(closed_form(mission.law, real="float32")).step))
+        assert run.to_dict()["replaced"]  # the commands were not the law's own
         report = linked.report()
         assert (report.steps, report.answered, report.differing) == (60, 60, 0)
         assert np.abs(run.record.tau).max() > 1.0

@@ -103,6 +103,21 @@ def test_mistakes_in_values_are_named(values: dict[str, object], problem: str) -
         simulate_system(pendulum(), 1.0, values)  # type: ignore[arg-type]
 
 
+def test_a_flat_vector_for_a_port_of_several_entries_is_refused() -> None:
+    pair = Port("q", (2,), "m", "place", 1.0)
+    still = Plant(
+        "still", Layout((pair,)), Layout((Port("f", (1,), "m/s", "moves both"),)), lambda x, f, d, p: 0 * x["q"]
+    )
+    loop = System(
+        still, Controller("none", 0.1, Layout((pair,)), Layout((Port("f", (1,), "m/s", ""),)), lambda x, u, p: 0)
+    )
+    with pytest.raises(
+        InputError, match=r"start\.q: has 2 numbers: for one run, or one for each run\?; give shape \(1, 2\)"
+    ):
+        simulate_system(loop, 0.2, {"start.q": [1.0, 2.0]})
+    assert simulate_system(loop, 0.2, {"start.q": [[1.0, 2.0]]}).state.tolist() == [[1.0, 2.0]]
+
+
 def test_no_time_and_unknown_figures_are_named() -> None:
     with pytest.raises(InputError, match=r"seconds = 0: is no duration"):
         run_system(pendulum(), 0)
