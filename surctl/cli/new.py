@@ -27,6 +27,7 @@ _NEXT = {
         "surctl simulate {}:build --seconds 5 --out plots",
         "surctl verify {}:build",
         "surctl sweep {}:build k_p=4..20:9 --seconds 5 --out sweep",
+        "surctl tune {}:build --seconds 5 --out tuned",
         "surctl export {}:build --seconds 5 --out firmware",
     ),
 }

@@ -13,6 +13,8 @@ import click
 from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.output import as_json, at_hand, finish, finite, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
+from surctl.cli.system_option import is_system, seconds_option
+from surctl.cli.system_tune import tune_own_system
 
 if TYPE_CHECKING:
     from surctl.simulation import Case
@@ -24,7 +26,7 @@ __all__ = ["tune"]
 
 
 @click.command
-@click.argument("file", required=False, metavar="[STUDY]")
+@click.argument("words", nargs=-1, metavar="[STUDY | FILE.py:FUNCTION [NAME=VALUE,...]...]")
 @click.option(
     "--gain",
     "gain",
@@ -92,30 +94,31 @@ __all__ = ["tune"]
     metavar="N",
     help="New runs that verify a round (default 2000); up to 10 N more runs train.",
 )
-@click.option("--descend", is_flag=True, help="Also start the search from a gradient descent; this takes minutes.")
+@click.option("--descend", is_flag=True, help="Also start from a gradient descent (minutes).")
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
     default=2,
     metavar="N",
-    help="Threads (default 2); the result does not depend on N.",
+    help="Threads (default 2).",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     default=Path("surctl-out"),
     metavar="DIR",
-    help="Output folder (default surctl-out); an interrupted tuning resumes there.",
+    help="Output folder (default surctl-out); resumes there.",
 )
-@click.option("--page", is_flag=True, help="Open a local web page with sliders instead; needs the package marimo.")
-@click.option("--scenario", metavar="FILE", help="Scenario of --page: name or file (default: the study's first).")
-@click.option("--gains", "gains_file", metavar="FILE", help="Gain set of --page: name or file (default: the study's).")
+@click.option("--page", is_flag=True, help="Open a page with sliders instead (needs marimo).")
+@click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
+@click.option("--gains", "gains_file", metavar="FILE", help="Gain set of --page (default: the study's).")
 @click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port of --page (default: a free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
 @trust_option
+@seconds_option
 @as_json
 def tune(
-    file: str | None,
+    words: tuple[str, ...],
     gain: tuple[str, ...],
     goals_file: str | None,
     cruise: tuple[float, ...] | None,
@@ -135,6 +138,7 @@ def tune(
     port: int | None,
     no_browser: bool,
     trust: bool,
+    seconds: float | None,
     as_json: bool,
 ) -> None:
     """Tune gains to goals, and tune them again with the runs in which they fail.
@@ -143,9 +147,21 @@ def tune(
     minimised. New random runs and the claims then test the result. Exit status: 1 if a hard goal is not met, or fails
     in the test.
 
+    FILE.py:FUNCTION names a system of your own: its first cost is minimised, costs with a bound keep it, and the disk
+    margin stays at least 0.3; NAME=V1,V2 gives the cases, such as initial states.
+
     Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
     surctl tune --page --scenario pool-behind --gains my-gains.toml
     """
+    ranges = dict(_gain(text) for text in gain)
+    if len(ranges) < len(gain):
+        raise click.BadParameter("a gain is named twice", param_hint="--gain")
+    if is_system(words, "gain", "seconds", "trials", "seed", "workers", "out", "as_json"):
+        search = {"trials": trials, "seed": seed, "workers": workers}
+        tune_own_system(words, ranges, seconds=seconds, out=out, as_json=as_json, **search)
+    if len(words) > 1:
+        raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
+    file = words[0] if words else None
     if page:
         from surctl.cli.tuning_page import serve_page
 
@@ -180,9 +196,6 @@ def tune(
     from surctl.tuning import tune as run_tuning
     from surctl.vehicle import load_vehicle
 
-    ranges = dict(_gain(text) for text in gain)
-    if len(ranges) < len(gain):
-        raise click.BadParameter("a gain is named twice", param_hint="--gain")
     plan = load_plan(file, trust=trust)
     goals = goals_at(plan.goals if goals_file is None else load_goals(goals_file), cruise or plan.cruise)
     if cruise and not any(goal.linear for goal in goals):

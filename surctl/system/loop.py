@@ -63,12 +63,14 @@ class Cost:
             error minus its tolerance is a settling time.
         unit: SI unit of the metric.
         meaning: description of the metric, for tables and plots.
+        at_most: bound that tuned gains must keep (see `surctl.tuning.tune_system`), or None.
     """
 
     of: Callable[[Signals], Any]
     how: How
     unit: str
     meaning: str = ""
+    at_most: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,7 +42,8 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
         system: the loop.
         values: values by the name of a gain (`k`), or by `plant.NAME`, `reference.NAME`, `disturbance.NAME` or
             `start.NAME`; with `[i]`, the name denotes one entry of a port. A scalar holds for every run and entry; an
-            array (n,) has one number for each run, for a port with one entry; an array (n, size) has one row for each run.
+            array (n,) has one number for each run (for a port with one entry); an array (n, size) has one row for each
+            run.
 
     Raises:
         InputError: an unknown name, a number that is not finite, or arrays of different numbers of runs.

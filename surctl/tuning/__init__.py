@@ -29,6 +29,7 @@ from surctl.tuning.sensitivity import Sensitivity, sensitivity
 from surctl.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
 from surctl.tuning.start import lqr_start
 from surctl.tuning.sweep import TABLE, sweep
+from surctl.tuning.systems import SystemTuning, tune_system
 from surctl.tuning.table import DELAY_FLOOR, DISK_FLOOR, SweepTable, SweptAxis, load_sweep
 
 __all__ = [
@@ -62,6 +63,7 @@ __all__ = [
     "Span",
     "SweepTable",
     "SweptAxis",
+    "SystemTuning",
     "Tuning",
     "advice",
     "build_cases",
@@ -94,6 +96,7 @@ __all__ = [
     "summary",
     "sweep",
     "tune",
+    "tune_system",
     "tuned_gains",
     "tuning_dict",
     "value_text",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shlex
 from pathlib import Path
 from types import ModuleType
@@ -232,3 +233,31 @@ def test_a_mistake_is_one_line(file: str, case: str) -> None:
     words, fragment = MISTAKES[case]
     said = complaint(*words)
     assert fragment in said and "\n" not in said
+
+
+def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -> None:
+    need_compiler()
+    words = ("tune", file, "start.x=1,0.5", "--gain", "k=0.5..8", "--seconds", "3", "--trials", "40")
+    found = data(*words, "--out", str(tmp_path / "t"))
+    assert found["objective"] == "final"
+    assert 0.5 <= found["best"]["gains"]["k"] <= 8.0
+    assert found["best"]["costs"]["final"]["value"] < found["before"]["final"]
+    assert found["disk_margin"] > found["least_disk_margin"] == 0.3
+    assert "k" in (tmp_path / "t" / "gains.csv").read_text()
+    assert found["next"][0].startswith(f"surctl verify {file} k=")
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (("--gain", "q=1..2", "--seconds", "3"), "is no gain of the system; did you mean 'k'|known: k"),
+        (("--gain", "k=2..1", "--seconds", "3"), "is not a range"),
+        ((), "--seconds: is missing"),
+        (("--goals", "default", "--seconds", "3"), "--goals: does not apply to a system"),
+        (("start.x=a", "--seconds", "3"), "is not NAME=V1,V2"),
+    ],
+)
+def test_mistakes_in_tune_are_one_line(file: str, words: tuple[str, ...], problem: str, tmp_path: Path) -> None:
+    done = run("tune", file, *words, "--out", str(tmp_path))
+    assert isinstance(done.exception, InputError)
+    assert re.search(problem, str(done.exception))

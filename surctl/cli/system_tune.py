@@ -1,0 +1,115 @@
+"""`surctl tune FILE.py:FUNCTION`: gains of a system of the user's own with the least first cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from surctl.cli.output import finish, progress
+from surctl.cli.system_option import OwnSystem, command_line, load_system
+from surctl.cli.system_simulate import cost_data, write_table
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from surctl.tuning import SystemTuning
+
+__all__ = ["tune_own_system"]
+
+_SPREAD = 4.0  # a default range extends from a quarter of the nominal value to four times this value
+
+
+def tune_own_system(
+    words: Sequence[str],
+    ranges: Mapping[str, tuple[float, float] | None],
+    *,
+    seconds: float | None,
+    trials: int,
+    seed: int,
+    workers: int,
+    out: Path,
+    as_json: bool,
+) -> None:
+    """Search gains, print their costs and disk margin, and write them; status 1 if a bound is not kept."""
+    from surctl.files import prepare_folder
+    from surctl.tuning import tune_system
+
+    own = load_system(words)
+    duration, cases = own.seconds(seconds), _cases(own.settings)
+    prepare_folder(out)
+    progress(f"{trials} gain sets")
+    found = tune_system(
+        own.system, duration, _ranges(own, ranges), cases=cases, trials=trials, seed=seed, threads=workers
+    )
+    table = write_table(out / "gains.csv", {name: [value] for name, value in found.gains.items()})
+    lines = [f"{own.title}: {found.trials} gain sets, runs of {duration:g} s", *_lines(own, found), f"gains {table}"]
+    data = {
+        **own.names,
+        "seconds": duration,
+        "objective": found.objective,
+        "best": {"gains": dict(found.gains), "costs": cost_data(own.system, found.costs)},
+        "before": dict(found.before),
+        "disk_margin": found.disk_margin,
+        "least_disk_margin": found.least_disk_margin,
+        "unmet": list(found.unmet),
+        "trials": found.trials,
+        "gains": str(table),
+    }
+    numbers = [f"{name}={value!r}" for name, value in found.gains.items()]
+    then = [
+        command_line("verify", own, *numbers),
+        command_line("export", own, *numbers, "--seconds", f"{duration:g}"),
+    ]
+    finish(data, lines, as_json=as_json, passed=not found.unmet, then=then)
+
+
+def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
+    """Return the search ranges: as typed, else a quarter to four times the nominal value; default: every gain."""
+    from surctl.errors import InputError, nearest
+    from surctl.system import entry_labels
+
+    gains = own.system.controller.gains
+    nominal = dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
+    found = {}
+    for name, ends in (ranges or dict.fromkeys(nominal)).items():
+        if name not in nominal:
+            raise InputError("is no gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
+        if ends is None and nominal[name] == 0:
+            raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
+        low, high = sorted((nominal[name] / _SPREAD, nominal[name] * _SPREAD))
+        found[name] = (low, high) if ends is None else ends
+    return found
+
+
+def _cases(words: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+    """Return the numbers of each case from words NAME=V1,V2,…"""
+    import numpy as np
+
+    from surctl.errors import InputError
+
+    cases = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        try:
+            numbers = [float(number) for number in text.split(",")]
+        except ValueError:
+            raise InputError(
+                "is not NAME=V1,V2,…", key="setting", value=word, remedy="such as start.q=0.1,0.3"
+            ) from None
+        cases[name] = np.array(numbers[0] if len(numbers) == 1 else numbers)
+    return cases
+
+
+def _lines(own: OwnSystem, found: SystemTuning) -> list[str]:
+    lines = [f"  {name} = {value:.6g}" for name, value in found.gains.items()]
+    for name, cost in own.system.costs.items():
+        bound = "" if cost.at_most is None else f", at most {cost.at_most:g}"
+        what = "minimised" if name == found.objective else "not bounded" if cost.at_most is None else "bounded"
+        mark = "NOT MET  " if name in found.unmet else ""
+        change = f"{found.costs[name]:.6g} {cost.unit} (before {found.before[name]:.6g})"
+        lines.append(f"  {mark}{name}: {change}, {what}{bound}")
+    margin = "not judged, there is no equilibrium" if found.disk_margin is None else f"{found.disk_margin:.3f}"
+    mark = "NOT MET  " if "disk margin" in found.unmet else ""
+    return [*lines, f"  {mark}disk margin, all commands opened at once: {margin}, at least {found.least_disk_margin:g}"]

@@ -1,0 +1,245 @@
+"""Tuning of any system: gains with the least cost whose other costs and disk margin keep their bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.system import ENDED, System, linearise, simulate_system
+from surctl.verification import system_disk_margin
+from surctl.verification.linear import LEAST_DISK_MARGIN
+
+__all__ = ["SystemTuning", "tune_system"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_POPULATION = 15  # gain sets of a generation per gain
+_EXAMINED = 50  # most gain sets whose disk margin is computed, cheapest first
+_TINY = 1e-12  # a bound of 0 is compared with this number
+_MOST = 1e6  # largest excess over bounds that is told apart
+_WORSE = 1e9  # cost from which a gain set counts as one that breaks a bound
+
+
+@dataclass(frozen=True)
+class SystemTuning:
+    """The result of `tune_system`.
+
+    Attributes:
+        objective: name of the minimised cost.
+        gains: the chosen gains by name; the best found if no gain set keeps every bound.
+        costs: costs of the chosen gains, means over the cases; infinite if a run ends early.
+        before: costs of the system's own gains.
+        disk_margin: disk margin of the sampled loop at the first case, with all commands opened at once; None if the
+            loop has no equilibrium there.
+        least_disk_margin: bound of the disk margin.
+        trials: number of gain sets simulated.
+        unmet: names of the bounds that the chosen gains break; empty if the tuning succeeded.
+    """
+
+    objective: str
+    gains: Mapping[str, float]
+    costs: Mapping[str, float]
+    before: Mapping[str, float]
+    disk_margin: float | None
+    least_disk_margin: float
+    trials: int
+    unmet: tuple[str, ...]
+
+
+def tune_system(
+    system: System,
+    seconds: float,
+    ranges: Mapping[str, tuple[float, float]],
+    *,
+    cases: Mapping[str, ArrayLike] | None = None,
+    objective: str | None = None,
+    trials: int = 1024,
+    least_disk_margin: float = LEAST_DISK_MARGIN,
+    seed: int = 0,
+    threads: int = 1,
+) -> SystemTuning:
+    """Search gains that minimise a cost of a system, by scipy's differential evolution over compiled runs.
+
+    A gain set is feasible if no run ends early, every cost is at most its bound (`Cost.at_most`), and the disk margin
+    is at least `least_disk_margin`. The margin is computed for the cheapest sets only: it takes longer than a run.
+
+    Args:
+        system: the closed loop.
+        seconds: duration of a run [s].
+        ranges: search range (low, high) of each tuned gain, by name; `K[0]` is an entry of a port. A range of positive
+            numbers is searched on a log scale.
+        cases: numbers of the runs of every gain set (see `run_numbers`), such as initial states; default: one run with
+            the numbers of the system. Costs are means over the cases.
+        objective: cost to minimise; default: the first cost of the system.
+        trials: number of gain sets.
+        least_disk_margin: least disk margin with all commands opened at once; 0 for no bound.
+        seed: seed of the search.
+        threads: number of threads that share the runs.
+
+    Raises:
+        InputError: the system has no cost, no gain is named, a name is unknown or a range is not valid; see also
+            `run_numbers`.
+        ToolMissing: there is no C compiler.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Cost, Plant, System
+        >>> from surctl.tuning import tune_system
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 1.0),))
+        >>> brake = Controller(
+        ...     "brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
+        ... )
+        >>> cost = Cost(lambda s: s.x["speed"] ** 2 + 0.1 * s.f["force"] ** 2, "integral", "m^2/s")
+        >>> tuned = tune_system(System(cart, brake, costs={"cost": cost}), 5.0, {"k": (0.2, 8.0)}, trials=90)
+        >>> round(tuned.gains["k"], 1), tuned.unmet
+        (2.8, ())
+    """
+    from scipy.optimize import differential_evolution
+
+    name = next(iter(system.costs), "") if objective is None else objective
+    if name not in system.costs:
+        problem = "has no costs" if not system.costs else "no such cost"
+        remedy = "give System(..., costs={...})" if not system.costs else nearest(name, system.costs)
+        raise InputError(problem, key="objective", value=objective, remedy=remedy)
+    names, low, high = _box(ranges)
+    logarithmic = low > 0
+    ends = np.column_stack([np.where(logarithmic, np.log(np.where(logarithmic, e, 1)), e) for e in (low, high)])
+    search = _Search(system, seconds, names, dict(cases or {}), name, threads)
+
+    def cost_of(points: Array) -> Array:
+        """Return the penalised cost of each column of `points`, as differential evolution wants it."""
+        sets = np.clip(np.where(logarithmic[:, None], np.exp(points), points), low[:, None], high[:, None])
+        return search.penalised(sets.T)
+
+    size = max(5, min(_POPULATION * len(names), trials))
+    differential_evolution(
+        cost_of,
+        ends,
+        popsize=max(1, round(size / len(names))),
+        maxiter=max(0, trials // size - 1),
+        seed=seed,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        tol=0,
+    )
+    return search.chosen(least_disk_margin)
+
+
+def _box(ranges: Mapping[str, tuple[float, float]]) -> tuple[list[str], Array, Array]:
+    if not ranges:
+        raise InputError("nothing is tuned", key="ranges", remedy="name at least one gain with (low, high)")
+    for name, ends in ranges.items():
+        if not (np.isfinite(ends).all() and ends[0] < ends[1]):
+            raise InputError("is not a range", key=name, value=tuple(ends), remedy="give (low, high) with low < high")
+        if any(name.startswith(f"{group}.") for group in ("plant", "reference", "disturbance", "start")):
+            raise InputError("is not a gain", key=name, remedy="tune gains of the controller; put it into the cases")
+    low, high = np.array(list(ranges.values()), dtype=float).T
+    return list(ranges), low, high
+
+
+class _Search:
+    """All gain sets that were simulated, with their costs."""
+
+    def __init__(
+        self,
+        system: System,
+        seconds: float,
+        names: list[str],
+        cases: dict[str, ArrayLike],
+        objective: str,
+        threads: int,
+    ) -> None:
+        self.system, self.seconds, self.names, self.objective, self.threads = system, seconds, names, objective, threads
+        arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
+        self.count = max((len(a) for a in arrays.values() if a.ndim), default=1)
+        self.cases = arrays
+        self.sets: list[Array] = []
+        self.figures: list[Array] = []
+        self.lasted = np.zeros(0)  # share of the duration, of the sets simulated last
+
+    def costs(self, sets: Array) -> Array:
+        """Return the mean costs (sets, costs) of gain sets (sets, gains); infinite if a run of a case ends early."""
+        n, k = len(sets), self.count
+        values: dict[str, ArrayLike] = {name: np.repeat(sets[:, j], k) for j, name in enumerate(self.names)}
+        for name, array in self.cases.items():
+            values[name] = (
+                array if array.ndim == 0 else np.concatenate([np.broadcast_to(array, (k, *array.shape[1:]))] * n)
+            )
+        runs = simulate_system(self.system, self.seconds, values, threads=self.threads)
+        whole = runs.stopped == ENDED
+        self.lasted = np.where(whole, 1.0, runs.time / self.seconds).reshape(n, k).mean(axis=1)
+        columns = [np.where(whole, runs[name], np.inf).reshape(n, k).mean(axis=1) for name in self.system.costs]
+        return np.column_stack(columns)
+
+    def excess(self, figures: Array) -> Array:
+        """Return by how much each bounded cost (sets, costs) exceeds its bound, relative to the bound; else 0."""
+        bounds = np.array([np.inf if c.at_most is None else c.at_most for c in self.system.costs.values()])
+        bounded, finite = np.isfinite(bounds), np.isfinite(figures)
+        over = np.zeros(figures.shape)
+        both = bounded & finite
+        np.divide(figures - np.where(bounded, bounds, 0), np.maximum(np.abs(bounds), _TINY), out=over, where=both)
+        return np.maximum(np.where(finite, over, np.inf), 0.0)
+
+    def penalised(self, sets: Array) -> Array:
+        """Simulate gain sets, remember them, and return the objective to minimise.
+
+        A set that breaks a bound counts as a large number that grows with the excess; a set with runs that end early
+        counts as a still larger number, which is smaller the later they end.
+        """
+        figures = self.costs(sets)
+        self.sets.append(sets)
+        self.figures.append(figures)
+        excess = np.minimum(self.excess(figures).sum(axis=1), _MOST)
+        excess[self.lasted < 1] = _MOST * (2 - self.lasted[self.lasted < 1])
+        value = figures[:, list(self.system.costs).index(self.objective)]
+        return np.where((excess > 0) | ~np.isfinite(value), _WORSE * (1 + excess), np.minimum(value, _WORSE))
+
+    def chosen(self, least: float) -> SystemTuning:
+        """Return the cheapest gain set that keeps every bound; if none does, the set that comes nearest."""
+        sets, figures = np.vstack(self.sets), np.vstack(self.figures)
+        value = figures[:, list(self.system.costs).index(self.objective)]
+        excess = self.excess(figures).sum(axis=1)
+        order = np.lexsort((np.where(np.isfinite(value), value, np.inf), excess))
+        feasible = [int(k) for k in order[:_EXAMINED] if excess[k] == 0]
+        best, margin = int(order[0]), self.margin(sets[order[0]])
+        for k in feasible[1:] if margin is not None and margin < least else ():
+            found = self.margin(sets[k])
+            if found is not None and found > (margin or 0):
+                best, margin = k, found
+            if margin is not None and margin >= least:
+                break
+        broken = [name for j, name in enumerate(self.system.costs) if self.excess(figures[best][None])[0, j] > 0]
+        broken += ["disk margin"] if margin is not None and margin < least else []
+        own = self.costs(np.array([[self._nominal(name) for name in self.names]]))[0]
+        return SystemTuning(
+            self.objective,
+            dict(zip(self.names, sets[best].tolist(), strict=True)),
+            dict(zip(self.system.costs, figures[best].tolist(), strict=True)),
+            dict(zip(self.system.costs, own.tolist(), strict=True)),
+            margin,
+            least,
+            len(sets),
+            tuple(broken),
+        )
+
+    def margin(self, gains: Array) -> float | None:
+        """Return the disk margin at the first case with all commands opened; None without an equilibrium."""
+        first = {name: a if a.ndim == 0 else a[:1] for name, a in self.cases.items()}
+        try:
+            linear = linearise(self.system, {**first, **dict(zip(self.names, gains.tolist(), strict=True))})
+        except InputError:
+            return None
+        commands = [label for label in linear.channels() if label.partition("[")[0] in self.system.commands]
+        return float(system_disk_margin(linear, *commands).guaranteed)
+
+    def _nominal(self, name: str) -> float:
+        gains, (port, _, entry) = self.system.controller.gains, name.partition("[")
+        return float(gains.pack()[gains.slice(port)][int(entry.rstrip("]") or 0)])

@@ -1,0 +1,103 @@
+"""Tuning of any system: the best gains of a dense grid are found, bounds are kept, and what cannot be kept is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.ir import Layout, Port
+from surctl.system import Controller, Cost, Plant, System, linearise, simulate_system
+from surctl.tuning import tune_system
+from surctl.verification import system_disk_margin
+from tests.tools import need_compiler
+
+PLACE, SPEED = Port("place", (1,), "m", "of the cart", 1.0), Port("speed", (1,), "m/s", "of the cart")
+FORCE = Port("force", (1,), "N", "on the cart")
+RANGES = {"k[0]": (0.2, 20.0), "k[1]": (0.2, 20.0)}
+
+
+def cart(**bounds: float) -> System:
+    plant = Plant(
+        "cart",
+        Layout((PLACE, SPEED)),
+        Layout((FORCE,)),
+        lambda x, f, d, p: {"place": x["speed"], "speed": f["force"] / p["mass"]},
+        parameters=Layout((Port("mass", (1,), "kg", "of the cart", 2.0),)),
+    )
+    law = Controller(
+        "hold",
+        0.05,
+        Layout((PLACE, SPEED)),
+        Layout((FORCE,)),
+        lambda x, u, p: -p["k"][0] * u["place"] - p["k"][1] * u["speed"],
+        gains=Layout((Port("k", (2,), "N/m, N s/m", "of place and speed", 1.0),)),
+    )
+    costs = {
+        "late": Cost(lambda s: ca.fabs(s.x["place"]) - 0.05, "last_time", "s", "settled"),
+        "peak": Cost(lambda s: ca.fabs(s.f["force"]), "max", "N", "largest force"),
+        "square": Cost(lambda s: s.x["place"] ** 2 + 0.02 * s.f["force"] ** 2, "integral", "m^2 s", "cost"),
+    }
+    costs = {name: replace(cost, at_most=bounds.get(name)) for name, cost in costs.items()}
+    return System(plant, law, costs=costs, stops={"away": lambda s: ca.fabs(s.x["place"]) > 3})
+
+
+def test_it_finds_the_best_point_of_a_dense_grid() -> None:
+    need_compiler()
+    system, cases = cart(), {"start.place": [1.0, -0.5, 0.2]}
+    tuned = tune_system(system, 8.0, RANGES, cases=cases, objective="square", trials=600, seed=1)
+    axis = np.geomspace(0.2, 20, 60)
+    first, second = (part.ravel() for part in np.meshgrid(axis, axis))
+    means = np.mean(
+        [
+            simulate_system(system, 8.0, {"k[0]": first, "k[1]": second, "start.place": at})["square"]
+            for at in (1.0, -0.5, 0.2)
+        ],
+        axis=0,
+    )
+    assert tuned.costs["square"] <= means.min() * 1.0001
+    assert tuned.before["square"] > tuned.costs["square"]
+    assert tuned.disk_margin == system_disk_margin(linearise(system, tuned.gains), "force").guaranteed
+    assert tuned.unmet == ()
+
+
+def test_bounds_and_the_margin_are_kept_or_named() -> None:
+    need_compiler()
+    free = tune_system(cart(), 8.0, RANGES, trials=300)
+    bounded = tune_system(cart(peak=1.0), 8.0, RANGES, trials=300)
+    assert free.costs["peak"] > 1.0 >= bounded.costs["peak"]
+    assert bounded.costs["late"] > free.costs["late"]
+    assert bounded.unmet == ()
+    assert tune_system(cart(peak=0.01), 8.0, RANGES, trials=60).unmet == ("peak",)
+    wide = tune_system(cart(), 8.0, RANGES, trials=300, least_disk_margin=1.2)
+    assert wide.unmet == () and wide.disk_margin is not None and wide.disk_margin >= 1.2
+    assert tune_system(cart(), 8.0, RANGES, trials=60, least_disk_margin=1.99).unmet == ("disk margin",)
+
+
+def test_a_run_that_ends_early_is_no_cheap_run() -> None:
+    need_compiler()
+    gains = np.linspace(-300.0, 5.0, 200)
+    runs = simulate_system(cart(), 20.0, {"k[0]": gains})
+    assert runs.stopped[np.argmin(runs["late"])] == "away"  # such a gain leaves the rail at once
+    tuned = tune_system(cart(), 20.0, {"k[0]": (-300.0, 5.0)}, trials=60)
+    assert tuned.gains["k[0]"] > 0
+    assert np.isfinite(tuned.costs["late"])
+
+
+@pytest.mark.parametrize(
+    ("ranges", "options", "problem"),
+    [
+        ({}, {}, "nothing is tuned"),
+        ({"k[0]": (2.0, 1.0)}, {}, r"k\[0\] = \(2\.0, 1\.0\): is not a range"),
+        ({"k[0]": (1.0, float("nan"))}, {}, "is not a range"),
+        ({"plant.mass": (1.0, 2.0)}, {}, r"plant\.mass: is not a gain"),
+        ({"q": (1.0, 2.0)}, {}, "q: no such number of the system"),
+        ({"k[0]": (1.0, 2.0)}, {"objective": "lat"}, "no such cost; did you mean 'late'"),
+    ],
+)
+def test_mistakes_are_named(ranges: dict[str, tuple[float, float]], options: dict[str, str], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        tune_system(cart(), 2.0, ranges, trials=20, **options)  # type: ignore[arg-type]
