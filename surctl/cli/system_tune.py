@@ -40,29 +40,29 @@ def tune_own_system(
     duration, cases = own.seconds(seconds), _cases(own.settings)
     prepare_folder(out)
     progress(f"{trials} gain sets")
-    found = tune_system(
+    result = tune_system(
         own.system, duration, _ranges(own, ranges), cases=cases, trials=trials, seed=seed, threads=workers
     )
-    table = write_table(out / "gains.csv", {name: [value] for name, value in found.gains.items()})
-    lines = [f"{own.title}: {found.trials} gain sets, runs of {duration:g} s", *_lines(own, found), f"gains {table}"]
+    table = write_table(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+    lines = [f"{own.title}: {result.trials} gain sets, runs of {duration:g} s", *_lines(own, result), f"gains {table}"]
     data = {
         **own.names,
         "seconds": duration,
-        "objective": found.objective,
-        "best": {"gains": dict(found.gains), "costs": cost_data(own.system, found.costs)},
-        "before": dict(found.before),
-        "disk_margin": found.disk_margin,
-        "least_disk_margin": found.least_disk_margin,
-        "unmet": list(found.unmet),
-        "trials": found.trials,
+        "objective": result.objective,
+        "best": {"gains": dict(result.gains), "costs": cost_data(own.system, result.costs)},
+        "before": dict(result.before),
+        "disk_margin": result.disk_margin,
+        "least_disk_margin": result.least_disk_margin,
+        "unmet": list(result.unmet),
+        "trials": result.trials,
         "gains": str(table),
     }
-    numbers = [f"{name}={value!r}" for name, value in found.gains.items()]
+    numbers = [f"{name}={value!r}" for name, value in result.gains.items()]
     then = [
         command_line("verify", own, *numbers),
         command_line("export", own, *numbers, "--seconds", f"{duration:g}"),
     ]
-    finish(data, lines, as_json=as_json, passed=not found.unmet, then=then)
+    finish(data, lines, as_json=as_json, passed=not result.unmet, then=then)
 
 
 def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
@@ -72,15 +72,15 @@ def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) ->
 
     gains = own.system.controller.gains
     nominal = dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
-    found = {}
+    result = {}
     for name, ends in (ranges or dict.fromkeys(nominal)).items():
         if name not in nominal:
             raise InputError("is no gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
         if ends is None and nominal[name] == 0:
             raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
         low, high = sorted((nominal[name] / _SPREAD, nominal[name] * _SPREAD))
-        found[name] = (low, high) if ends is None else ends
-    return found
+        result[name] = (low, high) if ends is None else ends
+    return result
 
 
 def _cases(words: Sequence[str]) -> dict[str, NDArray[np.float64]]:
@@ -102,14 +102,17 @@ def _cases(words: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     return cases
 
 
-def _lines(own: OwnSystem, found: SystemTuning) -> list[str]:
-    lines = [f"  {name} = {value:.6g}" for name, value in found.gains.items()]
+def _lines(own: OwnSystem, result: SystemTuning) -> list[str]:
+    lines = [f"  {name} = {value:.6g}" for name, value in result.gains.items()]
     for name, cost in own.system.costs.items():
         bound = "" if cost.at_most is None else f", at most {cost.at_most:g}"
-        what = "minimised" if name == found.objective else "not bounded" if cost.at_most is None else "bounded"
-        mark = "NOT MET  " if name in found.unmet else ""
-        change = f"{found.costs[name]:.6g} {cost.unit} (before {found.before[name]:.6g})"
+        what = "minimised" if name == result.objective else "not bounded" if cost.at_most is None else "bounded"
+        mark = "NOT MET  " if name in result.unmet else ""
+        change = f"{result.costs[name]:.6g} {cost.unit} (before {result.before[name]:.6g})"
         lines.append(f"  {mark}{name}: {change}, {what}{bound}")
-    margin = "not judged, there is no equilibrium" if found.disk_margin is None else f"{found.disk_margin:.3f}"
-    mark = "NOT MET  " if "disk margin" in found.unmet else ""
-    return [*lines, f"  {mark}disk margin, all commands opened at once: {margin}, at least {found.least_disk_margin:g}"]
+    margin = "not judged, there is no equilibrium" if result.disk_margin is None else f"{result.disk_margin:.3f}"
+    mark = "NOT MET  " if "disk margin" in result.unmet else ""
+    return [
+        *lines,
+        f"  {mark}disk margin, all commands opened at once: {margin}, at least {result.least_disk_margin:g}",
+    ]

@@ -21,7 +21,7 @@ Array: TypeAlias = NDArray[np.float64]
 _POPULATION = 15  # gain sets of a generation per gain
 _EXAMINED = 50  # most gain sets whose disk margin is computed, cheapest first
 _TINY = 1e-12  # a bound of 0 is compared with this number
-_MOST = 1e6  # largest excess over bounds that is told apart
+_MOST = 1e6  # larger excesses over bounds count alike
 _WORSE = 1e9  # cost from which a gain set counts as one that breaks a bound
 
 
@@ -31,7 +31,7 @@ class SystemTuning:
 
     Attributes:
         objective: name of the minimised cost.
-        gains: the chosen gains by name; the best found if no gain set keeps every bound.
+        gains: the chosen gains by name; those nearest to the bounds if no gain set keeps all.
         costs: costs of the chosen gains, means over the cases; infinite if a run ends early.
         before: costs of the system's own gains.
         disk_margin: disk margin of the sampled loop at the first case, with all commands opened at once; None if the
@@ -211,9 +211,9 @@ class _Search:
         feasible = [int(k) for k in order[:_EXAMINED] if excess[k] == 0]
         best, margin = int(order[0]), self.margin(sets[order[0]])
         for k in feasible[1:] if margin is not None and margin < least else ():
-            found = self.margin(sets[k])
-            if found is not None and found > (margin or 0):
-                best, margin = k, found
+            other = self.margin(sets[k])
+            if other is not None and other > (margin or 0):
+                best, margin = k, other
             if margin is not None and margin >= least:
                 break
         broken = [name for j, name in enumerate(self.system.costs) if self.excess(figures[best][None])[0, j] > 0]

@@ -103,7 +103,7 @@ def test_the_commands_that_new_prints_run(tmp_path: Path, monkeypatch: pytest.Mo
     exec(Path("my-loop.py").read_text(), vars(space))
     assert len(Path("my-loop.py").read_text().splitlines()) <= 60
     assert run_system(space.build(), 2.0).stopped == "time"
-    assert [shlex.split(line)[1] for line in written["next"]] == ["simulate", "verify", "sweep", "export"]
+    assert [shlex.split(line)[1] for line in written["next"]] == ["simulate", "verify", "sweep", "tune", "export"]
     for line in written["next"]:
         done = run(*shlex.split(line)[1:])
         assert done.exit_code == 0, (line, done.output, done.exception)
