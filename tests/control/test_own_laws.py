@@ -16,9 +16,12 @@ from surctl.export import build_bundle
 from surctl.ir import replay
 from surctl.own_code import own_file
 from surctl.simulation import Case, case_parameters, law_numbers, load_scenario, simulate, simulate_batch
+from surctl.testing import check_law
 from surctl.tuning import build_cases, default_tuned, gain_ranges
 from surctl.vehicle import load_vehicle
 from surctl.verification.cascade import has_cascade
+
+STUDY = Path(__file__).parents[2] / "analysis" / "27_own_law"
 
 LAW = """
 import casadi as ca
@@ -232,3 +235,22 @@ def test_tuning_judges_no_margin_of_another_law(law: str, mission: Path, tmp_pat
     assert "disk" not in goals
     assert "surctl verify" not in tuned.output
     assert f"--law {own_file(law)}" in tuned.output
+
+
+@pytest.mark.parametrize("name", ["wall_law.py:wall", "orbit_law.py:orbit", "orbit_law.py:station"])
+def test_the_laws_of_the_study_pass_the_public_check(name: str) -> None:
+    report = check_law(law_source(law_ref(name, folder=STUDY)))
+    assert report.samples == 200
+    assert report.name in name.replace("wall_law.py:wall", "wall_follower")
+
+
+def test_super_twisting_reaches_its_station_and_an_orbit_its_circle() -> None:
+    scenario, vehicle = load_scenario(str(STUDY / "orbit.toml")), load_vehicle("sur540-flooded")
+    laws = {name: build_law(law_ref(f"orbit_law.py:{name}", folder=STUDY)) for name in ("station", "orbit")}
+    runs = {name: simulate(scenario, vehicle, gains=load_gains("default"), law=law) for name, law in laws.items()}
+    assert runs["station"].metrics.reached
+    place = runs["orbit"].record.eta[-400:, :2] - [5.0, 2.5]
+    assert np.abs(np.hypot(*place.T) - 1.0).max() < 0.06
+    turned = runs["orbit"].record.law_state[:, laws["orbit"].state.slice("turned")].ravel()
+    angle = np.unwrap(np.arctan2(*(runs["orbit"].record.eta[:, :2] - [5.0, 2.5]).T[::-1]))
+    assert turned[-1] - turned[-401] == pytest.approx(angle[-1] - angle[-401], rel=0.1)
