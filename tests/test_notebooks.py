@@ -65,6 +65,14 @@ PRINTED = {
         "200 random vehicles: 200 arrive",
         "passed, difference 0.0e+00",
     ),
+    "07_your_own_law": (
+        "wall_follower: own gains k_wall, stand_off",
+        "checked at 200 points",
+        "reached after 18.9 s",
+        "SIL wall_follower: passed over 379 steps",
+        "tuned, unmet: ()",
+        "SIL hold: passed over 200 steps",
+    ),
 }
 
 
