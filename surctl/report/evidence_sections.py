@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from surctl.errors import InputError
+from surctl.own_code import label
 from surctl.report.data import ReportData
 from surctl.report.document import (
     Block,
@@ -201,7 +202,7 @@ def _run_row(run: Run, decides: bool) -> tuple[Cell | str, ...]:
     return (
         Cell(run.scenario.name, code=True),
         run.vehicle.name,
-        f"{run.law.name.removeprefix('surctl_')}, {run.law.mode}",
+        f"{label(run.law.ref)}, {run.law.mode}",
         run.sensing,
         Cell(str(run.seed), number=True),
         outcome_cell(m.reached, "yes", "NO"),
@@ -235,7 +236,7 @@ def _to_draw(data: ReportData) -> list[tuple[int, Run, bool]]:
     # the first run of each kind, and all runs that do not arrive; (number, run, whether the run counts)
     kinds, chosen = set(), []
     for place, (run, decides) in enumerate(zip(data.runs, data.decides, strict=True), start=1):
-        kind = (run.scenario.name, run.vehicle.name, run.law.name, run.law.mode, run.sensing)
+        kind = (run.scenario.name, run.vehicle.name, run.law.ref, run.law.mode, run.sensing)
         if kind not in kinds or not run.metrics.reached:
             chosen.append((place, run, decides))
         kinds.add(kind)

@@ -10,7 +10,6 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from surctl.files import write_file
-from surctl.own_code import label
 from surctl.report.calibration_plots import plot_calibration
 from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
@@ -85,7 +84,7 @@ def save_priority(run: Run, folder: Path | str) -> Path:
 
 
 def _run_labels(run: Run) -> tuple[str, ...]:
-    law = label(run.law.ref)
+    law = run.law.name.removeprefix("surctl_")  # an identifier, also if the law is of the user's own
     how = (law, run.law.avoidance, *(() if run.law.guidance == "los" else (run.law.guidance,)), run.law.mode)
     how += () if run.law.fallback == "exact" else (run.law.fallback,)
     return (run.scenario.name, run.vehicle.name, *how, run.sensing, f"seed{run.seed}")

@@ -9,7 +9,7 @@ from pathlib import Path
 from surctl.control import LIBRARY as GAIN_LIBRARY
 from surctl.control import Gains, load_gains
 from surctl.errors import InputError
-from surctl.own_code import label
+from surctl.own_code import own_file
 from surctl.simulation import LIBRARY as SCENARIO_LIBRARY
 from surctl.simulation import Run
 from surctl.vehicle import LIBRARY as VEHICLE_LIBRARY
@@ -54,7 +54,7 @@ def gains_argument(gains: Gains, gains_file: str) -> str | None:
 def simulate_command(run: Run, gains: str | None) -> str | None:
     """Return the command that repeats and plots the run; None if no command line reproduces it completely."""
     vehicle = _vehicle_argument(run.vehicle)
-    law = label(run.law.ref)
+    law = own_file(run.law.ref)
     if gains is None or vehicle is None:
         return None
     words = ["surctl", "simulate", _short(run.scenario.source, SCENARIO_LIBRARY) or run.scenario.name]

@@ -15,6 +15,8 @@ from surctl.errors import InputError
 from surctl.export import build_bundle
 from surctl.ir import replay
 from surctl.own_code import own_file
+from surctl.report import save_run
+from surctl.report.words import simulate_command
 from surctl.simulation import Case, case_parameters, law_numbers, load_scenario, simulate, simulate_batch
 from surctl.testing import check_law
 from surctl.tuning import build_cases, default_tuned, gain_ranges
@@ -254,3 +256,17 @@ def test_super_twisting_reaches_its_station_and_an_orbit_its_circle() -> None:
     turned = runs["orbit"].record.law_state[:, laws["orbit"].state.slice("turned")].ravel()
     angle = np.unwrap(np.arctan2(*(runs["orbit"].record.eta[:, :2] - [5.0, 2.5]).T[::-1]))
     assert turned[-1] - turned[-401] == pytest.approx(angle[-1] - angle[-401], rel=0.1)
+
+
+def test_a_report_and_its_files_name_an_own_law(law: str, mission: Path) -> None:
+    run = simulate(
+        load_scenario(str(mission)), load_vehicle("sur540-flooded"), gains=load_gains("default"), law=build_law(law)
+    )
+    assert run.to_dict()["law"] == "my_law.py:wall"
+    assert f"--law {own_file(law)}" in str(simulate_command(run, "default"))
+    assert "-wall-" in save_run(run, mission.parent).name
+
+
+def test_a_case_is_pinned_to_the_text_of_the_file(law: str, mission: Path) -> None:
+    scenario, vehicle = load_scenario(str(mission)), load_vehicle("sur540-flooded")
+    assert Case(scenario, vehicle, load_gains("default"), own_file(law)).law == law

@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Barrier, Gains, Law, Movers, build_law, law_source
+from surctl.control import Barrier, Gains, Law, Movers, build_law, law_ref, law_source
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
@@ -51,6 +51,7 @@ class Case:
     movers: Movers = "predict"
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "law", law_ref(self.law))  # pinned to the text of its file, if it is of the user's own
         object.__setattr__(self, "gains", self.gains.with_own(law_source(self.law).gains))
 
     @property
