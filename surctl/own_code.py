@@ -7,12 +7,12 @@ worker processes carry it like the name of anything built in. The function runs 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import sys
 import traceback
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 from surctl.errors import InputError, SurctlError, nearest
@@ -129,9 +129,6 @@ def object_of(reference: str, kind: type[Built], *, key: str) -> Built:
         42
     """
     path, function, stated = _parts(reference)
-    text = _text(path, key)
-    if hashlib.sha256(text).hexdigest() != stated:
-        raise InputError("has changed since it was named", file=path, key=key, remedy="start again with its new text")
     space = _executed(path, stated, key)
     builder = space.get(function)
     if not callable(builder):
@@ -152,15 +149,18 @@ def object_of(reference: str, kind: type[Built], *, key: str) -> Built:
 @cache
 def _executed(path: Path, digest: str, key: str) -> dict[str, object]:
     """Run the file as a module of its own, with its folder searched for imports as for a script."""
+    text = _text(path, key)
+    if hashlib.sha256(text).hexdigest() != digest:
+        raise InputError("has changed since it was named", file=path, key=key, remedy="start again with its new text")
     name = f"surctl_own_{path.stem}_{digest[:12]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None, key
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(name)
+    module.__file__ = str(path)
     sys.modules[name] = module
     folder = str(path.parent)
     sys.path.insert(0, folder)
     try:
-        _guarded(path, "import", partial(spec.loader.exec_module, module))
+        # not through the import system, whose cached bytecode can be that of another text
+        _guarded(path, "import", lambda: exec(compile(text, path, "exec"), vars(module)))
     except BaseException:
         del sys.modules[name]
         raise

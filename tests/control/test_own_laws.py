@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -270,3 +271,12 @@ def test_a_report_and_its_files_name_an_own_law(law: str, mission: Path) -> None
 def test_a_case_is_pinned_to_the_text_of_the_file(law: str, mission: Path) -> None:
     scenario, vehicle = load_scenario(str(mission)), load_vehicle("sur540-flooded")
     assert Case(scenario, vehicle, load_gains("default"), own_file(law)).law == law
+
+
+def test_the_text_that_runs_is_the_text_that_was_compared(tmp_path: Path) -> None:
+    file = tmp_path / "my_law.py"
+    for gain in ("0.4", "0.5"):  # of one length, in one second: Python's cached bytecode would be that of the first
+        file.write_text(LAW.replace("default=0.4", f"default={gain}"))
+        os.utime(file, (1, 1))
+        assert law_source(law_ref("my_law.py:wall", folder=tmp_path)).gains["k_wall"].default == float(gain)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["my_law.py"]
