@@ -32,7 +32,7 @@ class Gap:
 
     Attributes:
         between: names of the two bodies.
-        place: point (x, y) [m] in {E} where the path crosses the gap, to within a grid cell.
+        place: point (x, y) [m] in the earth frame {E} where the path crosses the gap, to within a grid cell.
         width: distance between the two bodies without drift [m]; zero or negative if they touch or overlap.
         drift: amount by which drift may narrow the gap [m].
     """

@@ -65,7 +65,7 @@ class Scenario:
     """One mission at one site, as read from a scenario file.
 
     Attributes:
-        path: horizontal reference path in {E}.
+        path: horizontal reference path in the earth frame {E}.
         depth: z of the path [m], negative below the surface.
         cruise: desired cruise speed U_d [m/s].
         cap: speed cap, the largest horizontal speed that the law may command [m/s].

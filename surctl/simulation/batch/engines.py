@@ -64,7 +64,7 @@ def simulate_batch(
     threads: int = 1,
     engine: Engine = "auto",
 ) -> BatchResult:
-    """Simulate one run for each pair of parameter values and seed; values and seeds are broadcast against each other.
+    """Simulate one run for each set of parameter values with its seed; a single value or seed holds for all runs.
 
     The result of a run depends only on its own parameter values and seed, not on `threads` or the other runs. The
     metrics equal those of `simulate` with the same setup and seed, except for the last digits. A run that starts inside
