@@ -1,4 +1,4 @@
-"""Named parts of vectors, which a user's function takes and returns; they are checked when expressions are built."""
+"""Named parts of vectors as arguments and results of a user's functions, and their checks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def checked_layout(layout: object, *, key: str) -> Layout:
     """Return the layout after a check that each port has a C identifier, a positive size and a unit.
 
     Raises:
-        InputError: the argument is not a layout, or a port has no unit ("1" if it has no dimension).
+        InputError: the argument is not a layout, or a port has no unit (the unit of a number without dimension is "1").
     """
     if isinstance(layout, Port):
         raise InputError("is one port", key=key, remedy="write Layout((port,))")
