@@ -28,7 +28,7 @@ _REST = 1e-9
 
 @dataclass(frozen=True)
 class Operating:
-    """An equilibrium of the loop: flat plant state x, controller state z and command f, and the numbers of the run."""
+    """An equilibrium of the loop: flat plant state x, controller state z and command f, and the numbers of its run."""
 
     x: Array
     z: Array
@@ -45,8 +45,8 @@ class Linearisation:
         at: the operating point of the linearisation.
         plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d, for command f,
             disturbance d and measured output y.
-        law: matrices (A, B_y, B_r, C, D_y, D_r) of the controller, with z⁺ = A z + B_y y + B_r r and f = C z + D_y y +
-            D_r r, for controller state z and reference r.
+        law: matrices (A, B_y, B_r, C, D_y, D_r) of the controller, with z⁺ = A z + B_y y + B_r r and command = C z +
+            D_y y + D_r r, for controller state z and reference r.
     """
 
     system: System

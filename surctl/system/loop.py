@@ -149,7 +149,7 @@ class System:
 
     @cached_property
     def commands(self) -> Layout:
-        """Return the layout of the controller's commands; the plant uses the commands that have names of its inputs."""
+        """Return the layout of the controller's commands; the plant uses those with the names of its inputs."""
         return command_ports(self.controller)
 
     @cached_property

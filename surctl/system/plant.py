@@ -115,7 +115,10 @@ class Plant:
 
     @cached_property
     def function(self) -> ca.Function:
-        """Return the CasADi function (x, f, d, p) → x' for numbers, expressions and exact derivatives."""
+        """Return the CasADi function that computes x' from x, f, d and p.
+
+        It accepts numbers and expressions, and CasADi can differentiate it exactly.
+        """
         symbols = self._symbols()
         return ca.Function(
             self.name, list(symbols.values()), [self.derivative(*symbols.values())], list(symbols), ["xdot"]

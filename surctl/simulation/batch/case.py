@@ -31,7 +31,7 @@ class Case:
     Attributes:
         scenario: the mission.
         vehicle: the simulated vehicle.
-        gains: the law's gains; a missing gain of a user's own law takes its default.
+        gains: the law's gains; if the law defines additional gains, missing ones take their defaults.
         law: text that identifies the law, see `law_ref`.
         avoidance, mode, guidance, barrier, movers: further options of the law, as for `build_law`.
         sensing: kind of sensing: `truth` (exact positions) or `sonar`, as for `simulate`.
