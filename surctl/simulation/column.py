@@ -1,11 +1,11 @@
 """The water around a hull: the obstacles that the hull's sonars can detect, and the free water above and below it.
 
-The reference loop and the compiled loop make the same two simplifications. First, the beam of a sonar is a horizontal
-fan, whose thickness at every range is that of the hull plus the constant `BAND` above and below. The sonar detects
-exactly the obstacles that cross this fan. (A real beam is thinner near the hull and thicker far away, where it would
-detect a sill that the hull passes over.) Second, an echo sounder measures, without noise, the vertical distance to the
-nearest obstacle over or under a disc that is wider than the hull by the constant `FOOTPRINT`. The limits of the
-mission's `depths` count as obstacles for the echo sounder.
+Both simulations of the closed loop, `simulate` and the compiled loop, make two simplifications. First, the beam of a
+sonar is a horizontal fan, whose thickness at every range is that of the hull plus the constant `BAND` above and below.
+The sonar detects exactly the obstacles that cross this fan. (A real beam is thinner near the hull and thicker far away,
+where it would detect a sill that the hull passes over.) Second, an echo sounder measures, without noise, the vertical
+distance to the nearest obstacle over or under a disc that is wider than the hull by the constant `FOOTPRINT`. The
+limits of the mission's `depths` count as obstacles for the echo sounder.
 """
 
 from __future__ import annotations

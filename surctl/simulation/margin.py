@@ -126,7 +126,7 @@ def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
 
     Args:
         vehicle: vehicle model of the law.
-        spread: largest relative error of the masses, common to m11 and m22; None takes the ranges of the vehicle file.
+        spread: largest relative error of the masses, common to m11 and m22; None: the ranges of the vehicle file hold.
     """
     surge, sway = (vehicle.parameters[name] for name in ("m11", "m22"))
     if spread is not None:

@@ -1,4 +1,4 @@
-"""The record of a run of the reference loop, and the metrics computed from it."""
+"""The record of a run that `simulate` computes, and the metrics that follow from the record."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ def load_scenario(name_or_path: str) -> Scenario:
 
 
 def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
-    """Return a scenario from the table of its file; `source` names the file in error messages."""
+    """Return a scenario from the content of its TOML file; `source` names the file in error messages."""
     model = validate(table, _ScenarioFile, file=source)
     try:
         path = Path(np.array(model.path_m))

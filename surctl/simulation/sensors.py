@@ -228,7 +228,7 @@ class FiringPlan:
 
 
 def firing_plan(array: SonarArray) -> FiringPlan:
-    """Return the firing plan of an array: either several sonars fire at every instant, or one sonar every few instants.
+    """Return the firing plan of an array: several sonars fire at every instant, or one sonar fires every few instants.
 
     Raises:
         InputError: the firing period is neither a multiple nor an integer fraction of `FIRING`.

@@ -241,7 +241,7 @@ def _plan(
 
 
 def _with_mission(plan: Plan) -> Plan:
-    """Return the plan; InputError if every scenario of the plan is left out."""
+    """Return the plan; raise InputError if no mission of the plan counts towards the result (`Leg.left_out`)."""
     if not plan.deciding:
         reasons = "; ".join(f"{leg.scenario.name}: {leg.left_out}" for leg in plan.legs)
         raise InputError(

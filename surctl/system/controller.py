@@ -30,7 +30,7 @@ class Action(NamedTuple):
 
     Attributes:
         command: expression of each command by name; if there is only one command, its expression alone is enough.
-        state: expression of each state entry one control period later, by name.
+        state: expression of each part of the state one control period later, by name.
         telemetry: expression of each telemetry output by name.
         status: expression of the status: 0, or a sum of bits that the controller defines; never negative.
     """
@@ -66,7 +66,7 @@ class Step(Protocol):
 
     @property
     def status(self) -> int:
-        """Return the status of the step: 0, a sum of bits, or a negative code."""
+        """Return the status of the step: a sum of bits (0 if no bit is set), or a negative error code."""
 
     @property
     def telemetry(self) -> Vector:
@@ -89,19 +89,19 @@ class SampledController(Protocol):
 
     @property
     def state(self) -> Layout:
-        """Return the layout of the controller state x (nx,)."""
+        """Return the layout (names, sizes, units) of the controller state x (nx,)."""
 
     @property
     def inputs(self) -> Layout:
-        """Return the layout of the inputs u (nu,), which are measurements and references."""
+        """Return the layout (names, sizes, units) of the inputs u (nu,), which are measurements and references."""
 
     @property
     def gains(self) -> Layout:
-        """Return the layout of the gains p (np,)."""
+        """Return the layout (names, sizes, units) of the gains p (np,)."""
 
     @property
     def outputs(self) -> Layout:
-        """Return the layout of the outputs: commands, then telemetry."""
+        """Return the layout (names, sizes, units) of the outputs: commands, then telemetry."""
 
     @property
     def block(self) -> Block:
@@ -121,8 +121,8 @@ class SampledController(Protocol):
 class Controller:
     """A control law, evaluated once every `dt`.
 
-    From state x, inputs u and gains p, the law computes the command, the next state, a status and telemetry. Each of
-    these vectors consists of ports: entries with name, size and unit.
+    From state x, inputs u and gains p, the law computes the command, the next state, a status and telemetry. Each
+    vector consists of ports, that is, of named parts with size and unit.
 
     Attributes:
         name: C identifier.

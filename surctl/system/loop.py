@@ -26,7 +26,7 @@ How = Literal["integral", "mean", "rms", "max", "min", "final", "last_time"]
 
 
 class Signals(NamedTuple):
-    """The signals of the loop at one control instant; all but the time t are mappings from port name to CasADi SX.
+    """The signals of the loop at one control instant; all but the time t are mappings from name to CasADi SX.
 
     Attributes:
         x: plant state.
@@ -63,7 +63,7 @@ class Cost:
             `last_time` of an error minus its tolerance is a settling time.
         unit: SI unit of the metric.
         meaning: description of the metric, for tables and plots.
-        at_most: bound that tuned gains must keep (see `surctl.tuning.tune_system`), or None.
+        at_most: upper bound of the metric, which tuned gains must satisfy (see `surctl.tuning.tune_system`), or None.
     """
 
     of: Callable[[Signals], Any]
@@ -225,7 +225,7 @@ class System:
         return ca.vertcat(ca.SX(0, 1), *costs), ca.vertcat(ca.SX(0, 1), *stops)
 
     def digest(self) -> str:
-        """Return the SHA-256 of what the loop computes: plant, controller, period and integration."""
+        """Return the SHA-256 of the loop's computations: plant, controller, period and integration."""
         text = f"{self.plant.digest()} {self.controller.block.digest()} {float(self.dt).hex()} {self.substeps}"
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -1,4 +1,4 @@
-"""Named parts of vectors as arguments and results of a user's functions, and their checks."""
+"""Named parts (ports) of vectors as arguments and results of a user's functions, and their checks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EMPTY = Layout(())
 
 
 def checked_layout(layout: object, *, key: str) -> Layout:
-    """Return the layout after a check that each port has a C identifier, a positive size and a unit.
+    """Return the layout after a check that each port (named part) has a C identifier, a positive size and a unit.
 
     Raises:
         InputError: the argument is not a layout, or a port has no unit (the unit of a number without dimension is "1").
@@ -85,7 +85,7 @@ def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:
 
 
 def entry_labels(layout: Layout, prefix: str = "") -> list[str]:
-    """Return a label for each entry of a layout: the name of the port, with [i] if the port has several entries.
+    """Return a label for each entry of a vector: the name of its part (port), with [i] if the part has several entries.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -97,7 +97,9 @@ def entry_labels(layout: Layout, prefix: str = "") -> list[str]:
 
 
 def entry_units(layout: Layout) -> list[str]:
-    """Return the unit of each entry of a layout; the unit of a port may list one for each entry, such as "m, m, rad".
+    """Return the unit of each entry of a vector.
+
+    The unit of a part (port) is one unit, or a list with one unit for each entry, such as "m, m, rad".
 
     Example:
         >>> from surctl.ir import Layout, Port

@@ -20,7 +20,7 @@ __all__ = ["Parts", "Plant"]
 class Plant:
     """Continuous dynamics x' = ode(x, f, d, p) with measured outputs y = measure(x, d, p).
 
-    Each of these vectors consists of ports: entries with name, size and unit.
+    Each vector consists of ports, that is, of named parts with size and unit.
 
     Attributes:
         name: C identifier.
@@ -125,7 +125,7 @@ class Plant:
         )
 
     def digest(self) -> str:
-        """Return the SHA-256 of what the plant computes: dynamics and measurement."""
+        """Return the SHA-256 of the plant's computations: dynamics and measurement."""
         return f"{self.block.digest()}{self.measured.digest()}"
 
     def _symbols(self) -> dict[str, ca.SX]:

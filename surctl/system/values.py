@@ -36,7 +36,7 @@ class RunNumbers:
 
 
 def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
-    """Return the numbers of all runs from the given values; an entry without a value has its default.
+    """Return the numbers of all runs from the given values; a part (port) without a value has its default.
 
     Args:
         system: the closed loop.

@@ -104,7 +104,7 @@ def tune(
             this round continues once, for another `trials` trials.
         rounds: largest number of rounds, at least 1.
         runs: number of fresh runs that verify the gains of each round. Before them, ten times as many training runs
-            screen the gain sets of the round. 0 omits both kinds of runs.
+            screen the gain sets of the round. With 0, neither kind of run is simulated.
         descend: whether the first search also starts from a descent along exact gradients (`starting_sets`).
         folder: folder that stores trials and rounds; an interrupted tuning with an identical request resumes from this
             folder.

@@ -3,9 +3,9 @@
 A run is a fixed number of control steps of the closed-form law and the plant, with true positions (`simulate` with
 sensing `truth`). The positions of the obstacles at each step are fixed in advance and do not depend on the gains. The
 metrics of a run are not smooth; the differentiated outputs are smooth surrogates of them (`SURROGATES`). The law itself
-is piecewise smooth. Between two switches (of the latched passing side, of an active limit, of the nearest contact) the
-gradient is exact; at a switch it is the one-sided gradient. `DifferentiableRun.branches` shows whether two runs switch
-in the same way.
+is piecewise smooth. The law switches when the passing side, the active limits or the nearest obstacle change. Between
+two switches the gradient is exact; at a switch the result is the one-sided gradient. `DifferentiableRun.branches` shows
+whether two runs switch in the same way.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
             inputs for `CONTACT_SLOTS` obstacle points.
         names: gains with respect to which the run is differentiated.
         steps: number of control steps, at least 1; a run that arrives earlier stays at the target.
-        seed: seed of drift and waves.
+        seed: seed of the obstacles' drift and of the waves.
 
     Raises:
         InputError: the mode, the sensing or the law has no gradient, a gain is unknown, or the scenario starts inside

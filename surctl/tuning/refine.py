@@ -64,7 +64,8 @@ def refine(
     Args:
         cases: cases that `prepare` accepts; their own gains are replaced.
         gains: gains of the first start; every gain that is not in `ranges` keeps its value from them.
-        ranges: gain name → (low, high) with 0 < low < high; a start value outside the range moves to the nearest bound.
+        ranges: range (low, high) of each gain by name, with 0 < low < high; a start value outside the range moves to
+            the nearest bound.
         weights: weights by the names of `SURROGATES`; a missing weight is 0.
         floor: clearance [m] below which a case adds cost. The cost uses a smooth minimum of the clearance, which is up
             to about 0.1 m below the least clearance.

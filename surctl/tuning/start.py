@@ -116,7 +116,7 @@ def lqr_start(
 def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> InputError:
     """Return an InputError with the reason why no fitted gains have the required disk margin.
 
-    The reason is the cruise speed, the control period, or neither of them alone.
+    The error names the cruise speed or the control period if one of them alone is the reason.
     """
     missing = f"no fitted cascade has a disk margin of {_DISK_FLOOR:g}"
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)

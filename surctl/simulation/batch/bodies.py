@@ -132,7 +132,7 @@ def body_size(kind: BodyKind) -> int:
 
 
 def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
-    """Return the obstacle at a time [s], computed from the parameter values of `body_columns`."""
+    """Return the obstacle at a time [s], computed from the parameter values that `body_columns` returns."""
     start = numbers[:2]
     if kind == "mover":
         direction, distance, speed, stays = numbers[3:5], numbers[5], numbers[6], numbers[7]

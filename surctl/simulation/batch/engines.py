@@ -126,7 +126,9 @@ def simulate_batch(
 
 @cache
 def compiled_loop(structure: Structure) -> Batch:
-    """Return the compiled loop of a loop structure, newly compiled or from the cache.
+    """Return the compiled loop of a loop structure (the part of a setup that is fixed at compilation).
+
+    The loop is compiled now, or it comes from the cache of compiled loops.
 
     Raises:
         ToolMissing: there is no C compiler.
