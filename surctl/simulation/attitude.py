@@ -42,7 +42,7 @@ class Attitude:
     swing_m_per_s: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the attitude results as plain data; the writer of the file converts NaN."""
+        """Return the attitude results as plain data; NaN values are converted when a file is written."""
         return asdict(self)
 
 
@@ -50,10 +50,10 @@ def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: 
     """Return crab angle, heading error and oscillation of a recorded motion.
 
     Args:
-        follower: path follower (tracks the current path segment), at the start of its path.
+        follower: path follower, which selects the current path segment; it must be at the start of its path.
         cruise: cruise speed [m/s].
         time: (n,) time [s], evenly spaced.
-        eta: (n, 4) position [m] and heading [rad] in {E}.
+        eta: (n, 4) position [m] and heading [rad] in the earth frame {E}.
         nu: (n, 4) body velocity [m/s, rad/s].
 
     Example:
@@ -86,7 +86,10 @@ def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: 
 
 
 def _swing(time: Array, sway: Array, cruise: float) -> tuple[bool, float, float]:
-    """Return whether the sway velocity is periodic, its period [s] and amplitude [m/s], from its autocorrelation."""
+    """Return whether the sway velocity is periodic, and its period [s] and amplitude [m/s].
+
+    The function computes all three from the autocorrelation of the sway velocity.
+    """
     late = sway[int(_TRANSIENT * len(sway)) :]
     nothing = False, float("nan"), 0.0
     if len(late) < 8:

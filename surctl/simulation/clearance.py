@@ -134,7 +134,7 @@ def _drifting_together(scenario: Scenario) -> list[Finding]:
 def _gap(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     """Report the tightest gap on the widest passage to the target if the gap is too narrow for hull and path error.
 
-    If there is a wide enough passage at another depth, the finding is a warning that names the depth, not an error.
+    If a passage at another depth is wide enough, the finding is not an error but a warning that names this depth.
     """
     error = scenario.paper.position_error_m or _CLEARANCE
     hull = 2 * vehicle["radius"]

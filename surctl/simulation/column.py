@@ -1,11 +1,11 @@
 """The water around a hull: the obstacles that the hull's sonars can detect, and the free water above and below it.
 
-The reference loop and the compiled loop make the same two simplifications. First, the beam of a sonar is a horizontal
-fan, which at every range is as thick as the hull plus `BAND` above and below: the sonar detects exactly the obstacles
-that cross this fan. (A real beam is thinner near the hull and thicker far away, where it would detect a sill that the
-hull passes over.) Second, an echo sounder measures, without noise, the vertical distance to the nearest obstacle over
-or under a disc that is `FOOTPRINT` wider than the hull. The limits of the mission's `depths` count as obstacles for the
-echo sounder.
+Both simulations of the closed loop, `simulate` and the compiled loop, make two simplifications. First, the beam of a
+sonar is a horizontal fan, whose thickness at every range is that of the hull plus the constant `BAND` above and below.
+The sonar detects exactly the obstacles that cross this fan. (A real beam is thinner near the hull and thicker far away,
+where it would detect a sill that the hull passes over.) Second, an echo sounder measures, without noise, the vertical
+distance to the nearest obstacle over or under a disc that is wider than the hull by the constant `FOOTPRINT`. The
+limits of the mission's `depths` count as obstacles for the echo sounder.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LONGEST = 10.0
 
 
 def beside(bodies: Sequence[Body], z: float, hull: float) -> list[Body]:
-    """Return the obstacles that a hull of this radius [m] at z can touch when it moves horizontally."""
+    """Return the obstacles that a hull of radius `hull` [m] at height `z` [m] can touch when it moves horizontally."""
     return [body for body in bodies if body.heights.crosses(z, hull + BAND)]
 
 
@@ -48,7 +48,7 @@ def column(
     Args:
         scenario: the mission.
         bodies: obstacles of the scenario at the present instant.
-        place: (3,) position of the hull's centre in {E} [m].
+        place: (3,) position of the hull's centre in the earth frame {E} [m].
         hull: radius of the hull [m].
     """
     if scenario.depths is None:

@@ -15,7 +15,9 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Disturbance(Strict):
-    """Disturbances: waves and slow drift as seeded sinusoidal forces in {E}, constant current, and thrust errors.
+    """Disturbances: waves, slow drift force, constant current, and thrust errors.
+
+    Waves and slow drift are sinusoidal forces in the earth frame {E}; the seed determines their directions and phases.
 
     For a command τ, an axis with the thrust limit τ_max delivers the thrust (1 + g)·τ + b·τ_max, clipped to ±τ_max. The
     gain error g and the bias b are drawn once per run, uniformly within ±`thrust_error` and ±`thrust_bias`.

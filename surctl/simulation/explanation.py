@@ -11,7 +11,7 @@ __all__ = ["Explanation", "explain"]
 
 @dataclass(frozen=True)
 class Explanation:
-    """The binding and relaxed constraint rows from `time_s` [s] until the next explanation.
+    """The constraint rows that bind or are relaxed, from `time_s` [s] until the next explanation.
 
     `text` describes the first control step of this interval.
     """
@@ -27,7 +27,7 @@ def explain(run: Run) -> list[Explanation]:
 
     The law's problem is solved again at each control step, with a name for every constraint row. Mode `nsb` ignores the
     constraint rows, so for this mode the relaxed rows are those that the velocity violates. Control steps whose input
-    the law rejected (`NONFINITE`) are left out.
+    the law rejected because a number was not finite (status `NONFINITE`) are left out.
 
     Example:
         >>> from surctl.control import build_law, load_gains

@@ -61,10 +61,12 @@ def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]
 
 
 def _unseen(array: SonarArray, turning: float) -> list[Finding]:
-    """Report directions that no sonar beam observes again before the map forgets them, at yaw rate `turning` [rad/s].
+    """Report directions that no sonar beam observes again before the obstacle map forgets them.
 
-    A sonar beam clears the map only in its middle (the share `MIDDLE` of its width). The map forgets that a cell of its
-    grid is free after the time `LocalMap.memory`.
+    The hull turns at the yaw rate `turning` [rad/s].
+
+    A sonar beam marks grid cells of the map as free only in the middle part of its width (the share `MIDDLE`). After
+    the time `LocalMap.memory`, the map forgets that a grid cell is free.
     """
     memory, between = LocalMap(dt=0.05).memory, turning * array.cycle
     least = min(2 * atan(MIDDLE * tan(half)) for cones in array.cones for _, half in cones)
@@ -86,7 +88,7 @@ def _unseen(array: SonarArray, turning: float) -> list[Finding]:
 
 
 def _widest_gap(array: SonarArray) -> float:
-    """Return the largest angle [rad] between neighbouring sonar cones in the far field; 0 if the cones leave no gap."""
+    """Return the largest angle [rad] between neighbouring sonar beams far from the hull; 0 without gaps."""
     cones = sorted(
         ((azimuth + offset) % (2 * pi), half)
         for azimuth, parts in zip(array.azimuths, array.cones, strict=True)

@@ -1,4 +1,7 @@
-"""The reference closed loop: plant by RK4 at 10 ms, control at 50 ms, sonar firing at 25 ms, seeded noise."""
+"""The reference closed loop, with noise from a seed.
+
+The plant is integrated by RK4 with steps of 10 ms, the law runs every 50 ms, and sonars fire every 25 ms.
+"""
 
 from __future__ import annotations
 
@@ -51,8 +54,8 @@ def simulate(
             receives the echoes of its sonars, and noisy measurements of the moving obstacles and of its pose.
         seed: seed of all random choices.
         model: vehicle model of the controller; default: the simulated vehicle.
-        stepper: function (x, u, p) → control step that replaces the law, for instance with another precision or
-            process.
+        stepper: function that replaces the law, for instance by a program in another process or precision; from the
+            law's state x, inputs u and parameters p it returns a control step.
 
     Raises:
         InputError: `sensing` is unknown or does not fit the law, or the hull starts inside an obstacle.
@@ -97,9 +100,9 @@ def simulate(
 class _StepNoise(NamedTuple):
     """The random numbers of one control step.
 
-    Normally distributed numbers: (instants, k, samples) for the sonars; (6,) for position fix and IMU; (slots, 4) for a
-    message; one number for the loss of the message. Uniformly distributed numbers: (instants, k, 2) for faults of the
-    sonars.
+    Normally distributed numbers: (instants, k, samples) for the k sonars that fire at each firing instant; (6,) for
+    position measurement and IMU; (slots, 4) for the obstacles in a message of the base station; one number for the loss
+    of the message. Uniformly distributed numbers: (instants, k, 2) for faults of the sonars.
     """
 
     samples: NDArray[np.float64]

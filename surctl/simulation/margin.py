@@ -1,4 +1,8 @@
-"""The margin that a vehicle needs beyond the law's speed bound, and the part due to turning with m11 ≠ m22."""
+"""The distance margin that a vehicle needs to brake, and the part due to turning with unequal masses m11, m22.
+
+The law bounds the speed towards an obstacle by the distance to it. A real vehicle needs an additional distance, the
+margin, because it does not follow this speed bound exactly.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +44,7 @@ def margin_needed(
     barrier: Barrier = "simple",
     turning: float = 0.0,
 ) -> float:
-    """Return the distance margin [m] that the actual vehicle needs beyond the law's bound; inf if it cannot brake.
+    """Return the distance [m] that the actual vehicle needs beyond the law's speed bound; inf if it cannot brake.
 
     The margin is computed as in `safety_claim`, but with the exact parameters of the actual vehicle: its own masses m11
     and m22, and its thrust limit minus the scenario's thrust error.
@@ -74,7 +78,7 @@ def margin_needed(
 def turn_rate(
     scenario: Scenario, believed: Vehicle, gains: Gains, *, sonar: bool, actual: Vehicle | None = None
 ) -> float:
-    """Return the steady yaw rate [rad/s] of the hull: during a sonar scan, or else in the sharpest path corner.
+    """Return the steady yaw rate [rad/s] of the hull during a sonar scan, or without sonar in the sharpest path corner.
 
     At the steady rate, the moment of the yaw loop equals the yaw drag. The steady rate differs from the desired rate if
     the yaw drag differs from that of the law's model.
@@ -115,14 +119,14 @@ def turn_rate(
 
 
 def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
-    """Return the largest |m11 - m22| [kg] that the true vehicle may have.
+    """Return the largest difference |m11 - m22| [kg] of the surge and sway masses that the true vehicle may have.
 
     If the file gives surge and sway the same mass and the same range, the function assumes that both true masses are
     equal.
 
     Args:
         vehicle: vehicle model of the law.
-        spread: largest relative error of the masses, common to m11 and m22; None takes the ranges of the vehicle file.
+        spread: largest relative error of the masses, common to m11 and m22; None: the ranges of the vehicle file hold.
     """
     surge, sway = (vehicle.parameters[name] for name in ("m11", "m22"))
     if spread is not None:
@@ -134,18 +138,27 @@ def mass_difference(vehicle: Vehicle, spread: float | None = None) -> float:
 
 
 def munk(difference: float, turning: float, speed: float) -> float:
-    """Return the largest force [N] |m11 - m22| r v on a turning hull with m11 ≠ m22; it turns with the hull."""
+    """Return the force |m11 - m22| r v [N] on a hull with yaw rate r and speed v.
+
+    This is the largest value of the force; its direction turns with the hull.
+    """
     return difference * turning * speed
 
 
 def turned(brakes: Brakes, turning: float) -> Brakes:
-    """Return the braking data of a turning hull, whose thrust lag reduces the braking force (`guidance.braking`)."""
+    """Return the braking data of a turning hull, on which the thrust lag reduces the braking force.
+
+    The module `guidance.braking` derives this reduction.
+    """
     return replace(brakes, least=brakes.least / (1 + (turning * brakes.lag) ** 2))
 
 
 @dataclass(frozen=True)
 class Bound:
-    """The law's speed bound, with the braking data and sampling that decide whether the law's margin is enough."""
+    """The law's speed bound, with the data that decide whether the law's margin is enough to brake.
+
+    The data are those of braking and of sampling.
+    """
 
     brakes: Brakes
     watch: Watch
@@ -157,7 +170,7 @@ class Bound:
     def difference(self, obstacle: float, turning: float) -> float:
         """Return the largest |m11 - m22| [kg] that the law's margin covers; inf if the hull does not turn.
 
-        The disturbance in `brakes` must not include the force that this mass difference causes.
+        The disturbance force in `brakes` must not include the force that this mass difference causes.
         """
         if turning * self.cap <= 0:
             return inf
@@ -176,7 +189,7 @@ class Bound:
         return low
 
     def limit(self, detection: float) -> float:
-        """Return the largest obstacle speed [m/s] that range and margin cover; 0 if they cover no moving obstacle."""
+        """Return the largest obstacle speed [m/s] for which detection range and margin suffice; 0 if there is none."""
         low, high = 0.0, min(_NEAR * fastest_obstacle(self.brakes), 10.0)
         if not self.suffices(0.0, detection):
             return 0.0
@@ -193,7 +206,7 @@ class Bound:
         return needed <= detection and max(self.margins(obstacle).values()) <= self.gains["margin"]
 
     def margins(self, obstacle: float) -> Mapping[float, float]:
-        """Return a function from the robot's speed [m/s], up to the cap, to the margin [m] needed beyond the bound."""
+        """Return the margin [m] needed beyond the bound, by robot speed [m/s] up to the largest allowed speed."""
         result, top = {}, self.cap + self.watch.speed_error + self.excess(self.cap)
         distance = tabled_stopping_distance(
             self.brakes, top + self.brakes.acceleration(obstacle) * self.watch.period, obstacle=obstacle
@@ -214,9 +227,9 @@ class Bound:
         return closing**2 * heaviest / (2 * self.gains["brake"] * weakest) + (closing + obstacle) * reaction
 
     def excess(self, speed: float) -> float:
-        """Return the excess over the speed bound [m/s] at which the velocity loop commands the least braking thrust.
+        """Return the excess over the speed bound [m/s] at which the velocity loop commands the least guaranteed thrust.
 
-        The feedforward of the velocity loop compensates the drag.
+        The value includes the drag, because the velocity loop compensates drag by feedforward.
         """
         v, pairs = max(speed, 0.0), (("Xu", "Xuu"), ("Yv", "Yvv"))
         drag = max(self.vehicle[a] * v + self.vehicle[b] * v**2 for a, b in pairs)

@@ -46,7 +46,7 @@ LINK_LOST = "link lost"
 
 @dataclass(frozen=True)
 class MetricSpec:
-    """Definition of a metric: its unit, its meaning, and whether low or high values are better (None: neither)."""
+    """Definition of a metric: unit, meaning, and whether low or high values are better (None if neither is)."""
 
     unit: str
     meaning: str
@@ -124,7 +124,11 @@ class Metrics:
 def avoidance_intervals(
     avoiding: NDArray[np.float64], distance: NDArray[np.float64], *, tube: float = TUBE
 ) -> NDArray[np.bool_]:
-    """Return whether each of n samples is in an avoidance interval; it ends when |y_e| is back within the tube."""
+    """Return for each of n samples whether it is in an avoidance interval.
+
+    An interval begins when avoidance begins. It ends after avoidance, when the distance to the path is at most `tube`
+    [m].
+    """
     out = np.zeros(len(avoiding), dtype=bool)
     active = False
     for k, (commanded, away) in enumerate(zip(avoiding > 0.5, distance, strict=True)):
@@ -134,7 +138,11 @@ def avoidance_intervals(
 
 
 def path_error(horizontal: NDArray[np.float64], vertical: NDArray[np.float64], excluded: NDArray[np.bool_]) -> float:
-    """Return E_p = √(mean(Δh² + Δz²)) [m] (E14) over the samples that are not excluded; NaN if none remains."""
+    """Return the position error E_p = √(mean(Δh² + Δz²)) [m] over the samples that are not excluded.
+
+    Δh and Δz are the horizontal and the vertical distance to the path; erratum E14 explains the formula. The error is
+    NaN if all samples are excluded.
+    """
     included = ~excluded
     if not included.any():
         return float("nan")

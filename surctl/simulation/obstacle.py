@@ -18,13 +18,13 @@ NotNegative = Annotated[float, Field(ge=0)]
 
 
 class Obstacle(Strict):
-    """One obstacle of a scenario; lengths in m, speeds in m/s, positions in {E} at the start.
+    """One obstacle of a scenario; lengths in m, speeds in m/s, positions in the earth frame {E} at the start.
 
-    A box or a cylinder stands still except for its drift: a sinusoidal motion of amplitude `drift_m`, with random
-    direction and phase from the seed. A `moving` obstacle goes in a straight line from `centre_m` to `to_m` and is
-    removed on arrival if `removed` is true. `bottom_m` and `top_m` are the z coordinates of its lower and upper end,
-    negative below the surface like the path's `depth_m`. Without `bottom_m` and `top_m`, the obstacle extends to the
-    floor and to the surface. A moving obstacle is an upright cylinder.
+    A box or a cylinder stands still except for its drift, a sinusoidal motion of amplitude `drift_m` whose direction
+    and phase are random (determined by the seed). A `moving` obstacle goes in a straight line from `centre_m` to `to_m`
+    and is removed on arrival if `removed` is true. `bottom_m` and `top_m` are the z coordinates of its lower and upper
+    end, negative below the surface like the path's `depth_m`. Without `bottom_m` and `top_m`, the obstacle extends to
+    the floor and to the surface. A moving obstacle is an upright cylinder.
     """
 
     name: str = Field(min_length=1)
@@ -71,7 +71,7 @@ class Obstacle(Strict):
         return 0.0 if self.size_m is not None else self.radius_m or 0.0
 
     def distance(self, point: Point) -> float:
-        """Return the signed distance [m] from a point in {E} to the obstacle's surface at its start, without drift."""
+        """Return the signed distance [m] from a point to the obstacle's surface at its start, without drift."""
         return _between(self, point, (0.0, 0.0), 0.0)
 
     def apart(self, other: Obstacle) -> float:

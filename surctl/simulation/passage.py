@@ -2,8 +2,8 @@
 
 A search on a grid finds the gap: the widest path is the path whose smallest clearance is largest (a shortest-path
 search with the minimum instead of the sum; Pollack 1960, "The maximum capacity through a network"). The width of the
-gap is then computed exactly from the two bodies on both sides of the gap. The search adds the drift amplitude of an
-obstacle to its size, so that the clearance is available at every drift.
+gap is then computed exactly from the two bodies on both sides of the gap. Obstacles may drift sinusoidally; the search
+adds the drift amplitude of an obstacle to its size, so that the clearance is available at every instant of the drift.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Gap:
 
     Attributes:
         between: names of the two bodies.
-        place: point (x, y) [m] in {E} where the path crosses the gap, to within a grid cell.
+        place: point (x, y) [m] in the earth frame {E} where the path crosses the gap, to within a grid cell.
         width: distance between the two bodies without drift [m]; zero or negative if they touch or overlap.
         drift: amount by which drift may narrow the gap [m].
     """

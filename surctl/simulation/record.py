@@ -1,4 +1,4 @@
-"""The record of a run of the reference loop, and the metrics computed from it."""
+"""The record of a run that `simulate` computes, and the metrics that follow from the record."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Record", "measure"]
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """All recorded signals of a run, one entry per control step, for plots and for replays of the law elsewhere."""
+    """All recorded signals of a run, one entry per control step, for plots and for replays in other programs."""
 
     time: NDArray[np.float64]
     eta: NDArray[np.float64]
@@ -34,7 +34,10 @@ class Record:
 
 
 def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least: float) -> Metrics:
-    """Return the metrics of a record; `reason` says why the run ended, `least` is the run's smallest clearance [m]."""
+    """Return the metrics of a record.
+
+    `reason` says why the run ended; `least` is the smallest clearance [m] of the run.
+    """
     where, thrust = record.eta[:, :2], record.tau[:, :2]
     follower = scenario.follower()
     away = follower.track(where)

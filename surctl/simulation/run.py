@@ -27,7 +27,7 @@ class DepthChange:
     """A change of depth at a fixed horizontal position; it begins at `time_s` [s].
 
     Attributes:
-        place_m: position (x, y) in {E} [m].
+        place_m: position (x, y) in the earth frame {E} [m].
         from_m, to_m: z of the old depth and z of the new depth [m].
         back: whether the new depth is the path's depth.
     """
@@ -67,7 +67,7 @@ class Run:
     replaced: bool = False
 
     def telemetry(self, name: str) -> NDArray[np.float64]:
-        """Return the values (n, size) over time of the law's telemetry port with the given name."""
+        """Return the values (n, size) over time of the law's telemetry output with the given name."""
         return self.record.telemetry[:, self.law.telemetry_slice(name)]
 
     @property

@@ -29,7 +29,7 @@ __all__ = ["Figure", "SafetyClaim", "safety_claim"]
 
 @dataclass(frozen=True)
 class Figure:
-    """A number of the safety claim with its unit and meaning; inf if the number is not bounded."""
+    """A number of the safety claim with its unit and meaning; the value is inf if the number is not bounded."""
 
     name: str
     value: float
@@ -91,13 +91,13 @@ class SafetyClaim:
 
     @property
     def least_margin(self) -> float:
-        """The least value [m] of the gain `margin`, rounded up to 1 mm, with which it is enough; inf if none is."""
+        """Least sufficient value [m] of the gain `margin`, rounded up to a whole mm; inf if no value is sufficient."""
         needed = self["margin needed"]
         return ceil(needed * 1e3 - 1e-9) / 1e3 if isfinite(needed) else inf
 
     @property
     def shortfall(self) -> str:
-        """Which numbers are not enough, by how much, and what to change; empty text if the claim holds."""
+        """Text that states which numbers are insufficient, by how much, and what to change; empty for a valid claim."""
         parts = []
         if self["margin needed"] > self["margin"]:
             slow = self["covered speed"]
@@ -129,12 +129,13 @@ def safety_claim(
 ) -> SafetyClaim:
     """Return the safety claim of the guarded law for a scenario and a vehicle.
 
-    The claim holds if the law's margin is at least the distance that the vehicle needs beyond the law's bound, at the
-    worst values of the vehicle's ranges. The vehicle brakes with the least guaranteed thrust once its speed exceeds the
-    bound by the excess at which the velocity loop commands this thrust. The required margin follows from step 4 of
-    `guidance.braking`, with the excess as an additional speed error and with the help of drag. The claim does not cover
-    thrust limits that act on each axis separately: a large simultaneous sideways command may reduce the braking force.
-    The law commands no sideways velocity once the vehicle is 0.02 m/s too fast.
+    The law bounds the speed towards an obstacle by the distance to it. The claim holds if the law's margin is at least
+    the distance that the vehicle needs beyond this speed bound, with the worst values of the vehicle's parameter
+    ranges. If the speed exceeds the bound by a certain excess, the velocity loop commands the least guaranteed thrust,
+    and the vehicle brakes with this thrust. The required margin follows from step 4 in `guidance.braking`; there, the
+    excess is an additional speed error, and drag adds to the braking force. The claim does not cover thrust limits that
+    act on each axis separately: a large simultaneous sideways command may reduce the braking force. The law commands no
+    sideways velocity once the vehicle is 0.02 m/s too fast.
 
     If the vehicle may change its depth, the claim needs two more assumptions. First, the echo sounders detect every
     obstacle over or under the hull, since the horizontal sonars do not observe that water. Second, the depth error

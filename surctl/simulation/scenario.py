@@ -65,7 +65,7 @@ class Scenario:
     """One mission at one site, as read from a scenario file.
 
     Attributes:
-        path: horizontal reference path in {E}.
+        path: horizontal reference path in the earth frame {E}.
         depth: z of the path [m], negative below the surface.
         cruise: desired cruise speed U_d [m/s].
         cap: speed cap, the largest horizontal speed that the law may command [m/s].
@@ -157,7 +157,7 @@ def load_scenario(name_or_path: str) -> Scenario:
 
 
 def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
-    """Return a scenario from the table of its file; `source` names the file in error messages."""
+    """Return a scenario from the content of its TOML file; `source` names the file in error messages."""
     model = validate(table, _ScenarioFile, file=source)
     try:
         path = Path(np.array(model.path_m))

@@ -1,4 +1,4 @@
-"""Convert a scenario to the table of its file."""
+"""Convert a scenario to the content of a scenario file."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _BESIDE = 4  # floating-point neighbours on each side that may convert to the sa
 
 
 def scenario_table(scenario: Scenario) -> dict[str, Any]:
-    """Return the table of the scenario's file.
+    """Return the content of a TOML file that describes the scenario, as nested mappings.
 
-    `scenario_from_table` restores the scenario from this table, except for its source.
+    `scenario_from_table` restores the scenario from these mappings, except for the name of its source.
 
     Raises:
         InputError: a scenario file cannot describe these sonars.
@@ -103,7 +103,10 @@ def _delivery(delivery: Delivery) -> dict[str, Any]:
 
 
 def _degrees(angle: float) -> float:
-    """Return the degrees that a reader of the file converts to exactly this angle [rad], or to the nearest angle."""
+    """Return the angle [rad] in degrees.
+
+    Whoever reads the file and converts the degrees to radians gets exactly this angle, or the nearest possible angle.
+    """
     exact = degrees(angle)
     near, low, high = [round(exact, 9), exact], exact, exact
     for _ in range(_BESIDE):

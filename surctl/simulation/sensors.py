@@ -88,7 +88,7 @@ class StationTable(_DeliveryTable):
 
 
 class OwnStateTable(_DeliveryTable):
-    """The table `[own_state]` of a scenario file: position fixes of the camera and the IMU, or the true state."""
+    """The table `[own_state]` of a scenario file: measurements of camera and IMU, or the true state."""
 
     truth: bool = False
     position_sd_m: NotNegative = 0.01
@@ -111,10 +111,13 @@ class Sensors:
     chances: FaultChances = field(default_factory=FaultChances)
 
     def on(self, hull_radius: float) -> Equipment:
-        """Return the equipment on a hull of the given radius [m]; the radius matters only for sonars with mounts.
+        """Return the equipment on a hull of the given radius [m].
+
+        The radius matters only if the mounting points of the sonars are stated.
 
         Raises:
-            InputError: a mount is inside the hull, or the hull hides the sonar's beam; the error names table and key.
+            InputError: a mounting point is inside the hull, or the hull hides the sonar's beam; the error names table
+                and key.
         """
         if self.equipment.array.mounts is None:
             return self.equipment
@@ -225,7 +228,7 @@ class FiringPlan:
 
 
 def firing_plan(array: SonarArray) -> FiringPlan:
-    """Return the firing plan of an array: either several sonars fire at every instant, or one sonar every few instants.
+    """Return the firing plan of an array: several sonars fire at every instant, or one sonar fires every few instants.
 
     Raises:
         InputError: the firing period is neither a multiple nor an integer fraction of `FIRING`.

@@ -19,7 +19,11 @@ _RK4_STEPS = (0.010, 0.010, 0.005)
 
 @cache
 def advance() -> ca.Function:
-    """Return the function (x, tau_command, d, p) → x after 25 ms; it integrates by RK4 in steps of 10, 10 and 5 ms."""
+    """Return a CasADi function that integrates the plant over 25 ms by RK4, in steps of 10, 10 and 5 ms.
+
+    The function computes the new plant state from the plant state x, the commanded thrust, the disturbance d and the
+    plant parameters p.
+    """
     ode = build_plant().ode
     x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
     state = x

@@ -57,7 +57,7 @@ class ChunkStore:
             yield
 
     def has(self, index: int, shape: tuple[int, int]) -> bool:
-        """Return whether an undamaged chunk with the store's request and the given shape exists."""
+        """Return whether the store has an undamaged chunk of the present request with the given shape."""
         try:
             raw = self._path(index).read_bytes()
         except OSError:
@@ -88,7 +88,7 @@ class ChunkStore:
             raise cannot_write(self.folder, error) from None
 
     def column(self, index: int, shape: tuple[int, int], column: int) -> NDArray[np.float64]:
-        """Return one column (rows,) of a chunk that exists according to `has`."""
+        """Return one column (rows,) of a chunk; the chunk must exist, see `has`."""
         rows, columns = shape
         path = self._path(index)
         start = path.stat().st_size - 8 * rows * columns

@@ -11,7 +11,7 @@ __all__ = ["toml_text"]
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """Return a TOML document with values before tables.
+    """Return the data as a TOML document, in which the plain values of a table come before its subtables.
 
     Reading the document restores the data, numbers to the last bit.
 

@@ -22,7 +22,9 @@ __all__ = ["Body", "World", "WorldDraw", "build_world", "draw_world"]
 
 @dataclass(frozen=True)
 class Body:
-    """An obstacle at one instant: its shape in {E}, its velocity (2,) [m/s], and whether the base station tracks it.
+    """An obstacle at one instant: its shape and its velocity (2,) [m/s] in the earth frame {E}.
+
+    `moving` states whether the base station (an external sensor for moving obstacles) tracks the obstacle.
 
     `heights` holds the lowest and the highest z of the obstacle [m].
     """
@@ -71,20 +73,20 @@ class World:
         return {k: self._body(k, o, 0.0) for k, o in obstacles if o.shape != "moving" and o.drift_m == 0}
 
     def force(self, time: float) -> NDArray[np.float64]:
-        """Return the disturbance force and moment (4,) in {E} [N, N m]."""
+        """Return the disturbance force and moment (4,) in the earth frame {E} [N, N m]."""
         d = self.scenario.disturbance
         wave = d.wave_force_n * np.sin(2 * np.pi * time / d.wave_period_s + self.wave_phase)
         slow = d.drift_force_n * np.sin(2 * np.pi * time / d.drift_period_s + self.slow_phase)
         return np.array([*(wave * self.wave_direction + slow * self.slow_direction), 0.0, 0.0])
 
     def thrust(self, command: NDArray[np.float64], limit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the thrust (4,) in {B} [N, N m] for a command and its limits, with the errors of `Disturbance`."""
+        """Return the limited thrust (4,) [N, N m] in the body frame for a command, with the errors of `Disturbance`."""
         d = self.scenario.disturbance
         delivered: NDArray[np.float64] = command * (1 + d.thrust_error * self.gain_error)
         return delivered + d.thrust_bias * self.bias * limit
 
     def clearance(self, place: NDArray[np.float64], bodies: Sequence[Body]) -> float:
-        """Return the signed distance [m] from a hull at `place` (3,) [m] to the nearest obstacle, ignoring walls."""
+        """Return the signed distance [m] from a hull at `place` (3,) [m] to the nearest obstacle, without walls."""
         x, y, z = place.tolist()
         return min((Prism(b.shape, b.heights).distance(x, y, z) - self.hull for b in bodies), default=float("inf"))
 

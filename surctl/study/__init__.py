@@ -1,4 +1,4 @@
-"""The study: from a vehicle file or a study file to gains, verdicts, runs, exported C and a report."""
+"""A study: it computes gains, verdicts, runs, exported C and a report from a vehicle file or a study file."""
 
 from surctl.study.conduct import Study, conduct
 from surctl.study.notes import Note

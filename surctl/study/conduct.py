@@ -40,14 +40,15 @@ class Study:
     """A finished study.
 
     Attributes:
-        passed: whether every summary note that counts towards the result passes.
-        notes: the notes of the study's summary.
+        passed: whether every line of the summary that counts towards the result passes.
+        notes: the lines of the study's summary.
         runs: simulated runs with true positions and with sonar, in the plan's order.
-        inapplicable: claims that do not concern the vehicle, each with the reason; such a claim fails if the plan names
-            it.
+        inapplicable: claims that do not concern the vehicle, each with the reason; such a claim counts as failed if the
+            plan names it.
         deciding: for each run, whether the run counts towards the result of the study.
-        replayed: the sonar runs that the exported C replayed: runs of the exported law in which the hull fits the site.
-        loops: linear analysis of the loops; empty if the law has no linear model.
+        replayed: the sonar runs that were repeated with the exported C. These are the runs of the exported law in which
+            the hull fits the site.
+        loops: linear analysis of the control loops; empty if the law has no linear model.
         sil: software-in-the-loop (SIL) reports, one report for each replayed run.
     """
 

@@ -1,4 +1,4 @@
-"""The linear loops of a study about straight cruise; empty for a law without a linear model."""
+"""The control loops of a study, linearised about straight motion at cruise speed."""
 
 from __future__ import annotations
 
@@ -22,14 +22,17 @@ __all__ = ["Loops", "loops_of"]
 
 @dataclass(frozen=True)
 class Loops:
-    """Linear analysis at the largest cruise speed of the deciding missions.
+    """Linear analysis at the largest cruise speed of the missions that count towards the result.
+
+    The analysis is empty for a law without a linear model.
 
     Attributes:
-        margins: margins of each loop.
-        over: metrics at the plan's cruise speeds, or None.
+        margins: delay margin and disk margin of each loop.
+        over: metrics of the linear loops at the cruise speeds that the plan names, or None.
         poles: closed-loop poles [rad/s], or None.
         mode: slowest or most unstable mode, or None.
-        sides: all loops together, for the nominal vehicle and the worst corner of its ranges.
+        sides: analysis of all loops together, first for the nominal vehicle, then for the worst corner of its parameter
+            ranges.
         responses: frequency responses of the loops.
     """
 

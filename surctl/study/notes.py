@@ -1,4 +1,4 @@
-"""The summary of a study as notes: a note passes, fails, or does not count towards the result."""
+"""The summary of a study, line by line (notes): a note passes, fails, or does not count towards the result."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ __all__ = ["Note", "left_out", "summary", "unstable_text"]
 
 @dataclass(frozen=True)
 class Note:
-    """One line of the study's summary, which is about one part of the report.
+    """One line of the study's summary; it concerns one part of the report.
 
-    `passed` is None if the note does not count towards the result; `about` names the part of the report that the note
-    is about.
+    `passed` is None if the line does not count towards the result; `about` names the part of the report.
     """
 
     passed: bool | None
@@ -39,12 +38,12 @@ def summary(
     runs: Sequence[tuple[Run, bool]],
     sil: Sequence[SilReport],
 ) -> tuple[Note, ...]:
-    """Return the notes that summarise the results of a study.
+    """Return the lines that summarise the results of a study.
 
     Args:
         plan: the plan of the study.
         swept: the parameter sweep of the study.
-        loops: linear analysis of the loops; empty if the law has no linear model.
+        loops: linear analysis of the control loops; empty if the law has no linear model.
         verdicts: verdicts on the claims of the study.
         runs: runs of the study, each with a flag that says whether the run counts towards the result.
         sil: software-in-the-loop (SIL) reports, one report for each run that the exported law replayed.
@@ -133,6 +132,6 @@ def unstable_text(mode: Mode) -> str:
 
 
 def left_out(runs: Sequence[Run]) -> tuple[Note, ...]:
-    """Return notes on the runs that were not replayed, because their sensors differ from those of the exported law."""
+    """Return summary lines on runs that were not replayed, because their sensors are not those of the exported law."""
     text = "has other sensors than the exported law and is not replayed"
     return tuple(Note(None, f"{run.scenario.name} by {run.vehicle.name}, sonar, {text}", "export") for run in runs)

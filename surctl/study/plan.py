@@ -63,7 +63,8 @@ class Leg:
 
     Attributes:
         exclusion: reason why the scenario cannot be simulated with this vehicle, or None.
-        misfit: reason why the hull does not fit the site, or None; a run with a misfit is shown but does not count.
+        misfit: reason why the hull does not fit the site, or None; a mission with such a reason is simulated and shown,
+            but does not count towards the result.
     """
 
     scenario: Scenario
@@ -112,7 +113,7 @@ class Plan:
         return tuple(leg for leg in self.legs if leg.left_out is not None)
 
     def by(self, vehicles: Sequence[Vehicle]) -> Plan:
-        """Return the plan in which each of the vehicles simulates every scenario; the other values stay.
+        """Return the plan in which every scenario is simulated with each of the vehicles; all other settings stay.
 
         Raises:
             InputError: no vehicle fits a scenario.
@@ -146,8 +147,8 @@ class Plan:
 def load_plan(file: str | None = None, *, trust: bool = False) -> Plan:
     """Load the built-in study, a study file, or the built-in study with the vehicle of a vehicle file.
 
-    A name inside a study file is a built-in name or a path relative to the study file. If the file names a law of the
-    user's own, FILE.py:FUNCTION, this file runs only if `trust` is true.
+    A name inside a study file is a built-in name or a path relative to the study file. If the study file names a user's
+    own law, FILE.py:FUNCTION, this Python file runs only if `trust` is true.
 
     Raises:
         InputError: a file, a key or a value is wrong, or the vehicle fits no scenario of the study.
@@ -240,7 +241,7 @@ def _plan(
 
 
 def _with_mission(plan: Plan) -> Plan:
-    """Return the plan; InputError if every scenario of the plan is left out."""
+    """Return the plan; raise InputError if no mission of the plan counts towards the result (`Leg.left_out`)."""
     if not plan.deciding:
         reasons = "; ".join(f"{leg.scenario.name}: {leg.left_out}" for leg in plan.legs)
         raise InputError(

@@ -1,4 +1,4 @@
-"""Export of a study: the law with perception as C, compiled during the study and replayed over the study's runs."""
+"""Export of a study: the law with perception as C code, which is compiled and then replays the study's runs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["Shipment", "shipping", "with_perception"]
 
 
 def with_perception(plan: Plan, leg: Leg) -> Law:
-    """Return the plan's law with perception, for the sensors of the mission's scenario on the mission's hull.
+    """Return the plan's law with perception, for the sensors of the mission's scenario on the hull of its vehicle.
 
     Raises:
         InputError: the law cannot use the sonars of the scenario.
@@ -47,9 +47,9 @@ class Shipment:
 
     Attributes:
         law: the exported law.
-        bundle: the exported C, with the gains and the mission that are its defaults.
+        bundle: the exported C code, with default gains and a default mission.
         files: paths of the written files.
-        compiling: future whose result is the compiled bundle.
+        compiling: future (`concurrent.futures`) whose result is the compiled bundle.
     """
 
     law: Law
@@ -58,7 +58,7 @@ class Shipment:
     compiling: Future[Controller]
 
     def carries(self, run: Run) -> bool:
-        """Return whether a run used the exported law, with any gains and any mission."""
+        """Return whether a run used the exported law; its gains and mission may differ from those of the export."""
         return run.law is self.law or run.law.block.digest() == self.law.block.digest()
 
     def replayed(self, runs: Sequence[Run]) -> tuple[SilReport, ...]:

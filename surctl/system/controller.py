@@ -1,4 +1,4 @@
-"""A sampled controller, defined by one symbolic step with explicit state, and the guarded evaluation of this step."""
+"""A sampled controller, defined by one symbolic step with explicit state, and the checked evaluation of the step."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Action(NamedTuple):
     """Named expressions of the results that a controller computes in one step.
 
     Attributes:
-        command: expression of each command port; if there is only one port, its expression alone is enough.
-        state: expression of each state port one control period later.
-        telemetry: expression of each telemetry port.
+        command: expression of each command by name; if there is only one command, its expression alone is enough.
+        state: expression of each part of the state one control period later, by name.
+        telemetry: expression of each telemetry output by name.
         status: expression of the status: 0, or a sum of bits that the controller defines; never negative.
     """
 
@@ -55,7 +55,10 @@ class Step(Protocol):
 
     @property
     def tau(self) -> Vector:
-        """Return the command (m,); of a law of the robot the thrust (4,), F_u, F_v, F_w [N] and F_r [N m] in {B}."""
+        """Return the command (m,).
+
+        For a law of the robot, the command is the thrust (4,) in the body frame: F_u, F_v, F_w [N] and F_r [N m].
+        """
 
     @property
     def x_next(self) -> Vector:
@@ -63,7 +66,7 @@ class Step(Protocol):
 
     @property
     def status(self) -> int:
-        """Return the status of the step: 0, a sum of bits, or a negative code."""
+        """Return the status of the step: a sum of bits (0 if no bit is set), or a negative error code."""
 
     @property
     def telemetry(self) -> Vector:
@@ -71,7 +74,7 @@ class Step(Protocol):
 
 
 class SampledController(Protocol):
-    """A controller as one object, (state, input, gains) → (command, next state, status, telemetry).
+    """Interface of a controller: a step computes command, next state, status and telemetry from state, input and gains.
 
     Closed loops and the export use this interface; `Controller` and every built-in law implement it.
     """
@@ -86,48 +89,56 @@ class SampledController(Protocol):
 
     @property
     def state(self) -> Layout:
-        """Return the layout of the controller state x (nx,)."""
+        """Return the layout (names, sizes, units) of the controller state x (nx,)."""
 
     @property
     def inputs(self) -> Layout:
-        """Return the layout of the inputs u (nu,), which are measurements and references."""
+        """Return the layout (names, sizes, units) of the inputs u (nu,), which are measurements and references."""
 
     @property
     def gains(self) -> Layout:
-        """Return the layout of the gains p (np,)."""
+        """Return the layout (names, sizes, units) of the gains p (np,)."""
 
     @property
     def outputs(self) -> Layout:
-        """Return the layout of the outputs: commands, then telemetry."""
+        """Return the layout (names, sizes, units) of the outputs: commands, then telemetry."""
 
     @property
     def block(self) -> Block:
-        """Return the program or routine of flat vectors (x, u, p) → (tau, x_next, status (1,), telemetry)."""
+        """Return the step as a program or routine that computes tau, x_next, status and telemetry from x, u and p.
+
+        All arguments and results are flat vectors; the status has one entry.
+        """
 
     def initial_state(self) -> Vector:
         """Return the controller state before the first step (nx,)."""
 
     def step(self, x: Vector, u: Vector, p: Vector) -> Step:
-        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status `NONFINITE`."""
+        """Run one step; if a number is not finite, the result is tau = 0, x_next = x and the status `NONFINITE`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """A control law (x, u, p) → (command, next state, status, telemetry), evaluated once every `dt`.
+    """A control law, evaluated once every `dt`.
+
+    From state x, inputs u and gains p, the law computes the command, the next state, a status and telemetry. Each
+    vector consists of ports, that is, of named parts with size and unit.
 
     Attributes:
         name: C identifier.
         dt: control period [s].
-        inputs: ports of the inputs u. The plant feeds every port that it measures; every other port is a reference.
+        inputs: ports of the inputs u. An input with the name of a measured output of the plant receives this output;
+            every other input is a reference.
         command: ports of the actuator commands, with the names of the plant's inputs.
-        law: function (x, u, p) → `Action`, or → command alone; x, u and p are mappings from port name to CasADi SX.
+        law: function of x, u and p that returns an `Action`, or the command alone; x, u and p are mappings from port
+            name to CasADi SX.
         state: ports of the controller state x, with initial values as defaults.
         gains: ports of the gains p, with nominal values as defaults.
         telemetry: ports of further outputs.
 
     Raises:
-        InputError: a port without a unit, a period that is not positive, a law that does not return its ports, an
-            operation that cannot be compiled, or a symbol that is not an argument of the law.
+        InputError: a port has no unit, the period is not positive, the law does not return all ports, an operation
+            cannot be compiled, or the law uses a CasADi symbol that is not one of its arguments.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -170,7 +181,7 @@ class Controller:
         return Layout((*self.command, *self.telemetry))
 
     def action(self, x: ca.SX, u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return (command, next state, status, telemetry) as flat vectors, for flat symbolic vectors x, u and p."""
+        """Return command, next state, status and telemetry as flat symbolic vectors, from flat symbolic x, u and p."""
         parts, key = (self.state.split(x), self.inputs.split(u), self.gains.split(p)), f"{self.name}.law"
         result = called(self.law, *parts, key=key)
         act = result if isinstance(result, Action) else Action(result)
@@ -183,7 +194,10 @@ class Controller:
 
     @cached_property
     def block(self) -> Block:
-        """Return (x, u, p) → (tau, x_next, status, telemetry) as the instruction list that is run and exported as C."""
+        """Return the step as a list of instructions, which is run in Python and exported as C.
+
+        The instructions compute tau, x_next, status and telemetry from x, u and p.
+        """
         with Recording() as recording:
             layouts = {"x": self.state, "u": self.inputs, "p": self.gains}
             symbols = {name: ca.SX.sym(name, layout.size) for name, layout in layouts.items()}

@@ -28,7 +28,7 @@ _REST = 1e-9
 
 @dataclass(frozen=True)
 class Operating:
-    """An equilibrium of the loop: flat plant state x, controller state z and command f, and the numbers of the run."""
+    """An equilibrium of the loop: flat plant state x, controller state z and command f, and the numbers of its run."""
 
     x: Array
     z: Array
@@ -43,9 +43,10 @@ class Linearisation:
     Attributes:
         system: the closed loop.
         at: the operating point of the linearisation.
-        plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d.
+        plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d, for command f,
+            disturbance d and measured output y.
         law: matrices (A, B_y, B_r, C, D_y, D_r) of the controller, with z⁺ = A z + B_y y + B_r r and command = C z +
-            D_y y + D_r r.
+            D_y y + D_r r, for controller state z and reference r.
     """
 
     system: System
@@ -81,8 +82,8 @@ class Linearisation:
     def closed(self) -> Any:
         """Return the closed loop as discrete-time `control.StateSpace`, exact at the control instants.
 
-        Inputs are references and disturbances, which are held over a control period; outputs are the measured outputs
-        and the commands.
+        The inputs are references and disturbances, which are constant over a control period; the outputs are the
+        measured outputs and the commands.
 
         Raises:
             InputError: the loop has no inputs.
@@ -106,7 +107,7 @@ class Linearisation:
         )  # fmt: skip
 
     def loop(self, *openings: str) -> Any:
-        """Return L(z), the loop opened at the given signals only, as discrete-time `control.StateSpace`.
+        """Return the loop transfer function L(z), opened at the given signals only, as `control.StateSpace`.
 
         Args:
             openings: labels of commands or measured outputs at which the loop is opened; a label is the port's name,
@@ -160,7 +161,10 @@ class Linearisation:
         return [*commands, *(name for name in entry_labels(self.system.plant.measurements) if name not in commands)]
 
     def poles(self) -> NDArray[np.complex128]:
-        """Return the poles z of the sampled closed loop, largest first; it is stable if all lie in the unit circle."""
+        """Return the poles z of the sampled closed loop, largest first.
+
+        The loop is stable if all poles lie inside the unit circle.
+        """
         poles = np.linalg.eigvals(self._transition()).astype(complex)
         return poles[np.argsort(-np.abs(poles), kind="stable")]
 
@@ -192,8 +196,8 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
 
     Args:
         system: the closed loop; its `reference` and `disturbance` are evaluated at t = 0.
-        values: numbers by name, see `run_numbers`. The search begins at the state `start.…`. If no start state is
-            given, the search begins at zero, then at the default state.
+        values: numbers by name, see `run_numbers`. The search begins at the start state that names `start.…` give.
+            Without such names, the search begins at zero and then, if necessary, at the default state.
 
     Raises:
         InputError: the search finds no equilibrium; the message names the state that moves most.

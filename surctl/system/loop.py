@@ -26,7 +26,7 @@ How = Literal["integral", "mean", "rms", "max", "min", "final", "last_time"]
 
 
 class Signals(NamedTuple):
-    """The signals of the loop at one control instant; all but the time t are mappings from port name to CasADi SX.
+    """The signals of the loop at one control instant; all but the time t are mappings from name to CasADi SX.
 
     Attributes:
         x: plant state.
@@ -56,14 +56,14 @@ class Cost:
     """One metric of a run: an expression of the signals, and how its values at the control instants become one number.
 
     Attributes:
-        of: function `Signals` → scalar expression.
+        of: function that returns a scalar expression of the signals (`Signals`).
         how: how the values over a run become one number. `integral` is their sum times the period; `mean`, `rms`, `max`
             and `min` have their usual meaning; `final` is the value at the last control instant. `last_time` is the
-            last time [s] at which the expression is positive, 0 if the expression never is. So the `last_time` of an
-            error minus its tolerance is a settling time.
+            last time [s] at which the expression is positive, or 0 if the expression is never positive. So the
+            `last_time` of an error minus its tolerance is a settling time.
         unit: SI unit of the metric.
         meaning: description of the metric, for tables and plots.
-        at_most: bound that tuned gains must keep (see `surctl.tuning.tune_system`), or None.
+        at_most: upper bound of the metric, which tuned gains must satisfy (see `surctl.tuning.tune_system`), or None.
     """
 
     of: Callable[[Signals], Any]
@@ -77,19 +77,20 @@ class Cost:
 class System:
     """A plant under a sampled controller, with references, disturbances, metrics and reasons to stop a run.
 
-    Signals are connected by name: the plant feeds every controller input that it measures, and every other controller
-    input is a reference; each plant input is a command of the controller. Shapes and units of connected signals must
-    agree.
+    Signals are connected by name: a controller input with the name of a measured plant output receives this output, and
+    every other controller input is a reference; each plant input receives the command of its name. Shapes and units of
+    connected signals must agree.
 
     Attributes:
         plant: continuous dynamics and measured outputs.
         controller: controller that is evaluated once a control period; its command is held for this period.
         substeps: number of fourth-order Runge-Kutta steps in a control period.
         costs: metrics of a run by name.
-        stops: reasons to end a run by name; each is a function `Signals` → expression that is not 0 when the run ends.
-        reference: function (t, r) → each reference at time t [s], where r are the constants that a run sets; by default
-            the references are r.
-        disturbance: function (t, d) → each disturbance at time t [s], where d are the constants that a run sets; by
+        stops: reasons to end a run, by name; each reason is a function that returns an expression of the signals
+            (`Signals`), and a run ends when this expression is not 0.
+        reference: function that returns each reference at time t [s] from t and constants r, which a run sets; by
+            default the references are r.
+        disturbance: function that returns each disturbance at time t [s] from t and constants d, which a run sets; by
             default the disturbances are d.
 
     Raises:
@@ -148,7 +149,7 @@ class System:
 
     @cached_property
     def commands(self) -> Layout:
-        """Return the commands of the controller, in its order; the plant uses the commands named like its inputs."""
+        """Return the layout of the controller's commands; the plant uses those with the names of its inputs."""
         return command_ports(self.controller)
 
     @cached_property
@@ -194,7 +195,10 @@ class System:
 
     @cached_property
     def signals(self) -> ca.Function:
-        """Return a CasADi function (x, command, d, r, p, g, k, t) → (costs (m,), stops (n,)) at one control instant."""
+        """Return a CasADi function that computes all costs (m,) and stops (n,) at one control instant.
+
+        The arguments are x, command, d, r, p, g, k and t, with the meaning that they have in `Signals`.
+        """
         layouts = {
             "x": self.plant.state, "f": self.commands, "d": self.plant.disturbances, "r": self.references,
             "p": self.plant.parameters, "g": self.controller.gains, "k": self.telemetry,
@@ -208,7 +212,7 @@ class System:
     def evaluated(
         self, *, x: ca.SX, f: ca.SX, d: ca.SX, r: ca.SX, p: ca.SX, g: ca.SX, k: ca.SX, t: ca.SX
     ) -> tuple[ca.SX, ca.SX]:
-        """Return expressions of all costs and of all stops for flat symbolic signals; d and r are run constants."""
+        """Return expressions of all costs and of all stops for flat symbolic signals; d and r are constant in a run."""
         late_d, late_r = self.disturbance_at(t, d), self.reference_at(t, r)
         y = self.plant.measurement(x, late_d, p)
         signals = Signals(
@@ -221,7 +225,7 @@ class System:
         return ca.vertcat(ca.SX(0, 1), *costs), ca.vertcat(ca.SX(0, 1), *stops)
 
     def digest(self) -> str:
-        """Return the SHA-256 of what the loop computes: plant, controller, period and integration."""
+        """Return the SHA-256 of the loop's computations: plant, controller, period and integration."""
         text = f"{self.plant.digest()} {self.controller.block.digest()} {float(self.dt).hex()} {self.substeps}"
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -230,7 +234,7 @@ T = TypeVar("T")
 
 
 def once_per_system(build: Callable[[System], T]) -> Callable[[System], T]:
-    """Return a function that builds its result once for each system, and keeps it as long as the system exists."""
+    """Return a function that calls `build` once for each system and stores the result as long as the system exists."""
     results: WeakKeyDictionary[System, T] = WeakKeyDictionary()
 
     def result(system: System) -> T:

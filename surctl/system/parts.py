@@ -1,4 +1,4 @@
-"""Named parts of vectors, which a user's function takes and returns; they are checked when expressions are built."""
+"""Named parts (ports) of vectors as arguments and results of a user's functions, and their checks."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ EMPTY = Layout(())
 
 
 def checked_layout(layout: object, *, key: str) -> Layout:
-    """Return the layout after a check that each port has a C identifier, a positive size and a unit.
+    """Return the layout after a check that each port (named part) has a C identifier, a positive size and a unit.
 
     Raises:
-        InputError: the argument is not a layout, or a port has no unit ("1" if it has no dimension).
+        InputError: the argument is not a layout, or a port has no unit (the unit of a number without dimension is "1").
     """
     if isinstance(layout, Port):
         raise InputError("is one port", key=key, remedy="write Layout((port,))")
@@ -85,7 +85,7 @@ def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:
 
 
 def entry_labels(layout: Layout, prefix: str = "") -> list[str]:
-    """Return a label for each entry of a layout: the name of the port, with [i] if the port has several entries.
+    """Return a label for each entry of a vector: the name of its part (port), with [i] if the part has several entries.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -97,7 +97,9 @@ def entry_labels(layout: Layout, prefix: str = "") -> list[str]:
 
 
 def entry_units(layout: Layout) -> list[str]:
-    """Return the unit of each entry of a layout; the unit of a port may list one for each entry, such as "m, m, rad".
+    """Return the unit of each entry of a vector.
+
+    The unit of a part (port) is one unit, or a list with one unit for each entry, such as "m, m, rad".
 
     Example:
         >>> from surctl.ir import Layout, Port

@@ -18,22 +18,24 @@ __all__ = ["Parts", "Plant"]
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """Continuous dynamics x' = f(x, f, d, p) with measured outputs y = h(x, d, p).
+    """Continuous dynamics x' = ode(x, f, d, p) with measured outputs y = measure(x, d, p).
+
+    Each vector consists of ports, that is, of named parts with size and unit.
 
     Attributes:
         name: C identifier.
         state: ports of the plant state x.
         inputs: ports of the actuator commands f, which are constant over a control period.
-        ode: function (x, f, d, p) → time derivative of each state port; the arguments are mappings from port name to
-            CasADi SX.
+        ode: function of x, f, d and p that returns the time derivative of each state port; the arguments are mappings
+            from port name to CasADi SX.
         parameters: ports of the parameters p; the defaults of the ports are the nominal values.
         disturbances: ports of the disturbances d, which are zero unless a run sets them.
         outputs: ports of the outputs y that a controller can measure; by default the state.
-        measure: function (x, d, p) → each port of `outputs`; required if `outputs` is given.
+        measure: function of x, d and p that returns each port of `outputs`; required if `outputs` is given.
 
     Raises:
-        InputError: a port without a unit, a function that does not return its ports, an operation that cannot be
-            compiled, or a symbol that is not an argument of the function.
+        InputError: a port has no unit, a function does not return all its ports, an operation cannot be compiled, or a
+            function uses a CasADi symbol that is not one of its arguments.
 
     Example:
         >>> import casadi as ca
@@ -92,14 +94,20 @@ class Plant:
 
     @cached_property
     def block(self) -> Block:
-        """Return (x, f, d, p) → x' as an instruction list, without libm functions such as sin."""
+        """Return the computation of x' from x, f, d and p as a list of instructions.
+
+        The instructions do not call functions of the C library, such as sin.
+        """
         with Recording() as recording:
             symbols = self._symbols()
             return without_libm(recording.block(self.name, symbols, {"xdot": self.derivative(*symbols.values())}))
 
     @cached_property
     def measured(self) -> Block:
-        """Return (x, d, p) → y as an instruction list, without libm functions such as sin."""
+        """Return the computation of y from x, d and p as a list of instructions.
+
+        The instructions do not call functions of the C library, such as sin.
+        """
         with Recording() as recording:
             symbols = {name: symbol for name, symbol in self._symbols().items() if name != "f"}
             outputs = {"y": self.measurement(*symbols.values())}
@@ -107,14 +115,17 @@ class Plant:
 
     @cached_property
     def function(self) -> ca.Function:
-        """Return the CasADi function (x, f, d, p) → x' for numbers, expressions and exact derivatives."""
+        """Return the CasADi function that computes x' from x, f, d and p.
+
+        It accepts numbers and expressions, and CasADi can differentiate it exactly.
+        """
         symbols = self._symbols()
         return ca.Function(
             self.name, list(symbols.values()), [self.derivative(*symbols.values())], list(symbols), ["xdot"]
         )
 
     def digest(self) -> str:
-        """Return the SHA-256 of what the plant computes: dynamics and measurement."""
+        """Return the SHA-256 of the plant's computations: dynamics and measurement."""
         return f"{self.block.digest()}{self.measured.digest()}"
 
     def _symbols(self) -> dict[str, ca.SX]:

@@ -29,13 +29,13 @@ class Record:
     Attributes:
         system: the closed loop.
         time: (n,) times of the control instants [s].
-        signals: port name → (n, size), for states, commands, measured outputs, references and telemetry; a controller
-            state has the prefix `controller.` if a plant state has an equal name.
+        signals: values (n, size) of states, commands, measured outputs, references and telemetry, by port name; a
+            controller state has the prefix `controller.` if a plant state has an equal name.
         status: (n,) status of each step.
         figures: value of each metric (cost) by name.
         stopped: reason for the end of the run: the name of a stop of the system, "time" or "not finite".
-        controller: arguments of the controller for back-to-back checks: states (n, states), inputs (n, inputs), and
-            gains (gains,).
+        controller: arguments of the controller, for comparison with the exported C code: states (n, states), inputs (n,
+            inputs), and gains (gains,).
     """
 
     system: System
@@ -58,15 +58,15 @@ class Record:
         return float(self.time[-1] + (self.system.dt if self.stopped == ENDED else 0.0))
 
     def ports(self, *kinds: str) -> dict[str, Port]:
-        """Return the port of each signal by name, of the given kinds; by default of all.
+        """Return the port (name, size, unit) of each signal of the given kinds, by name; by default of all kinds.
 
-        Kinds are state, command, output, reference, telemetry and controller.
+        The kinds are state, command, output, reference, telemetry and controller.
         """
         places = _places(self.system).items()
         return {name: layout.port(port) for name, (kind, layout, port) in places if kind in (kinds or _KINDS)}
 
     def table(self) -> dict[str, Array]:
-        """Return the time, every entry of every signal, and the status as columns (n,), by label with unit."""
+        """Return time, all entries of all signals, and status as columns (n,), by a label with the unit."""
         columns: dict[str, Array] = {"time [s]": self.time}
         for name, port in self.ports().items():
             alone = Layout((port,))
@@ -85,7 +85,7 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         values: numbers of one run by name, see `run_numbers`.
 
     Raises:
-        InputError: as in `run_numbers`; also if `values` are for several runs.
+        InputError: `run_numbers` finds an error, or `values` are for several runs.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -147,7 +147,10 @@ _KINDS = ("state", "command", "output", "reference", "telemetry", "controller")
 
 
 def _places(system: System) -> dict[str, tuple[str, Layout, str]]:
-    """Return (kind, layout, port name) of each signal by name; of equal names, the first kind has the signal."""
+    """Return kind, layout and port name of each signal, by signal name.
+
+    If signals of several kinds have one name, the name stands for the signal of the first kind.
+    """
     layouts = (
         system.plant.state, system.commands, system.plant.measurements, system.references, system.telemetry,
         system.controller.state,

@@ -68,12 +68,12 @@ def simulate_system(
 
     Args:
         system: the closed loop.
-        seconds: duration of a run that nothing stops [s]; a whole number of control periods is simulated.
+        seconds: duration [s] of a run that no stop ends earlier; it is rounded to a whole number of control periods.
         values: numbers by name, see `run_numbers`: gains, `plant.…`, `reference.…`, `disturbance.…`, `start.…`.
         threads: number of threads that share the runs.
 
     Raises:
-        InputError: as in `run_numbers`, or the duration is shorter than a control period.
+        InputError: `run_numbers` finds an error, or the duration is shorter than a control period.
         ToolMissing: there is no C compiler; `run_system` needs no compiler.
 
     Example:
@@ -134,7 +134,10 @@ def periods(system: System, seconds: float) -> int:
 
 
 def loop_step(system: System) -> Block:
-    """Return the batch step (state, parameters) → state after one control period, as a program or routine."""
+    """Return a program or routine that computes the state of a run after one control period.
+
+    Its arguments are the state and the parameters of the run.
+    """
     plant, controller = system.plant, system.controller
     state, parameters = _layouts(system)
     s, now = state.symbols("s")

@@ -36,17 +36,17 @@ class RunNumbers:
 
 
 def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
-    """Return the numbers of runs from the given values; a port without a value has its default.
+    """Return the numbers of all runs from the given values; a part (port) without a value has its default.
 
     Args:
-        system: the loop.
+        system: the closed loop.
         values: values by the name of a gain (`k`), or by `plant.NAME`, `reference.NAME`, `disturbance.NAME` or
             `start.NAME`; with `[i]`, the name denotes one entry of a port. A scalar holds for every run and entry; an
             array (n,) has one number for each run (for a port with one entry); an array (n, size) has one row for each
             run.
 
     Raises:
-        InputError: an unknown name, a number that is not finite, or arrays of different numbers of runs.
+        InputError: a name is unknown, a number is not finite, or the arrays are for different numbers of runs.
     """
     layouts: dict[str, Layout] = {
         "gains": system.controller.gains, "plant": system.plant.parameters, "reference": system.references,

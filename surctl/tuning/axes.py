@@ -1,4 +1,7 @@
-"""Axes of a sweep: a parameter with listed values (`Axis`), or with a range that a design fills (`Span`)."""
+"""Axes of a parameter sweep: a parameter with listed values (`Axis`), or with a range of values (`Span`).
+
+The design of the sweep, for example a Latin hypercube, chooses values within the range.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +27,8 @@ class Axis:
     """One parameter of a parameter sweep, with its values in ascending order.
 
     Raises:
-        InputError: there is no value, a value is not finite, the values do not ascend, or a seed is not a whole
-            number ≥ 0.
+        InputError: there is no value, a value is not finite, the values do not ascend, or a value of the parameter
+            `seed` is not a whole number ≥ 0.
     """
 
     name: str
@@ -44,7 +47,9 @@ class Axis:
 
 @dataclass(frozen=True)
 class Span:
-    """One parameter of a sweep and its range low … high; points are evenly spaced, in the logarithm if `log` is set.
+    """One parameter of a sweep and its range low … high.
+
+    The points are evenly spaced on a linear scale, or on a log scale if `log` is true.
 
     Raises:
         InputError: a bound is not finite, the range is empty or reversed, or a logarithmic range does not start above
@@ -68,7 +73,7 @@ class Span:
         _check_seeds(self.name, (self.low, self.high))
 
     def axis(self, count: int) -> Axis:
-        """Return an axis with `count` ≥ 2 values over the range; the first is exactly low, the last exactly high."""
+        """Return an axis with `count` ≥ 2 values over the range; the first value is low, the last value is high."""
         if count < 2:
             raise InputError(
                 "a range needs at least two points", key=f"axis {self.name}", value=count, remedy="write :2 or more"
@@ -81,7 +86,11 @@ class Span:
         return Axis(self.name, tuple(values.tolist()))
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """Convert shares of the range (0 ≤ share < 1, any shape) to values; all whole seeds are equally likely."""
+        """Convert shares of the range (0 ≤ share < 1, any shape) to values.
+
+        For the parameter `seed`, the values are whole numbers, and equally distributed shares give equally likely
+        values.
+        """
         if self.name == SEED:
             return np.floor(self.low + share * (self.high + 1.0 - self.low))
         if self.log:
@@ -95,7 +104,8 @@ def parse_axis(text: str) -> Axis | Span:
     """Parse the axis of a sweep from its command-line text.
 
     `k_v=1,1.5,2` lists values. `k_v=0.5..3:9` gives nine values from 0.5 to 3, and `k_v=0.5..3:9:log` spaces them
-    evenly in the logarithm. `k_v=0.5..3` and `k_v=0.5..3:log` are ranges that a design fills.
+    evenly in the logarithm. `k_v=0.5..3` and `k_v=0.5..3:log` are ranges, in which the design of the sweep chooses the
+    values.
 
     Raises:
         InputError: the text has none of the forms above, or its values are not valid.

@@ -31,12 +31,15 @@ _OTHERS = 8  # gain sets that a round passes to the next round besides its best 
 class Tuning:
     """A finished tuning.
 
+    A run refutes a gain set if the gain set misses a goal in this run. Fresh runs have seeds that no earlier run used.
+
     Attributes:
         request: the request of the last search, extended by the training runs that refuted gain sets of that search.
         requested: number of conditions in the original request; all further conditions are counterexamples.
         hand: pool that holds one gain set: the start gains, simulated under all conditions.
         tuned: pool of one gain set, the tuned gains, simulated under all conditions.
-        front: Pareto front of the last round: the gain sets that no other set beats in both score and thrust.
+        front: Pareto front of the last round: the gain sets for which no other set has both a better score and less
+            thrust.
         rounds: the rounds of the tuning, in order.
         chosen: index of the round that supplies the tuned gains: the best round over all runs known at the end. A round
             that is refuted or infeasible is chosen only if all rounds are.
@@ -75,7 +78,7 @@ class Tuning:
 
     @property
     def better(self) -> tuple[bool, ...]:
-        """For each goal, whether its normalised value is lower with the tuned gains than with the start gains."""
+        """One flag per goal: whether its normalised value is lower with the tuned gains than with the start gains."""
         less = self.tuned.evaluation.normalised[0] < self.hand.evaluation.normalised[0]
         return tuple(bool(b) for b in less)
 
@@ -90,7 +93,10 @@ def tune(
     folder: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> Tuning:
-    """Tune gains; while training runs, fresh runs or claims refute the result, add the counterexamples and tune again.
+    """Tune gains; while counterexamples refute the result, add them to the tuning and tune again.
+
+    Counterexamples are training runs, fresh runs and claims that refute the result. The tuning ends at the latest after
+    `rounds` rounds.
 
     Args:
         request: goals, runs, start gains and search space.
@@ -98,7 +104,7 @@ def tune(
             this round continues once, for another `trials` trials.
         rounds: largest number of rounds, at least 1.
         runs: number of fresh runs that verify the gains of each round. Before them, ten times as many training runs
-            screen the gain sets of the round. 0 omits both kinds of runs.
+            screen the gain sets of the round. With 0, neither kind of run is simulated.
         descend: whether the first search also starts from a descent along exact gradients (`starting_sets`).
         folder: folder that stores trials and rounds; an interrupted tuning with an identical request resumes from this
             folder.
@@ -164,7 +170,7 @@ def _candidates(request: Request, done: Sequence[Round]) -> Pool:
 
 
 def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64]) -> int:
-    """Return the index of the best round, `Tuning.chosen`.
+    """Return the index of the best round, see `Tuning.chosen`.
 
     Every round is judged over all runs, because runs of a later round may refute the gains of an earlier round.
     """
@@ -245,7 +251,10 @@ def _leading(pool: Pool) -> list[dict[str, float]]:
 def _round(
     request: Request, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
 ) -> tuple[Round, Pool]:
-    """Complete a round after its search; return it, and its best gain sets over all known runs, the chosen set last."""
+    """Complete a round after its search; return the round and a pool of its best gain sets, the chosen set last.
+
+    The best gain sets are the best over all known runs.
+    """
     left, verified = Screened(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
     if runs:
         left = screen(request, pool, runs=TRAINING * runs, progress=progress)

@@ -1,4 +1,4 @@
-"""Points at which a claim failed for some gains; at these points the claim is a constraint of the next search."""
+"""Points at which a claim about the law failed for some gains; there, the claim constrains the next search."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["ClaimPoint", "excess", "expected_to_hold", "refuted_claims"]
 
 @dataclass(frozen=True)
 class ClaimPoint:
-    """A point of a claim's domain at which the claim failed by more than `threshold`, in the claim's unit."""
+    """A point of a claim's domain at which the claim failed by more than `threshold` (in the unit of the claim)."""
 
     name: str
     values: Mapping[str, float]
@@ -44,7 +44,10 @@ def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, 
 def excess(
     points: Sequence[ClaimPoint], base: Mapping[str, float], sets: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return (n, points): the excess of the claim over its threshold for n gain sets; -1 outside the claim's domain."""
+    """Return by how much the claims exceed their thresholds, as an array (n gain sets, points).
+
+    The value is -1 for a point outside the claim's domain.
+    """
     count = len(next(iter(sets.values())))
     table = np.full((count, len(points)), -1.0)
     for k in range(count if points else 0):

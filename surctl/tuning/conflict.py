@@ -21,7 +21,7 @@ class Demand:
 
     Attributes:
         label: name of the demand, as `find_conflict` returns it.
-        goal: the goal, made a hard goal, with a name unique to the demand.
+        goal: the goal as a hard goal, with a name that only this demand uses.
         conditions: the runs in which the goal must be met.
     """
 
@@ -31,7 +31,9 @@ class Demand:
 
 
 def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
-    """Return a minimal subset of the demands 0 … count - 1 that cannot be met together; every proper part of it can.
+    """Return a minimal subset of the demands 0 … count - 1 that cannot be met together.
+
+    Every proper subset of this subset can be met together.
 
     QuickXplain (Junker 2004) calls `together` at most 2 k (1 + log₂(n / k)) times for n demands and a subset of size k.
 
@@ -41,9 +43,9 @@ def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> t
     """
 
     def explained(beside: tuple[int, ...], added: bool, candidates: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the candidates that belong to the minimal subset if `beside` does.
+        """Return the candidates that belong to the minimal subset if the demands `beside` belong to it.
 
-        If `added` is true, `beside` has just grown.
+        `added` is true if `beside` has grown since the last call.
         """
         if added and not together(tuple(sorted(beside))):
             return ()
@@ -57,7 +59,10 @@ def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> t
 
 
 def demands(goals: Sequence[Goal], conditions: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
-    """Return demands for hard goals and refuted soft goals, separately over requested runs and over counterexamples."""
+    """Return demands for hard goals and refuted soft goals.
+
+    Demands over requested runs and demands over counterexamples are separate.
+    """
     requested = [c for c in conditions if c.goals is None]
     result: list[Demand] = []
     for goal in goals:

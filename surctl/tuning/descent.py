@@ -4,7 +4,7 @@ The score and the constraints are maxima over goals and runs (Madsen 1975; Conn,
 region). Every function that enters one of these maxima is linearised by finite differences, in gains scaled to the unit
 cube. A linear program then minimises the maximum of the linearised functions within several trust-region radii. The
 proposed gain sets are simulated, and the descent continues from the best set so far. The metrics of a run jump where
-the law switches; there the steps become shorter until the descent continues from another start.
+the law switches; there the steps become shorter and shorter, and the descent then continues from another gain set.
 """
 
 from __future__ import annotations
@@ -76,7 +76,10 @@ def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progre
 
 
 def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _At | None:
-    """Return the best set of the pool that is far enough from all earlier starts and ends, and record it."""
+    """Return the best gain set of the pool that is far from all earlier starts and ends of the descent.
+
+    The function adds this gain set to `visited`.
+    """
     merit = pool.merit(start)
     places = np.column_stack([s.unit(pool.sets[s.name]) for s in request.space])
     for k in np.argsort(merit, kind="stable"):
@@ -87,7 +90,7 @@ def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _
 
 
 def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
-    """Simulate the neighbours for the linearisation, then the proposed gain sets; return both as one pool."""
+    """Simulate the neighbours of `at` for the linearisation, then the proposed gain sets; return all as one pool."""
     beside = _beside(at)
     near, table = request.simulate(_sets(request, np.vstack([beside, at.place])))
     objective, constraint = _functions(request, near, table, pool.evaluation.normalised[0])
@@ -133,7 +136,10 @@ def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tu
 
 
 def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array, Array], far: float) -> Array:
-    """Return the point within `far` of `place` that minimises the linearised maximum; pairs are (values, slopes)."""
+    """Return the point within the distance `far` of `place` that minimises the linearised maximum.
+
+    `objective` and `constraint` are pairs of values and slopes.
+    """
     from scipy.optimize import linprog
 
     d = len(place)

@@ -27,7 +27,7 @@ class Design:
         kind: `grid`, `lhs`, `sobol` or `saltelli`.
         axes: the swept axes; all are `Axis` for a grid, otherwise all are `Span`.
         points: (n, len(axes)) values of the parameters at the n points; the points of a grid are in C order.
-        description: text that determines the points completely; equal texts mean equal points.
+        description: text that determines the points completely; two designs with equal texts have equal points.
     """
 
     kind: str
@@ -105,10 +105,10 @@ def spread(kind: Literal["lhs", "sobol"], spans: Sequence[Span], *, count: int, 
 
 
 def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design:
-    """Return the base·(d + 2) points from which Sobol' indices are computed (Saltelli et al. 2010).
+    """Return the base·(d + 2) points from which Sobol' indices of d axes are computed (Saltelli et al. 2010).
 
-    The points are A, then B, then for each axis a copy of A with the values of that axis from B. A and B are the two
-    halves of the columns of Sobol' points.
+    A and B are two samples: the two halves of the columns of Sobol' points. The result contains A, then B, then for
+    each axis a copy of A with the values of this axis from B.
 
     Args:
         axes: d ranges.

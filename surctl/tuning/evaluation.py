@@ -74,8 +74,9 @@ class Evaluation:
     Attributes:
         goals: the m goals.
         normalised: (n, m): normalised value of each goal for each gain set; at most 1 if the goal is met.
-        figure: (n, m): value of the goal's metric, in its unit: the worst of the runs or their mean; NaN if a run did
-            not arrive. For a goal at several cruise speeds, the value of a run is that at the worst speed.
+        figure: (n, m): value of the goal's metric, in its unit: the value of the worst run or the mean over the runs;
+            NaN if a run did not arrive. For a goal at several cruise speeds, the value of a run is that at the worst
+            speed.
         speed: (n, m): cruise speed [m/s] at which the goal is worst in its worst run; NaN for a goal at the scenario's
             own speed.
         excess: (n, m): mean over the goal's runs of max(0, normalised value - 1), limited to 1 in each run; 0 if the
@@ -92,7 +93,7 @@ class Evaluation:
 
     @property
     def feasible(self) -> NDArray[np.bool_]:
-        """(n,): whether every hard goal is met."""
+        """Array (n,): whether the gain set meets every hard goal."""
         hard = [g.kind == "hard" for g in self.goals]
         met: NDArray[np.bool_] = np.all(self.normalised[:, hard] <= 1, axis=1)
         return met
@@ -101,8 +102,9 @@ class Evaluation:
 def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
     """Return the plant parameters of the nominal vehicle, and those of the corners of the ranges in its vehicle file.
 
-    All masses move to one end of their ranges together, and so do all drag coefficients and all thrust limits. These
-    three choices give up to eight corners. A parameter without a range keeps its value.
+    In a corner, all masses are at the same end of their ranges. All drag coefficients are at one end of their ranges
+    too, and so are all thrust limits. These three choices give up to eight corners. A parameter without a range keeps
+    its value.
 
     Example:
         >>> from surctl.tuning import corners
@@ -153,7 +155,7 @@ def merged(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
 
 
 def varied(case: Case) -> bool:
-    """Whether the runs of a case depend on the seed."""
+    """Return whether the runs of a case depend on the seed."""
     return case.scenario.seeded or case.sensing == "sonar"
 
 
@@ -215,7 +217,7 @@ def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets,
     Args:
         goals: the goals.
         conditions: the runs; every gain set is simulated in all of them.
-        sets: gain → (n,) values; all other gains have the values of the case.
+        sets: values (n,) of each gain by name; all other gains have the values of the case.
         threads: number of threads of the compiled loop; the result does not depend on it.
 
     Raises:
@@ -260,9 +262,11 @@ def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figure
 def figures(
     goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1
 ) -> dict[str, NDArray[np.float64]]:
-    """Return metric → (n, conditions) for the goals' metrics and the effort; see `Goal.columns` for goals with speeds.
+    """Return an array (n gain sets, conditions) for each metric of the goals and for the effort, by metric name.
 
-    A value is NaN if the run did not arrive, or if it is a linear metric that no goal needs under this condition.
+    `Goal.columns` gives the names for goals at several cruise speeds.
+
+    A value is NaN if the run did not arrive, or if no goal needs this linear metric under this condition.
 
     Example:
         >>> from surctl.control import load_gains
@@ -298,7 +302,9 @@ def figures(
 
 
 def judged_goals(goals: Sequence[Goal], cases: Sequence[Case]) -> tuple[tuple[Goal, ...], tuple[Goal, ...]]:
-    """Return the goals that can be judged for these cases, and those about a linear loop that the law does not have.
+    """Return the goals that can be judged for these cases, and the other goals.
+
+    A goal about the linear loop cannot be judged if the law has no linear model.
 
     Example:
         >>> from surctl.control import load_gains
@@ -315,7 +321,7 @@ def judged_goals(goals: Sequence[Goal], cases: Sequence[Case]) -> tuple[tuple[Go
 
 
 def row(sets: Sets, k: int) -> dict[str, float]:
-    """Return the k-th gain set as gain → value."""
+    """Return the k-th gain set: the value of each gain by name."""
     return {name: float(values[k]) for name, values in sets.items()}
 
 

@@ -102,7 +102,8 @@ class DaskExecutor:
     The scheduler gives the chunks of a lost worker to another worker. A failed chunk is tried again, at most twice.
 
     Raises:
-        InputError: dask.distributed is not installed, no scheduler replies at the address, or it has no worker.
+        InputError: dask.distributed is not installed, no scheduler replies at the address, or the scheduler has no
+            worker.
         SurctlError: the cluster was lost while chunks were running.
     """
 

@@ -48,7 +48,7 @@ class Goal:
     """A goal: a bound on one metric of the closed loop.
 
     Attributes:
-        name: name of the goal in tables and pictures.
+        name: name of the goal in tables and plots.
         metric: name of a metric, either of a run (METRICS of `surctl.simulation`) or of the linear loop
             (LINEAR_METRICS).
         unit: unit of `limit`; it must be the unit of the metric.
@@ -114,7 +114,10 @@ class Goal:
 
     @property
     def columns(self) -> Mapping[str, float | None]:
-        """Columns of metrics that the goal bounds: column → speed [m/s], where None means the scenario's own speed."""
+        """Cruise speed [m/s] of each metric column that the goal bounds, by column name.
+
+        None means the scenario's own cruise speed.
+        """
         return {f"{self.metric} at {u!r} m/s": u for u in self.cruise} or {self.metric: None}
 
     def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -123,9 +126,9 @@ class Goal:
         return np.where(np.isnan(figure), np.inf, figure if self.sense == "at most" else -figure)
 
     def worst(self, table: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return two arrays, each shaped like a column: the worst value over the speeds, and its speed [m/s].
+        """Return two arrays, each shaped like a column: the worst value over the cruise speeds, and its speed.
 
-        The speed is NaN for a goal at the scenario's own speed.
+        The speed is in m/s; it is NaN for a goal at the scenario's own speed.
         """
         each = np.stack([table[name] for name in self.columns])
         ill = self.badness(each)
@@ -135,8 +138,9 @@ class Goal:
     def normalised(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the normalised metric values (shape unchanged): at most 1 if the goal is met, larger if worse.
 
-        The normalised value is metric / limit for `at most` a positive limit, and otherwise limit / metric. The
-        quotient limit / metric is inf for a metric that is 0 or on the wrong side of 0. NaN gives inf.
+        The normalised value is metric / limit for a goal `at most` with a positive limit. For every other goal, it is
+        limit / metric. The quotient limit / metric is inf for a metric that is 0 or on the wrong side of 0. NaN gives
+        inf.
         """
         figure, limit = np.asarray(values, dtype=float), self.limit
         if self.sense == "at most" and limit > 0:
@@ -149,7 +153,7 @@ class Goal:
         return np.where(np.isnan(figure), np.inf, out)
 
     def bad_side(self) -> Literal["above", "below"]:
-        """Return the side of the limit on which the goal is missed; pictures shade it."""
+        """Return the side of the limit on which the goal is missed; plots shade this side."""
         return "above" if self.sense == "at most" else "below"
 
     def to_dict(self) -> dict[str, Any]:

@@ -2,10 +2,10 @@
 
 A run is a fixed number of control steps of the closed-form law and the plant, with true positions (`simulate` with
 sensing `truth`). The positions of the obstacles at each step are fixed in advance and do not depend on the gains. The
-differentiated outputs are smooth surrogates (`SURROGATES`) of the metrics, which themselves are not smooth. The law
-itself is piecewise smooth. Between two switches (of the latched passing side, of an active limit, of the nearest
-contact) the gradient is exact; at a switch it is the one-sided gradient. `DifferentiableRun.branches` shows whether two
-runs switch in the same way.
+metrics of a run are not smooth; the differentiated outputs are smooth surrogates of them (`SURROGATES`). The law itself
+is piecewise smooth. The law switches when the passing side, the active limits or the nearest obstacle change. Between
+two switches the gradient is exact; at a switch the result is the one-sided gradient. `DifferentiableRun.branches` shows
+whether two runs switch in the same way.
 """
 
 from __future__ import annotations
@@ -79,7 +79,10 @@ class DifferentiableRun:
         return np.asarray(self._run(values, *self._fixed)[1]).T[:, : PLANT_STATE.size]
 
     def branches(self, values: Array) -> Array:
-        """Return one number per control step (steps,); equal numbers mean equal outcomes of the step's comparisons."""
+        """Return one number per control step (steps,).
+
+        If two runs have equal numbers at a step, all comparisons in this step had equal outcomes.
+        """
         run = np.asarray(self._run(values, *self._fixed)[1])
         start, data, p, plant = self._fixed
         before = np.column_stack([start, run[:, :-1]])
@@ -96,10 +99,10 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
 
     Args:
         case: case with mode nsb (closed form), true positions, and any law except `closed_form`: the law must have
-            `CONTACT_SLOTS` contact slots.
+            inputs for `CONTACT_SLOTS` obstacle points.
         names: gains with respect to which the run is differentiated.
         steps: number of control steps, at least 1; a run that arrives earlier stays at the target.
-        seed: seed of drift and waves.
+        seed: seed of the obstacles' drift and of the waves.
 
     Raises:
         InputError: the mode, the sensing or the law has no gradient, a gain is unknown, or the scenario starts inside
@@ -184,7 +187,9 @@ def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Functio
 
 @cache
 def _step(law: Law) -> tuple[ca.Function, ca.Function]:
-    """Return two functions of a control step: (state, data, p, plant) → (next state, terms), and → branch number.
+    """Return two functions of a control step: one computes the next state and cost terms, one the branch number.
+
+    Both have the arguments state, data of the step, gains p, and plant parameters.
 
     The terms are y_e², thrust², the distance to the target, and the clearances. The branch number is defined by
     `_tally`.
@@ -235,7 +240,10 @@ def _disturbance(current: ca.SX, force: ca.SX) -> dict[str, ca.SX]:
 
 
 def _with_slopes(program: Program) -> Program:
-    """Replace √x by √max(x, tiny): results of the program stay equal to 1e-12, and no branch has an infinite slope."""
+    """Replace √x by √max(x, tiny), so that no branch of the program has an infinite slope.
+
+    The results of the program change by at most 1e-12.
+    """
     instructions: list[Instruction] = [Instruction("const", (), _TINY)]
     new: list[int] = []
     for instruction in program.instructions:
@@ -252,7 +260,7 @@ def _with_slopes(program: Program) -> Program:
 
 
 def _compared(program: Program) -> Program:
-    """Return the program whose outputs are the outcomes of all comparisons, including those in minima and maxima."""
+    """Return a program whose outputs are the outcomes of all comparisons, also of those in minima and maxima."""
     instructions, outcomes = list(program.instructions), []
     for at, instruction in enumerate(program.instructions):
         if instruction.op in ("lt", "le", "eq", "ne"):

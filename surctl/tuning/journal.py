@@ -1,4 +1,4 @@
-"""Storage of trials in optuna's journal; it is written batch by batch, so that an interrupted tuning can resume."""
+"""Storage of trials in optuna's journal, batch by batch, so that an interrupted tuning can resume."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def quiet_optuna() -> Any:
 
 
 class Journal:
-    """File of finished trials, by name of the optuna study.
+    """File that stores the finished trials of each optuna study under the name of the study.
 
     Only one process at a time can lock the file; the lock ends with the process. An incomplete last line, which an
     interrupted process may leave, is removed.

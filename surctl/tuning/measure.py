@@ -83,15 +83,16 @@ WORST_SPEED = {"disk_margin_at_m_per_s": Quantity("m/s", "cruise speed at which 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Function object that evaluates chunks of points; it can be pickled, so that other processes can run it.
+    """Function object that evaluates chunks of points; other processes can run it, because it can be pickled.
 
     Attributes:
         cases: cases that are simulated at every point.
         names: names of the parameters, in the order of the columns of the points.
         seeds: seeds of every case that depends on the seed; the other cases are simulated once, with the first seed.
-        linear_chunks: number of chunks, the first ones, for which linear metrics are computed instead of runs.
-        cruise: cruise speeds [m/s] at which the linear metrics are computed, and the worst value is taken; if empty,
-            the speed is that of `LINEAR_COLUMNS`.
+        linear_chunks: number of chunks at the start of the sweep; linear metrics are computed for these chunks instead
+            of runs.
+        cruise: cruise speeds [m/s] at which the linear metrics are computed; the result is the worst value over these
+            speeds. If empty, the speed is the one that `LINEAR_COLUMNS` states.
     """
 
     cases: tuple[Case, ...]
@@ -103,7 +104,8 @@ class Evaluation:
     def __call__(self, index: int, points: Floats) -> Floats:
         """Evaluate points (n, axes); return the columns (n, columns).
 
-        The columns are the `linear_columns`, or else the `RUN_COLUMNS` and then the columns of every case.
+        For the first `linear_chunks` chunks, the columns are `linear_columns`. For all other chunks, the columns are
+        `RUN_COLUMNS`, followed by the columns of every case.
         """
         values = {name: points[:, k] for k, name in enumerate(self.names)}
         return self._linear(values, len(points)) if index < self.linear_chunks else self._simulated(values, len(points))
@@ -280,7 +282,7 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], c
 
 
 def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chunk: int) -> str:
-    """SHA-256 of all inputs that determine the results of a sweep and their division into chunks."""
+    """Return the SHA-256 of all inputs that determine the results of a sweep and their division into chunks."""
     lines = [f"surctl {__version__}", f"columns {tuple(METRICS)} {tuple(LINEAR_METRICS) if linear else ()}"]
     lines += [] if evaluation.has_margins or not linear else ["margins are not judged"]
     lines += [f"cruise {evaluation.cruise}"] if evaluation.cruise and linear else []
@@ -292,7 +294,7 @@ def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chun
 
 
 def law_digest(case: Case) -> str:
-    """Digest of the instruction list of the control law, without the solver of the priority mode."""
+    """Return a digest of the control law's instructions, without those of the solver of the priority mode."""
     return _law_digest(case.law, case.avoidance, case.guidance, case.barrier, case.movers)
 
 

@@ -25,7 +25,7 @@ class Miss:
         goal: the goal; None for a claim.
         run: the worst run; None for a claim.
         figure: value of the goal's metric in this run, in its unit; NaN if the run did not arrive.
-        ending: how the run ended, with its time; None for a goal about the linear loop and for a claim.
+        ending: how and at what time the run ended; None for a goal about the linear loop and for a claim.
         nominal: the worst run that misses the goal with the vehicle's own parameters; None if there is none.
         extent: the runs that miss the goal, as text; empty for a claim.
     """
@@ -60,7 +60,7 @@ class Miss:
 
 
 def value_text(goal: Goal, figure: float) -> str:
-    """Return the value of a goal's metric as text; a word if the run did not arrive or the value is not finite.
+    """Return the value of a goal's metric as text, or a word if the run did not arrive or the value is not finite.
 
     Examples:
         >>> from surctl.tuning import Goal, value_text
@@ -153,7 +153,7 @@ def advice(tuning: Tuning, *, trials: int) -> tuple[str, bool]:
 
     Args:
         tuning: a tuning that is not accepted.
-        trials: number of trials of each of its searches.
+        trials: number of trials of each search of this tuning.
 
     Example:
         >>> from surctl.control import load_gains

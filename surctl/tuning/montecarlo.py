@@ -32,7 +32,7 @@ class Counterexample:
         goal: name of the goal.
         case: name of the case.
         seed: seed of the run.
-        plant: `plant.` parameters of the simulated vehicle.
+        plant: changed parameters (`plant.…`) of the simulated vehicle.
         figure: value of the goal's metric, in its unit; NaN if the run did not arrive.
         normalised: normalised value of the goal for this run; greater than 1, except for a goal that bounds a mean.
     """
@@ -45,7 +45,7 @@ class Counterexample:
     normalised: float
 
     def condition(self, cases: Sequence[Case]) -> Condition:
-        """Return the run as a condition that counts only for the refuted goal."""
+        """Return the run as a condition of a tuning; the condition counts only for the refuted goal."""
         case = next(c for c in cases if c.name == self.case)
         return Condition(case, self.seed, dict(self.plant), (self.goal,))
 
@@ -62,10 +62,9 @@ class MonteCarlo:
     Attributes:
         runs: number of runs.
         seeds: first and last seed of the fresh runs; no seed in this range was used before.
-        missed: name of a goal → share of the goal's runs that miss its limit, run by run; a goal without a fresh run is
-            omitted.
-        normalised: name of a goal → its normalised value: of the worst run, or of the mean for a goal that bounds a
-            mean.
+        missed: share of the runs of a goal that miss its limit, by goal name; a goal without a fresh run is omitted.
+        normalised: normalised value of each goal in its worst run, by goal name; for a goal that bounds a mean, the
+            normalised value of the mean.
         counterexamples: for each refuted goal, a few of the worst runs in every case, the worst first. For a goal that
             bounds a mean, they are a few runs spread evenly from the worst run to the best.
     """
@@ -122,7 +121,7 @@ def monte_carlo(
     Args:
         goals: the goals.
         conditions: the runs.
-        gains: the gain set as gain → value.
+        gains: the gain set: the value of each gain by name.
         each: largest number of counterexamples of one goal in one case.
         threads: number of threads of the compiled loop.
     """
@@ -147,7 +146,10 @@ def monte_carlo(
 def _chosen(
     goal: Goal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
 ) -> list[int]:
-    """Return the runs that refute a goal: the worst of each case or, if it bounds a mean, runs with about that mean."""
+    """Return the indices of runs that refute a goal: the worst runs of each case.
+
+    For a goal that bounds a mean, the runs are spread evenly from the worst run to the best.
+    """
     # several normalised values may be inf: the metric then decides which run is worse, NaN first
     order = [int(k) for k in np.lexsort((-goal.badness(figure), -normalised))]
     by_case = {case: [k for k in order if cases[k] == case] for case in dict.fromkeys(cases[k] for k in order)}

@@ -39,7 +39,7 @@ class Request:
         seed: seed of the search.
         claims: points of claims' domains at which the claims must hold, as constraints of the search.
         threads: number of threads of the compiled loop; no result depends on it.
-        begun: text that names the kind of further starts, besides the start gains; empty if there are none.
+        begun: text that names the kind of further initial gain sets, besides the start gains; empty if there are none.
     """
 
     goals: tuple[Goal, ...]
@@ -91,7 +91,7 @@ class Pool:
     """Pool of simulated gain sets, with their goals and claims evaluated.
 
     Attributes:
-        sets: gain → (n,).
+        sets: values (n,) of each gain, by gain name.
         evaluation: the evaluated goals.
         claims: (n, c): excess of the claim at each of c points over its threshold; at most 0 if the claim holds at the
             point.
@@ -103,13 +103,13 @@ class Pool:
 
     @property
     def feasible(self) -> NDArray[np.bool_]:
-        """(n,): whether every hard goal is met and every claim holds at its points."""
+        """Array (n,): whether the gain set meets every hard goal and every claim holds at its points."""
         held: NDArray[np.bool_] = self.evaluation.feasible & (self.claims <= 0).all(axis=1)
         return held
 
     @property
     def constraints(self) -> NDArray[np.float64]:
-        """Constraints (n, hard goals + c): at most 0 if met.
+        """Constraint values (n, hard goals + c), for the hard goals and the c points of claims; at most 0 if met.
 
         The value of a missed goal grows with the number of runs that miss it and with the distance by which they miss
         it.
@@ -120,12 +120,13 @@ class Pool:
         return np.hstack([graded, np.minimum(self.claims, CAP)])
 
     def score(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the score (n,) of the gain sets: the largest soft goal, relative to its value with the start gains.
+        """Return the score (n,) of the gain sets, which compares the soft goals with those of the start gains.
 
-        A goal that the start gains miss is taken relative to its limit instead.
+        The score is the largest normalised value of a soft goal, divided by the value of this goal with the start
+        gains; a goal that the start gains miss is not divided.
 
-        If the score is below 1, every soft goal is met and better than with the start gains. `start` (m,): normalised
-        values with the start gains.
+        If the score is below 1, every soft goal is met and better than with the start gains. `start` holds the
+        normalised values (m,) of the goals with the start gains.
         """
         soft = np.array([g.kind == "soft" for g in self.evaluation.goals])
         # a goal that the start gains meet must not get worse; 1e-3 avoids a division by almost zero
@@ -151,7 +152,7 @@ class Pool:
         return int(np.argmin(self.merit(start)))
 
     def standing(self, start: NDArray[np.float64]) -> str:
-        """Return how far a search has come: the best score of the sets that meet the hard goals, or what is missed."""
+        """Return the progress of a search: the best score of sets that meet all hard goals, or what is missed."""
         hard = [g.name for g in self.evaluation.goals if g.kind == "hard"]
         held = int(self.feasible.sum())
         if not held:
@@ -166,7 +167,7 @@ class Pool:
         return f"best score {self.score(start)[self.best(start)]:.4f}"
 
     def front(self, start: NDArray[np.float64]) -> list[int]:
-        """Return the indices of the feasible sets that no set beats in both score and thrust, least score first."""
+        """Return the indices of the Pareto-optimal feasible sets (score and thrust), least score first."""
         score, effort = self.score(start), self.evaluation.effort
         indices: list[int] = []
         for k in np.lexsort((effort, score)):
@@ -181,7 +182,7 @@ class Pool:
         return Pool({name: values[k] for name, values in self.sets.items()}, part, self.claims[k])
 
     def gains(self, k: int) -> dict[str, float]:
-        """Return the k-th gain set as gain name → value."""
+        """Return the k-th gain set: the value of each gain by name."""
         return row(self.sets, k)
 
 

@@ -139,7 +139,9 @@ def _normalised(value: float) -> str:
 
 
 def tuning_dict(tuning: Tuning) -> dict[str, Any]:
-    """Return the result as plain data for `tuning.json`; numbers that are not finite are converted when it is written.
+    """Return the result as plain data for `tuning.json`.
+
+    Numbers that are not finite are converted when the file is written.
 
     Example:
         >>> from surctl.control import load_gains

@@ -34,7 +34,7 @@ class Refinement:
     Attributes:
         gains: the gains with the least cost found; they are the original gains if no lower cost was found.
         cost: cost of the refined gains.
-        history: one tuple for each start: the cost of the start, then the cost after each iteration.
+        history: one tuple for each start, with the cost at the start and then the cost after each iteration.
     """
 
     gains: Gains
@@ -56,21 +56,23 @@ def refine(
 ) -> Refinement:
     """Minimise a cost from the given gains, and from further random starts within the ranges.
 
-    The cost of a case is w_d deviation/R² + w_c (max(0, floor − clearance)/R)² + w_e effort/F² + w_r remaining/L with
-    hull radius R, surge thrust limit F, path length L, and the surrogates of `SURROGATES`. The cost of several cases
-    is the sum of their costs.
+    The cost of a case is w_d deviation/R² + w_c (max(0, floor − clearance)/R)² + w_e effort/F² + w_r remaining/L. Here
+    w_d to w_r are the weights, R the hull radius, F the surge thrust limit and L the path length; deviation, clearance,
+    effort and remaining are smooth surrogates of metrics (`SURROGATES`). The cost of several cases is the sum of their
+    costs.
 
     Args:
         cases: cases that `prepare` accepts; their own gains are replaced.
         gains: gains of the first start; every gain that is not in `ranges` keeps its value from them.
-        ranges: gain name → (low, high) with 0 < low < high; a start value outside the range moves to the nearest bound.
+        ranges: range (low, high) of each gain by name, with 0 < low < high; a start value outside the range moves to
+            the nearest bound.
         weights: weights by the names of `SURROGATES`; a missing weight is 0.
-        floor: clearance [m] below which a case adds cost; the soft minimum is up to about 0.1 m below the least
-            clearance.
+        floor: clearance [m] below which a case adds cost. The cost uses a smooth minimum of the clearance, which is up
+            to about 0.1 m below the least clearance.
         steps: number of control steps of every run.
         starts: number of starting points of the descent.
-        iterations: largest number of quasi-Newton iterations for each start; cost and gradient are evaluated up to
-            about three times as often.
+        iterations: largest number of quasi-Newton iterations for each start; an iteration evaluates cost and gradient
+            up to about three times.
         seed: seed of the random starts after the first, and of drift and waves.
 
     Raises:

@@ -25,11 +25,11 @@ class Round:
         score: score of the chosen gains; see `Pool.score`.
         feasible: whether the chosen gains meet every hard goal over the runs known at the end of the round.
         missed: names of the goals that the chosen gains miss over the runs known at the end of the round.
-        training: training runs that refuted gain sets with a better rank in the search.
+        training: training runs that refuted other gain sets, which ranked better in the search than the chosen gains.
         verified: result of the fresh runs; None if no fresh runs were made.
         claims: points at which a claim that should hold fails with the chosen gains.
-        others: the next best gain sets after the chosen one over the known runs, best first; the next search also
-            starts from them.
+        others: the gain sets that rank next after the chosen set over the known runs, best first; the next search also
+            starts from these sets.
     """
 
     gains: Mapping[str, float]
@@ -49,7 +49,7 @@ class Round:
 
     @property
     def fresh(self) -> tuple[Counterexample, ...]:
-        """Fresh runs that refute a goal which the tuned gains meet over the known runs."""
+        """The fresh runs that refute a goal although the tuned gains meet this goal over the known runs."""
         counterexamples = () if self.verified is None else self.verified.counterexamples
         return tuple(c for c in counterexamples if c.goal not in self.missed)
 
@@ -68,7 +68,7 @@ class Round:
 
 
 class Record:
-    """JSON file of the finished rounds of one request; it is written anew after each round.
+    """JSON file with the finished rounds of one request; the whole file is written again after each round.
 
     Args:
         folder: folder of `rounds.json`; None stores nothing.

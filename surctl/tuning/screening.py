@@ -26,7 +26,8 @@ class Screened:
     """Result of screening the gain sets of a search.
 
     Attributes:
-        request: the request of the search, extended by every refuting run as a condition for the goal that it refutes.
+        request: the request of the search, to which every refuting run is added as a condition for the goal that it
+            refutes.
         gains: the best gain set that remains; if none remains, the set that misses least.
         counterexamples: the training runs that refuted a gain set.
     """
@@ -37,7 +38,7 @@ class Screened:
 
 
 def harder(request: Request, counterexamples: Sequence[Counterexample], claims: Sequence[ClaimPoint] = ()) -> Request:
-    """Extend a request by refuting runs, as conditions of the goals they refute, and claim points, as constraints."""
+    """Extend a request: refuting runs become conditions of the goals that they refute, claim points constraints."""
     requested = [c for c in request.conditions if c.goals is None]
     known = [c for c in request.conditions if c.goals is not None]
     refuting = merged((*known, *(c.condition(request.cases) for c in counterexamples)))
@@ -45,7 +46,7 @@ def harder(request: Request, counterexamples: Sequence[Counterexample], claims: 
 
 
 def screen(request: Request, pool: Pool, *, runs: int, progress: Progress = lambda _: None) -> Screened:
-    """Simulate training runs with the best gain set, drop all sets that a failed run refutes, repeat until one passes.
+    """Simulate training runs with the best gain set and drop all sets that a failed run refutes, until a set passes.
 
     The training runs are identical for all gain sets and all rounds of a tuning; they differ from the fresh runs. A
     gain set is tested only on the goals that it meets over the runs of the search. The screening ends with a set that
@@ -94,7 +95,7 @@ def _message(runs: int, failed: int, added: int) -> str:
 
 
 def reduced_pool(request: Request, pool: Pool, *others: Mapping[str, float]) -> Pool:
-    """Simulate a smaller pool in the runs of the request: start gains, best sets, Pareto front and `others`."""
+    """Return a smaller pool, simulated in the runs of a request: start gains, best sets, Pareto front, `others`."""
     start = pool.evaluation.normalised[0]
     best = pool.ranked(start)[:_SHORT]
     front = pool.front(start)

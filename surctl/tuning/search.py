@@ -1,8 +1,9 @@
 """One search for gains: optuna's NSGA-II with batches of compiled runs, then a descent from the best gain sets.
 
-The search minimises two objectives: the score and the mean thrust. As in systune, the score is the largest soft goal;
-each goal is divided by its value with the start gains or, if they miss it, by its limit. Two objectives can be plotted;
-with one objective per goal, nearly every trial would be undominated. Hard goals and claims are constraints.
+The search minimises two objectives: the score and the mean thrust. As in MATLAB's systune, the score is the largest
+normalised value of a soft goal. If the start gains meet a goal, its normalised value is first divided by the value with
+the start gains. Two objectives can be plotted; with one objective per goal, nearly every trial would be Pareto-optimal.
+Hard goals and claims are constraints.
 """
 
 from __future__ import annotations

@@ -91,7 +91,10 @@ def gain_ranges(
 
 
 def default_tuned(base: Gains) -> tuple[str, ...]:
-    """Return the gains that are tuned if no gain is named: a law's own gains and the velocity loops', else `TUNED`.
+    """Return the names of the gains that are tuned if no gain is named.
+
+    If the law defines additional gains, these are tuned together with the gains of the velocity loops; otherwise the
+    gains in `TUNED` are tuned.
 
     Example:
         >>> from surctl.control import load_gains

@@ -31,10 +31,11 @@ def starting_sets(
 ) -> list[dict[str, float]]:
     """Return gain sets, within the search space, that a search simulates before it samples gain sets at random.
 
-    Each vehicle of the request gives one set, if the law has the linear loop of `lqr_start`: this start, with the start
-    values of the request for the other gains. If `descend` is true, one more set is returned: the start gains of the
-    request, refined by exact gradients (`refine`) over those cases that use mode nsb (closed form) and true positions.
-    The refinement is optional, because one gradient costs as much computing time as about a thousand compiled runs.
+    For each vehicle of the request, one set is returned if the law has the linear loop that `lqr_start` assumes: the
+    gains of `lqr_start`, and the start values of the request for all other gains. If `descend` is true, one more set is
+    returned: the start gains of the request after refinement by exact gradients (`refine`), which uses the cases with
+    mode nsb (closed form) and true positions. The refinement is optional, because one gradient costs as much computing
+    time as about a thousand compiled runs.
     """
     sets = []
     for case in {c.vehicle.name: c for c in request.cases if has_cascade(c.law, c.guidance)}.values():
@@ -67,10 +68,11 @@ def lqr_start(
     The regulator (python-control's `lqr`) neglects thrust lag and delay and feeds back every state to every thrust, but
     the cascade has only six gains. The six gains are fitted by least squares in their logarithms. The fit compares the
     thrust that the regulator commands with the thrust that the cascade commands, both as shares of the thrust limits,
-    for state deviations of the size that q allows. Feedback paths that the cascade does not have (for example from sway
-    to surge) are not part of the fit. The weights are then changed until the cascade with lag and delay has the margin:
-    each time r is doubled, and the weights of position and heading are divided by √2, because slower inner loops
-    require slower outer loops. k_i is not among the gains, because guidance already integrates position.
+    for state deviations of the size that the weights q allow. Feedback paths that the cascade does not have (for
+    example from sway to surge) are not part of the fit. The weights are then changed until the cascade with lag and
+    delay has this disk margin: in each change, r is doubled, and the weights of position and heading are divided by √2,
+    because slower inner loops require slower outer loops. k_i is not among the gains, because guidance already
+    integrates position.
 
     Args:
         vehicle: the vehicle, used both as plant and as the controller's model.
@@ -82,7 +84,7 @@ def lqr_start(
 
     Raises:
         InputError: weights have the wrong shape or sign, the vehicle cannot hold the cruise speed, or no fitted gains
-            have the margin.
+            have the disk margin.
 
     Example:
         >>> from surctl.tuning import lqr_start
@@ -112,9 +114,9 @@ def lqr_start(
 
 
 def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> InputError:
-    """Return an InputError with the reason why no fitted gains have the margin.
+    """Return an InputError with the reason why no fitted gains have the required disk margin.
 
-    The reason is the cruise speed, the control period, or neither of them alone.
+    The error names the cruise speed or the control period if one of them alone is the reason.
     """
     missing = f"no fitted cascade has a disk margin of {_DISK_FLOOR:g}"
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
@@ -131,7 +133,7 @@ def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
 def _fit(
     vehicle: Vehicle, K: NDArray[np.float64], q: NDArray[np.float64], *, cruise: float, dt: float
 ) -> dict[str, float]:
-    """Fit the cascade gains: their feedback matrix is as near to K (4, 8) as possible.
+    """Return the cascade gains whose feedback matrix is as near as possible to the LQR feedback matrix K (4, 8).
 
     Both matrices are scaled by the thrust limits and the largest deviations.
     """

@@ -62,8 +62,8 @@ def sweep(
         linear: whether to compute the linear metrics too; they are computed once for each combination of the parameters
             on which they depend.
         cruise: cruise speeds [m/s] of the linear metrics; every metric is the worst over these speeds, and the column
-            `disk_margin_at_m_per_s` is the speed with the least disk margin. By default every vehicle has its largest
-            cruise speed.
+            `disk_margin_at_m_per_s` is the speed with the least disk margin. By default, the linear metrics of a
+            vehicle are computed at its largest cruise speed.
         executor: executor of the chunks; by default the calling process. The results do not depend on the executor.
         out: folder of `sweep.nc`; None stores no file. Until the file is complete, finished chunks are stored beside
             it; an identical request resumes from these chunks. A finished `sweep.nc` of another request is renamed, and

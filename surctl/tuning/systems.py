@@ -1,4 +1,4 @@
-"""Tuning of any system: gains with the least cost whose other costs and disk margin keep their bounds."""
+"""Tuning of any system: minimise one cost over the gains, with bounds on the other costs and the disk margin."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class SystemTuning:
 
     Attributes:
         objective: name of the minimised cost.
-        gains: the chosen gains by name; those nearest to the bounds if no gain set keeps all.
-        costs: costs of the chosen gains, means over the cases; infinite if a run ends early.
+        gains: the chosen gains by name; if no gain set satisfies all bounds, the gains that are nearest to the bounds.
+        costs: costs of the chosen gains as means over the cases; infinite if a run ends early.
         before: costs of the system's own gains.
         disk_margin: disk margin of the sampled loop at the first case, with all commands opened at once; None if the
             loop has no equilibrium there.
@@ -66,7 +66,8 @@ def tune_system(
     """Search gains that minimise a cost of a system, by scipy's differential evolution over compiled runs.
 
     A gain set is feasible if no run ends early, every cost is at most its bound (`Cost.at_most`), and the disk margin
-    is at least `least_disk_margin`. The margin is computed for the cheapest sets only: it takes longer than a run.
+    is at least `least_disk_margin`. The disk margin is computed only for the sets with the least cost, because its
+    computation takes longer than a run.
 
     Args:
         system: the closed loop.
@@ -114,7 +115,7 @@ def tune_system(
     search = _Search(system, seconds, names, dict(cases or {}), name, threads)
 
     def cost_of(points: Array) -> Array:
-        """Return the penalised cost of each column of `points`, as differential evolution wants it."""
+        """Return the penalised cost of each gain set, that is, of each column of `points`."""
         sets = np.clip(np.where(logarithmic[:, None], np.exp(points), points), low[:, None], high[:, None])
         return search.penalised(sets.T)
 
@@ -180,7 +181,7 @@ class _Search:
         return np.column_stack(columns)
 
     def excess(self, figures: Array) -> Array:
-        """Return by how much each bounded cost (sets, costs) exceeds its bound, relative to the bound; else 0."""
+        """Return (sets, costs) by how much each cost exceeds its bound, relative to the bound; 0 within the bound."""
         bounds = np.array([np.inf if c.at_most is None else c.at_most for c in self.system.costs.values()])
         bounded, finite = np.isfinite(bounds), np.isfinite(figures)
         over = np.zeros(figures.shape)
@@ -189,10 +190,10 @@ class _Search:
         return np.maximum(np.where(finite, over, np.inf), 0.0)
 
     def penalised(self, sets: Array) -> Array:
-        """Simulate gain sets, remember them, and return the objective to minimise.
+        """Simulate gain sets, store them with their costs, and return the values that the search minimises.
 
-        A set that breaks a bound counts as a large number that grows with the excess; a set with runs that end early
-        counts as a still larger number, which is smaller the later they end.
+        For a set that breaks a bound, the value is a large number that grows with the excess. For a set with runs that
+        end early, the value is a still larger number, which decreases if the runs end later.
         """
         figures = self.costs(sets)
         self.sets.append(sets)
@@ -203,7 +204,7 @@ class _Search:
         return np.where((excess > 0) | ~np.isfinite(value), _WORSE * (1 + excess), np.minimum(value, _WORSE))
 
     def chosen(self, least: float) -> SystemTuning:
-        """Return the cheapest gain set that keeps every bound; if none does, the set that comes nearest."""
+        """Return the gain set with the least cost that satisfies every bound, or else the set nearest to the bounds."""
         sets, figures = np.vstack(self.sets), np.vstack(self.figures)
         value = figures[:, list(self.system.costs).index(self.objective)]
         excess = self.excess(figures).sum(axis=1)
@@ -231,7 +232,7 @@ class _Search:
         )
 
     def margin(self, gains: Array) -> float | None:
-        """Return the disk margin at the first case with all commands opened; None without an equilibrium."""
+        """Return the disk margin at the first case with all commands opened at once; None without an equilibrium."""
         first = {name: a if a.ndim == 0 else a[:1] for name, a in self.cases.items()}
         try:
             linear = linearise(self.system, {**first, **dict(zip(self.names, gains.tolist(), strict=True))})

@@ -25,7 +25,7 @@ DISK_FLOOR = 0.6  # least disk margin of a feasible point: 33° and a gain facto
 
 @dataclass(frozen=True, eq=False)
 class SweptAxis:
-    """A parameter of a sweep with its unit and values: the grid values, or for other designs one value per point."""
+    """A parameter of a sweep with its unit and values: the values of a grid, or one value per point otherwise."""
 
     name: str
     unit: str
@@ -152,7 +152,7 @@ class SweepTable:
 
 
 def judged(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns of score and feasibility, computed from other columns.
+    """Return the columns of score and feasibility, which are computed from the given columns.
 
     The path error is not part of the score, because it covers only the time outside avoidance, and the gains change
     this time.

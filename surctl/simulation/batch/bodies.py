@@ -28,11 +28,11 @@ class Body:
     """An obstacle at one instant, as CasADi expressions.
 
     Attributes:
-        centre: (2, 1) centre of the obstacle in {E} [m].
+        centre: (2, 1) centre of the obstacle in the earth frame {E} [m].
         size: (2, 1) edge lengths of a box, or (1, 1) radius of a disc [m].
         velocity: (2, 1) velocity of the obstacle in {E} [m/s].
         present: 1 if the obstacle is in the water, 0 after its removal.
-        moving: whether the base station tracks the obstacle.
+        moving: whether the base station (an external sensor for moving obstacles) tracks the obstacle.
         heights: (2, 1) z of the obstacle's bottom and top [m]; None if it fills the whole water column.
     """
 
@@ -49,7 +49,9 @@ class Body:
         return bool(self.size.numel() == 2)
 
     def clearance(self, position: ca.SX) -> ca.SX:
-        """Return the signed distance [m] from a point to the obstacle's surface; `ABSENT` if the obstacle is absent.
+        """Return the signed distance [m] from a point to the obstacle's surface.
+
+        If the obstacle is absent, the distance is the constant `ABSENT`.
 
         A point (2, 1) gives the planar distance; a point (3, 1) gives the distance in 3D if the obstacle has `heights`.
         """
@@ -61,13 +63,16 @@ class Body:
         return ca.if_else(self.present, distance, ABSENT)
 
     def beside(self, z: ca.SX, hull: ca.SX) -> Body:
-        """Return the obstacle, marked as present only if a hull of this radius [m] at z can touch it."""
+        """Return a copy of the obstacle, present only if a hull of radius `hull` [m] at height z [m] can touch it."""
         if self.heights is None:
             return self
         return replace(self, present=ca.logic_and(self.present, self._gap(z) < hull + BAND))
 
     def over_and_under(self, place: ca.SX, hull: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the free water [m] that the obstacle leaves above and below a hull at `place`, at most `LONGEST`."""
+        """Return the free water [m] above and below a hull at `place` up to the obstacle.
+
+        Both values are limited to the constant `LONGEST`.
+        """
         if self.heights is None:
             return ca.SX(LONGEST), ca.SX(LONGEST)
         bottom, top, z = self.heights[0], self.heights[1], place[2]
@@ -91,7 +96,10 @@ class Body:
         return distance
 
     def contact(self, position: ca.SX) -> ca.SX:
-        """Return the contact (1, 6): x, y, radius, vx, vy, valid; a box is given by its point nearest to `position`."""
+        """Return the obstacle as input of the law: a row (1, 6) with x, y, radius, vx, vy, and 1 if it is present.
+
+        For a box, the row holds the box's point nearest to `position`, with radius 0.
+        """
         if self.boxed:
             half = 0.5 * self.size
             point = self.centre + ca.fmin(ca.fmax(position - self.centre, -half), half)
@@ -103,14 +111,14 @@ class Body:
 
     @property
     def solid(self) -> Solid:
-        """The obstacle as a surface that reflects the sonar pulses."""
+        """The surface of the obstacle, which reflects the sonar pulses."""
         if self.boxed:
             return SolidBox(self.centre, self.size, present=self.present)
         return SolidDisc(self.centre, self.size, present=self.present)
 
 
 def kind_of(obstacle: Obstacle, *, drifting: bool) -> BodyKind:
-    """Return the kind of the obstacle (shape, motion), which is fixed in the compiled loop."""
+    """Return the kind (shape and motion) of the obstacle; the kind cannot change after the loop is compiled."""
     if obstacle.shape == "moving":
         return "mover"
     if obstacle.shape == "box":
@@ -124,7 +132,7 @@ def body_size(kind: BodyKind) -> int:
 
 
 def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
-    """Return the obstacle at a time [s], computed from the parameter values of `body_columns`."""
+    """Return the obstacle at a time [s], computed from the parameter values that `body_columns` returns."""
     start = numbers[:2]
     if kind == "mover":
         direction, distance, speed, stays = numbers[3:5], numbers[5], numbers[6], numbers[7]
@@ -157,10 +165,10 @@ def body_columns(
         kind: kind of the obstacle, from `kind_of`.
         number: function that returns the values of an obstacle parameter; its argument is the last part of the
             parameter's name.
-        values: changed parameter values by full name; from these names the function sees whether the radius was
+        values: values of the changed parameters, by full name of the parameter; the names show whether the radius was
             changed.
         hull: (n,) hull radius [m]; a moving obstacle without a stated radius takes this radius.
-        direction: (n, 2) unit vector of the drift.
+        direction: (n, 2) unit vector along the obstacle's drift (a sinusoidal motion).
         phase: (n,) phase of the drift [rad].
     """
     x, y = number("x"), number("y")

@@ -31,8 +31,8 @@ class Case:
     Attributes:
         scenario: the mission.
         vehicle: the simulated vehicle.
-        gains: the law's gains; gains of a law's own that are missing take their defaults.
-        law: reference of the law, see `law_ref`.
+        gains: the law's gains; if the law defines additional gains, missing ones take their defaults.
+        law: text that identifies the law, see `law_ref`.
         avoidance, mode, guidance, barrier, movers: further options of the law, as for `build_law`.
         sensing: kind of sensing: `truth` (exact positions) or `sonar`, as for `simulate`.
         model: vehicle model of the controller; None: the simulated vehicle.
@@ -86,7 +86,7 @@ class CaseParameter:
         meaning: description of the parameter.
         value: value of the parameter before any change.
         low, high: bounds of the parameter; `low` itself is not allowed if `open_below` is true.
-        range: range of the parameter that the vehicle file states, or None.
+        range: range that the vehicle file states for the parameter, or None.
     """
 
     name: str
@@ -248,7 +248,7 @@ def check_values(case: Case, values: Mapping[str, Vector]) -> None:
 
 
 def check_speeds(case: Case, values: Mapping[str, Vector]) -> None:
-    """Raise InputError if the cruise speed is above the speed cap.
+    """Raise InputError if the cruise speed is above the speed cap, the largest speed that the law may command.
 
     Example:
         >>> from surctl.control import load_gains

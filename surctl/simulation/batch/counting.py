@@ -36,7 +36,10 @@ def counted(
     gap: ca.SX,
     leg: ca.SX,
 ) -> dict[str, ca.SX]:
-    """Return the state variables of the metrics after the present control step, see `metrics.METRICS`."""
+    """Return the sums, counts and maxima from which the metrics follow, updated for the present control step.
+
+    `metrics.METRICS` defines the metrics.
+    """
     place, depth = old["plant"][:2], old["plant"][2]
     square = _path_square(w["waypoints"], leg, place)
     away = ca.sqrt(square)
@@ -62,9 +65,10 @@ def counted(
 
 
 def _path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
-    """Return the squared distance [m²] to the nearest of the current path segment and its two neighbours.
+    """Return the squared distance [m²] from `point` to the path near the current segment (number `leg`).
 
-    Segments between repeated waypoints count as points.
+    The distance is the smallest distance to the current segment and its two neighbours. A segment between two equal
+    waypoints counts as a point.
     """
     best = ca.SX(1e30)
     for k in range(MAX_WAYPOINTS - 1):

@@ -64,7 +64,7 @@ def simulate_batch(
     threads: int = 1,
     engine: Engine = "auto",
 ) -> BatchResult:
-    """Simulate one run for each pair of parameter values and seed; values and seeds are broadcast against each other.
+    """Simulate one run for each set of parameter values with its seed; a single value or seed holds for all runs.
 
     The result of a run depends only on its own parameter values and seed, not on `threads` or the other runs. The
     metrics equal those of `simulate` with the same setup and seed, except for the last digits. A run that starts inside
@@ -126,7 +126,9 @@ def simulate_batch(
 
 @cache
 def compiled_loop(structure: Structure) -> Batch:
-    """Return the compiled loop of a loop structure, newly compiled or from the cache.
+    """Return the compiled loop of a loop structure (the part of a setup that is fixed at compilation).
+
+    The loop is compiled now, or it comes from the cache of compiled loops.
 
     Raises:
         ToolMissing: there is no C compiler.

@@ -1,6 +1,6 @@
-"""Sensing in a closed loop as CasADi expressions: sonar echoes, delayed position fixes and messages.
+"""Sensors of the closed loop as CasADi expressions: sonars, position measurement, and messages about obstacles.
 
-The module is the counterpart of the methods `_listen` and `_measurements` of `simulation.loop.Loop`.
+The module computes the same sensor values as the methods `_listen` and `_measurements` of `simulation.loop.Loop`.
 """
 
 from __future__ import annotations
@@ -36,13 +36,16 @@ __all__ = ["Listening", "flat", "slots"]
 
 
 class Listening:
-    """Sonars, base station and own-state measurement of a loop structure whose law uses these sensors."""
+    """The sensors of a compiled loop: sonars, base station, and measurement of the robot's own state.
+
+    The base station sends messages about the moving obstacles.
+    """
 
     def __init__(self, structure: Structure, law: Law) -> None:
         self.structure, self.law = structure, law
 
     def ports(self) -> tuple[Port, ...]:
-        """Return the state variables of a run that sensing needs, as named ports."""
+        """Return the entries (name, size, unit) that the sensors add to the state of a run."""
         array = self.structure.equipment.array
         return (
             *self.echoes.ports,
@@ -53,13 +56,13 @@ class Listening:
 
     @cached_property
     def echoes(self) -> Layout:
-        """The state layout for the last echoes of each sonar and for its fault state."""
+        """State entries (name, size, unit) that store the last echoes of each sonar and the state of its faults."""
         array = self.structure.equipment.array
         return Layout(fault_ports(array, delays=self.structure.delays, prefix="sonar_"))
 
     @cached_property
     def late(self) -> Layout:
-        """The state layout for measurements that have not been delivered yet."""
+        """State entries (name, size, unit) that store delayed measurements until the law receives them."""
         if self.law.perception is None:
             return Layout(())
         own, station = self.structure.equipment.own, self.structure.equipment.station
@@ -99,11 +102,12 @@ class Listening:
         return len(self._plan.sensors[0])
 
     def draw(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Draw the noise of one control step, see `simulation.loop._StepNoise`.
+        """Draw the noise of one control step, as `simulation.loop._StepNoise` defines it.
 
-        The result is the noise of the own-state measurement, of the message and of its loss; the firing noise goes into
-        `out`. `movers` is the number of moving obstacles, if it differs between runs; absent obstacles use no random
-        numbers.
+        The function returns three expressions: the noise of the own-state measurement, the noise of the base station's
+        message, and the random number that decides whether the message is lost. It writes the noise of the sonars to
+        `out`. `movers` is the number of moving obstacles if this number differs between runs; absent obstacles use no
+        random numbers.
         """
         count = self.normals
         if movers is None:
@@ -131,7 +135,7 @@ class Listening:
         loss: ca.SX,
         out: dict[str, ca.SX],
     ) -> dict[str, ca.SX]:
-        """Return the measurements of camera, IMU and base station, as `_measurements` of `simulation.loop.Loop`."""
+        """Return the measurements of camera, IMU and base station, by the name of the law's input."""
         equipment, dt, step = self.structure.equipment, self.law.dt, state["step"]
         own, station = equipment.own, equipment.station
         if self.law.perception is None:
@@ -173,7 +177,7 @@ class Listening:
         *,
         instant: int,
     ) -> tuple[dict[str, ca.SX], ca.SX]:
-        """Return the echo state after one firing instant, and flags (sensors, 1) of the sonars whose echo arrived."""
+        """Return the stored echoes after one firing instant, and (sonars, 1): 1 for a sonar whose echo arrived."""
         structure, plan, wide = self.structure, self._plan, self._wide
         array, samples = structure.equipment.array, structure.equipment.array.samples
         after = {name: value for name, value in echoes.items() if name.startswith("sonar_")}
@@ -219,7 +223,7 @@ class Listening:
 
 
 def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOTS) -> ca.SX:
-    """Return the law's contacts (k, 6): all contacts, or the `most` nearest ones in unchanged order."""
+    """Return the obstacle points for the law (k, 6): all `rows`, or the `most` nearest ones in unchanged order."""
     if len(rows) <= most:
         return ca.vertcat(ca.SX(0, 6), *rows)
     slots, filled = [ca.SX.zeros(1, 6) for _ in range(most)], ca.SX(0)

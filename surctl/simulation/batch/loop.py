@@ -1,8 +1,8 @@
-"""One control period of the closed loop as a CasADi function: world, sensing, law, plant and metrics in one state.
+"""One control period of the closed loop (world, sensors, law, plant and metrics) as one CasADi function.
 
 The module writes the loop of `simulation.loop.simulate` as CasADi expressions, so that a whole run can be compiled,
-differentiated or run in CasADi's virtual machine. The compiled loop and the reference loop are written independently,
-and the tests compare their results.
+differentiated or run in CasADi's virtual machine. The two versions of the loop are written independently, and the tests
+compare their results.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ class Loop:
 
     Attributes:
         law: the law of the loop.
-        state: layout of a run's state vector; the run ends when the first entry `done` is 1.
+        state: layout of a run's state vector; the run ends when the vector's first entry, `done`, becomes 1.
         parameters: layout of a run's parameter vector.
-        step: function (state, parameters) → next state that simulates one control period.
+        step: function that simulates one control period; from a run's state and parameters it computes the next state.
     """
 
     structure: Structure
@@ -287,7 +287,10 @@ class _Builder:
         return recording.block("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
 
     def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:
-        """Return the counts of control periods since the law stopped or gave up, and the stop code at their limits."""
+        """Return the number of control periods in which the law gave up or stopped, and the stop code of the run.
+
+        The code is 0 until a number of periods reaches its limit.
+        """
         law, counts, stop = self.law, {}, ca.SX(0)
         if "trapped" in law.outputs:
             counts["standing"] = old["standing"] + (telemetry[law.telemetry_slice("trapped")] > 0.5)

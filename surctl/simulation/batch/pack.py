@@ -37,7 +37,7 @@ class Packed:
     Attributes:
         state: (n, …) initial state of each run.
         parameters: (n, …) parameter vector of each run.
-        steps: largest number of control periods that any of the runs may take.
+        steps: upper limit of the number of control periods, over all runs.
     """
 
     state: Columns
@@ -46,7 +46,7 @@ class Packed:
 
 
 def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
-    """Return the loop structure to compile; an obstacle may drift if its drift amplitude is positive in any run."""
+    """Return the loop structure to compile; it lets an obstacle drift if the drift amplitude is positive in any run."""
     kinds = []
     for obstacle in case.scenario.obstacles:
         moved = values.get(f"obstacle.{obstacle.name}.drift", np.asarray(obstacle.drift_m))
@@ -88,7 +88,7 @@ def pack(case: Case, loop: Loop, values: Mapping[str, Columns], seeds: NDArray[n
 
     Args:
         case: the simulated setup (scenario, vehicle, law).
-        loop: loop of `structure_of(case, values)`.
+        loop: the loop built for the structure that `structure_of(case, values)` returns.
         values: (n,) values by parameter name, already checked by `check_values`.
         seeds: (n,) seed of each run.
     """

@@ -19,7 +19,7 @@ class Structure:
     """The part of a simulation setup that is fixed in the compiled loop; every other number is a parameter of each run.
 
     Attributes:
-        equipment: the sensors; the hull radius of the sonars matters only if the sonars have mounts.
+        equipment: the sensors; the hull radius matters only if the mounting points of the sonars are stated.
         faults: number of scheduled sonar faults that a run can hold.
         chances: whether random sonar faults may occur.
         delays: whether one of the scheduled faults is a delay.
@@ -52,7 +52,7 @@ class Structure:
 
     @property
     def moving(self) -> bool:
-        """Whether the contacts of the law may move."""
+        """Whether the obstacle points that the law receives may move."""
         return self.sensing == "sonar" or any(kind not in ("box", "disc") for kind in self.bodies)
 
     @property
@@ -67,5 +67,5 @@ class Structure:
 
     @property
     def contacts(self) -> int:
-        """Number of contacts that the law receives."""
+        """Number of obstacle points that the law receives."""
         return min(CONTACT_SLOTS, self.movers if self.sensing == "sonar" else len(self.bodies))

@@ -1,4 +1,4 @@
-"""The assumptions of the safety claim, and a check which of them a random run violates."""
+"""Check which assumptions of the safety claim (the hull never hits an obstacle) a random run violates."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ MEANINGS: Mapping[str, str] = {
 def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fastest: float) -> tuple[str, ...]:
     """Return the names of the violated assumptions in a fixed order; empty if every checked assumption holds.
 
-    `obstacle speed`: an obstacle moves or drifts faster than `fastest`. `detection`: at the worst values of its ranges,
-    the vehicle needs more than the detection range to stop from the speed cap before the fastest obstacle. `thrust`: a
-    drawn thrust limit is less than 85 % of the stated limit. `range`: a drawn number is outside its stated range.
-    `margin` (guarded law only): to brake before an obstacle at rest, the simulated vehicle needs more than the law's
-    margin, including the force of its mass difference in a turn (`margin_needed`). `hull`: `end_findings` reports that
-    the hull does not fit at the start or at the target; gaps between start and target are not checked.
+    `obstacle speed`: an obstacle moves or drifts faster than `fastest`. `detection`: with the worst values of its
+    parameter ranges, the vehicle cannot stop from its largest allowed speed within the detection range, before the
+    fastest obstacle reaches the hull. `thrust`: a drawn thrust limit is less than 85 % of the stated limit. `range`: a
+    drawn number is outside its stated range. `margin` (guarded law only): to brake before an obstacle at rest, the
+    simulated vehicle needs a larger distance than the law's gain `margin`; the function `margin_needed` computes this
+    distance and includes the force on a turning hull with m11 ≠ m22. `hull`: `end_findings` reports that the hull does
+    not fit at the start or at the target; gaps between start and target are not checked.
 
     Args:
         case: the simulated setup; the law's model is `case.model`, or `case.vehicle` if there is no model.
@@ -70,9 +71,9 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
 
 
 def _stops(case: Case, draw: Mapping[str, float]) -> bool:
-    """Return whether the law's margin is enough for the simulated vehicle.
+    """Return whether the law's gain `margin` is enough for the simulated vehicle to brake before an obstacle at rest.
 
-    Impossible parameter values return True, because the assumption `range` reports them.
+    For impossible parameter values the function returns True, because the assumption `range` reports these values.
     """
     believed = case.model or case.vehicle
     try:

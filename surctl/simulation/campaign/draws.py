@@ -29,7 +29,7 @@ class MonteCarlo(SeededPlan):
     """Runs of a scenario with random plants, obstacles and seeds, see `Uncertainty`.
 
     Raises:
-        InputError: the obstacles cover the start at their largest possible size.
+        InputError: an obstacle of the largest possible size covers the start.
     """
 
     def __post_init__(self) -> None:
@@ -100,7 +100,7 @@ def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> 
 
 
 def obstacle_values(obstacles: Sequence[Obstacle]) -> dict[str, float]:
-    """Return the drawn sizes and speeds of the obstacles by parameter name."""
+    """Return the sizes and speeds of the drawn obstacles by parameter name."""
     values: dict[str, float] = {}
     for o in obstacles:
         if o.size_m is not None:

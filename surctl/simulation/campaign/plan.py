@@ -1,4 +1,4 @@
-"""One run of a campaign for the reference loop, and plans that generate many runs."""
+"""A single random run of a campaign, and plans that generate many random runs."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class SampledRun:
 
     Attributes:
         case: the setup with the scenario of this run; its vehicle is the law's model unless `case.model` is set.
-        seed: seed of all remaining random choices.
-        draw: parameters in which the simulated vehicle differs from the vehicle of `case`, by name, in the file's
-            units.
+        seed: seed of all random choices except those in `draw`.
+        draw: parameters in which the simulated vehicle differs from the vehicle of `case`, by name, in the units of the
+            vehicle file.
     """
 
     case: Case
@@ -35,7 +35,7 @@ class SampledRun:
     draw: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def simulate(self) -> Run:
-        """Simulate the run in the reference loop.
+        """Simulate the run with `simulate`, that is, without compiled code.
 
         Raises:
             InputError: the hull starts inside an obstacle, or a drawn number is outside the range in the vehicle file.
@@ -57,7 +57,7 @@ class SeededPlan:
     """Base class of all plans that draw every run from a seed; run k has the seed `first` + k.
 
     Attributes:
-        case: the compiled setup; every run is this setup, except for the values that are drawn.
+        case: the setup whose loop is compiled; the runs differ from this setup only in the drawn values.
         first: seed of the first run, at least 0.
     """
 
@@ -75,7 +75,7 @@ class SeededPlan:
 
 
 class Plan(Protocol):
-    """The generator of the runs of a campaign; run k depends only on k."""
+    """Interface of a plan, which generates the runs of a campaign; run number k depends only on k."""
 
     @property
     def name(self) -> str:
@@ -83,7 +83,7 @@ class Plan(Protocol):
 
     @property
     def case(self) -> Case:
-        """The compiled setup; every run is this setup with its own parameter values."""
+        """The setup whose loop is compiled; every run is this setup with different parameter values."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -96,7 +96,7 @@ class Plan(Protocol):
         """Return the drawn values (count,) of the runs from number `first` on, by parameter name."""
 
     def run(self, k: int) -> SampledRun:
-        """Return run number k as a single run for the reference loop."""
+        """Return run number k as a single run, which can be simulated without compiled code."""
 
     def settings(self) -> Mapping[str, object]:
         """Return the settings, besides the setup, that the runs depend on, as plain data."""

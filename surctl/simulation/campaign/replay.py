@@ -83,7 +83,7 @@ class Replay:
         """Return the text of the replay file.
 
         Raises:
-            InputError: a file cannot describe the sonars of the scenario.
+            InputError: the scenario has sonars that a file cannot describe.
         """
         run, case = self.run, self.run.case
         table: dict[str, Any] = {
@@ -138,7 +138,7 @@ def replay_of(run: SampledRun, row: Mapping[str, Any], *, campaign: str) -> Repl
 
 
 def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
-    """Read the file of a run; `trust` lets it run the Python file of a law of the user's own.
+    """Read the file of a run; only if `trust` is true may the function run the Python file of a user's own law.
 
     Raises:
         InputError: the file does not exist, or does not describe a run that can be simulated.

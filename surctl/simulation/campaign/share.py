@@ -11,7 +11,7 @@ __all__ = ["Share"]
 
 @dataclass(frozen=True)
 class Share:
-    """The number of independent runs in which an event happens, out of all runs.
+    """The number of runs in which an event happens, out of a number of independent runs.
 
     Attributes:
         count: number of runs with the event, between 0 and `runs`.

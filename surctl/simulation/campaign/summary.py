@@ -30,7 +30,8 @@ class Summary:
         clearance_m: percentiles of the smallest clearance of all runs [m]; empty without obstacles and walls.
         broken: number of collided runs that violate an assumption, by assumption; the entry `none` counts collided runs
             that violate no assumption.
-        inside: share of collisions among the runs that violate no assumption; None if every run violates an assumption.
+        inside: share of collided runs among the runs that violate no assumption; None if every run violates an
+            assumption.
         violated: number of runs, collided or not, that violate an assumption, by assumption.
     """
 
@@ -53,7 +54,10 @@ class Summary:
         }
 
     def lines(self, *, claim: bool = True) -> list[str]:
-        """Return the summary as lines; with `claim`, also those about the no-contact claim, if the law has one."""
+        """Return the summary as lines of text.
+
+        If `claim` is true, the text includes the claim that the hull touches no obstacle, if the law has this claim.
+        """
         lines = []
         for reason in ("collision", "time limit", "standstill", "dead end", "fault"):
             s = self.stopped[reason]

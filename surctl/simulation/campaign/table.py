@@ -47,7 +47,10 @@ class RunTable:
         return STOPS[round(float(self.column("stopped")[k]))]
 
     def worst(self, count: int) -> list[int]:
-        """Return the indices of the worst runs: collisions first, then runs that did not arrive, then by clearance."""
+        """Return the indices of the worst runs: first collided runs, then runs that did not arrive, then the rest.
+
+        Within these three groups, runs with a smaller clearance come first.
+        """
         collided, reached = self.column("collided"), self.column("reached")
         order = np.lexsort((self.seeds, self.column("min_clearance_m"), reached, -collided))
         return [int(k) for k in order[:count]]
@@ -62,7 +65,7 @@ class RunTable:
         return {**result, "broken_assumptions": list(self.broken[k]), "draw": draw}
 
     def to_csv(self) -> str:
-        """Return all runs as CSV, one line per run, every number with all its digits."""
+        """Return all runs as CSV text with one line per run; every number is written with all its digits."""
         text = io.StringIO()
         names = [name for name in METRICS if name != "stopped"]
         writer = csv.writer(text, lineterminator="\n")

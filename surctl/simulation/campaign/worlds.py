@@ -51,8 +51,8 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     The path goes straight through the 10 x 5 m tank, as in the paper. Still obstacles lie inside the tank and do not
     overlap. A moving obstacle goes in a straight line clear of the still obstacles, starts away from the robot, ends
     away from the target, and is removed at its end. Two moving obstacles always leave a gap that is 0.1 m wider than
-    the hull. A moving obstacle may press the hull against a wall or a still obstacle. `findings` reports no error for
-    such a world: the hull fits at both ends and in the tightest gap of its path.
+    the hull. A moving obstacle may press the hull against a wall or a still obstacle. The function `findings` reports
+    no error for such a world: the hull fits at the start, at the target, and in the tightest gap of the path.
 
     Args:
         vehicle: the vehicle that must fit into the world.
@@ -81,7 +81,7 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
 
 
 def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the tank with the given obstacles, as the table of a scenario file."""
+    """Return the content of a scenario file (a TOML table) that describes the tank with the given obstacles."""
     return {
         "kind": "scenario",
         "name": name,
@@ -115,7 +115,7 @@ def world_template(vehicle: Vehicle) -> Scenario:
 
 @dataclass(frozen=True)
 class RandomWorlds(SeededPlan):
-    """Plan of runs in random worlds for one compiled loop; run k takes place in the world of its seed.
+    """Plan of runs in random worlds, which one compiled loop simulates; the seed of a run determines its world.
 
     The simulation setup has the scenario of `world_template`, with sensors, time limit and other settings that all
     worlds share.
