@@ -32,7 +32,7 @@ class Mutant:
     """A bundle with one deliberate error in its C text.
 
     Attributes:
-        kind: sign, operator, gain, guard or memory.
+        kind: what is wrong: sign, operator, gain, guard (input check) or memory.
         file: name of the changed C file.
         line: number of the changed line, from 1.
         old, new: `old` is the text before the change, `new` the text after the change.

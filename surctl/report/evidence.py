@@ -124,7 +124,7 @@ def plot_counterexample(verdict: Verdict, ax: Axes | None = None) -> Axes:
 
 
 def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) -> Axes:
-    """Plot the watched quantity along the replayed motion, and the bound that the claim sets for it.
+    """Plot the quantity whose rate the claim bounds along the replayed motion, and its bound by the claim.
 
     Raises:
         InputError: the verdict has no counterexample, or the replay has no motion.
@@ -157,7 +157,7 @@ def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) ->
 
 
 def _sense(claim: Claim, here: NDArray[np.float64]) -> int:
-    """Return +1 if the left side is the rate of the watched quantity, −1 if it is minus this rate, otherwise 0.
+    """Return +1 if the claim's left side is the rate of the plotted quantity, −1 if minus this rate, otherwise 0.
 
     The left side and the rate are compared at the counterexample. A left side that is the maximum over two turning
     directions equals the rate for only one direction.
