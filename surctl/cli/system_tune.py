@@ -84,7 +84,7 @@ def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) ->
 
 
 def _cases(words: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Return, by name, the values of all cases from words NAME=V1,V2,… (one value for each case)."""
+    """Return the values of each name in all cases from words NAME=V1,V2,…; a single value is for all cases."""
     import numpy as np
 
     from surctl.errors import InputError
