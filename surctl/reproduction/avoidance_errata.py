@@ -98,7 +98,7 @@ def e1() -> Result:
 
 
 def e10() -> Result:
-    """Return the result for erratum E10: the printed rule for the avoidance side λ2 depends on the compass."""
+    """Return the result for erratum E10: the printed rule for the side λ2 depends on the compass direction."""
     rule, mended = set(), set()
     for k in range(360):
         phi = np.radians(k + 0.5)

@@ -97,10 +97,10 @@ def measure_backend(
 ) -> BackendReport:
     """Measure the errors of a backend on problems with known solutions, so that no reference solver is needed.
 
-    A feasible problem is constructed from its solution: from random normals (rows of G) and multipliers ≥ 0 follows the
-    solution y* = −Gᵀ·multipliers; then active bounds are set to hold with equality at y*, and all other bounds with a
-    margin. An infeasible problem is constructed so that a weighted sum of its inequalities, with weights ≥ 0, states 0
-    ≤ a negative number (Farkas).
+    A feasible problem is constructed from its solution: random normals (rows of G) and multipliers ≥ 0 give the
+    solution y* = −Gᵀ·multipliers; then the bounds are chosen so that the active ones hold with equality at y* and all
+    others with a margin. An infeasible problem is constructed so that a sum of its inequalities, with weights ≥ 0, is a
+    contradiction (Farkas).
 
     Args:
         backend: a name in `BACKENDS`, called as surctl calls it (rows scaled, solution polished and checked); or a

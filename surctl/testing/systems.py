@@ -1,4 +1,4 @@
-"""Check whether a user's plant or controller gives finite numbers, the same by CasADi and as instruction list."""
+"""Check whether a user's plant or controller gives finite numbers, equal in CasADi and as instruction list."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def check_plant(
     smooth: float = 1e-4,
     seed: int = 0,
 ) -> SystemReport:
-    """Check a plant at random points: finite derivatives and outputs, the same by CasADi and as instruction list.
+    """Check a plant at random points: derivatives and outputs are finite, CasADi and instruction list agree.
 
     Args:
         plant: the plant.
@@ -110,7 +110,7 @@ def check_controller(
     samples: int = 200,
     seed: int = 0,
 ) -> SystemReport:
-    """Check a controller at random points: finite results, no negative status, CasADi equals the instruction list.
+    """Check a controller at random points: finite results, no negative status, CasADi and instruction list agree.
 
     Args:
         controller: the controller.

@@ -61,7 +61,7 @@ class MotionLog:
 
 
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
-    """Read a log file (CSV, .mat or netCDF) with the time `t_s`, thrust, and some or all columns of motion.
+    """Read time `t_s`, thrust, and any motion columns of a log file (CSV, .mat, netCDF); ignore other columns.
 
     Args:
         path: the file.

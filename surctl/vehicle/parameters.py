@@ -100,7 +100,7 @@ class Vehicle:
         return np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
 
     def steady_yaw(self, share: float) -> float:
-        """Return the yaw rate [rad/s] that `share` of the largest yaw moment holds with the worst parameter values."""
+        """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case."""
 
         def worst(name: str, which: int) -> float:
             known = self.parameters[name].range
