@@ -59,7 +59,7 @@ Exportable: TypeAlias = SampledController
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Base class of a law that wraps another law, and that has the name, period and layouts of the wrapped law."""
+    """Base class of a law that wraps another law and has its name, period, states, inputs and outputs."""
 
     law: Exportable
 

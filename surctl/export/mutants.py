@@ -48,7 +48,7 @@ class Mutant:
 
 
 def mutants(bundle: Bundle, *, each: int = 6) -> tuple[Mutant, ...]:
-    """Return up to `each` mutants of each kind, spread evenly over the text; equal bundles give equal mutants."""
+    """Return up to `each` mutants of each kind, spread evenly over the C text; the choice is not random."""
     by_kind: dict[str, list[Mutant]] = {}
     for mutant in _all(bundle):
         by_kind.setdefault(mutant.kind, []).append(mutant)

@@ -104,7 +104,7 @@ def _axes(claim: Claim, ends: Sequence[NDArray[np.float64]]) -> tuple[int, int]:
 
 
 def _section(cells: Cells, first: int, second: int) -> list[int]:
-    """Return the indices of the boxes that contain the section plane near the middle of all other variables."""
+    """Return the indices of the boxes that the section near the middle of all other variables cuts."""
     low, high = cells.lower.min(axis=1), cells.upper.max(axis=1)
     centre = low + _BESIDE * (high - low)
     others = [k for k in range(len(centre)) if k not in (first, second)]

@@ -47,8 +47,8 @@ def margin_slice(verdict: Verdict) -> MarginSlice:
     """Return the margin near a verdict's counterexample over the two most influential variables.
 
     The influence of a variable is the range of the margin while only this variable changes from its value at the
-    counterexample. Values below minus the counterexample's margin are clipped first, so that terms far from the
-    counterexample do not dominate.
+    counterexample. Before the comparison, margins are limited from below to −(margin at the counterexample), so that
+    values far from the counterexample do not dominate.
 
     Raises:
         InputError: the verdict has no counterexample, or fewer than two variables can vary.

@@ -74,7 +74,7 @@ def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot path errors [m]: distance to the path in the plane, depth error, and y_e of equation (8) in the law."""
+    """Plot path errors [m]: distance in the plane, depth error, and the law's y_e by equation (8) of the paper."""
     ax = _axes(run, ax, title="path error", unit="m")
     record, scenario = run.record, run.scenario
     curve(ax, record.time, run.telemetry("path_error")[:, 1], label="y_e in the law", k=1, faint=True)
