@@ -60,7 +60,7 @@ class Quantity(Strict):
         return {"value": value, "unit": unit}
 
     def within(self, unit: str) -> Quantity:
-        """Return the quantity, with its range, converted to `unit`; the object itself if it already has that unit.
+        """Return the quantity and its range converted to `unit`; the object itself if it already has this unit.
 
         Raises:
             InputError: the unit is unknown or has another dimension.
@@ -113,7 +113,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 @lru_cache(maxsize=64)
 def _parsed(text: str) -> bytes:
-    """Parse a TOML text once; the table is pickled, so that each caller gets a separate copy."""
+    """Return the pickled table of a TOML text; results are cached, and each caller unpickles a separate copy."""
     table = tomllib.loads(text)
     if not table:
         raise InputError("is empty", remedy="start from a built-in file: surctl list --show NAME")
@@ -188,7 +188,7 @@ def _inside(path: tuple[int | str, ...], problems: Sequence[ErrorDetails]) -> bo
 
 
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    """Return the field names of the (nested) model at the end of a validation path."""
+    """Return the field names of the model, possibly nested, to which the path of a validation error leads."""
     here: Any = model
     for part in path:
         if isinstance(part, int):

@@ -1,7 +1,8 @@
 """Functions in a user's Python file, named FILE.py:FUNCTION and pinned to the SHA-256 of the file's text.
 
 A pinned reference is one text, `FILE.py:FUNCTION#SHA256` with the absolute path, so that cases, caches, recordings and
-worker processes carry it like the name of anything built in. The function runs only after the text was compared.
+worker processes can store this text like the name of a built-in object. Before the function runs, the file is compared
+with the SHA-256.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def pinned(reference: str, *, key: str, folder: Path | None = None) -> str:
 
 
 def label(reference: str) -> str:
-    """Return a reference without folder and SHA-256, for people; anything built in is returned unchanged."""
+    """Return a reference without folder and SHA-256, for display; the name of a built-in object is unchanged."""
     if not is_own(reference):
         return reference
     path, function, _ = _parts(reference)
@@ -90,7 +91,7 @@ def own_file(reference: str) -> str:
 
 
 def check_trusted(reference: str, *, file: object, key: str, trust: bool) -> None:
-    """Raise InputError if a file names a function whose code would run without the user's word.
+    """Raise InputError if a file names a function, so that its code would run, and the user did not set `trust`.
 
     Example:
         >>> from surctl.own_code import check_trusted
@@ -111,7 +112,7 @@ def check_trusted(reference: str, *, file: object, key: str, trust: bool) -> Non
 
 @cache
 def object_of(reference: str, kind: type[Built], *, key: str) -> Built:
-    """Return the object that a function returns when called without arguments; a pinned reference is called once.
+    """Return the object that a function returns when called without arguments; the object is cached.
 
     Args:
         reference: pinned reference, see `pinned`.
@@ -119,7 +120,8 @@ def object_of(reference: str, kind: type[Built], *, key: str) -> Built:
         key: option or key that holds the reference, for error messages.
 
     Raises:
-        InputError: the file has changed, has no such function, fails, or its function returns another type.
+        InputError: the file has changed, has no such function, or raises an error, or the function returns another
+            type.
 
     Example:
         >>> from pathlib import Path
@@ -170,7 +172,7 @@ def _executed(path: Path, digest: str, key: str) -> dict[str, object]:
 
 
 def called(reference: str, function: Callable[..., Any], *arguments: object) -> Any:
-    """Call a function of the file that a reference names; an error of its own becomes one line with file and line.
+    """Call a function of the file that a reference names; an error in the file becomes one line with its location.
 
     Example:
         >>> from surctl.own_code import called

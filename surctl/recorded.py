@@ -28,7 +28,7 @@ class Recorded:
     Attributes:
         path: the file.
         columns: the cells of each column by header, in the order of the file.
-        lines: (n,) line number of each row in the file, from 1.
+        lines: (n,) line number of each row in the file; the first line has number 1.
         about: the comments above the header, without their #.
     """
 
@@ -82,7 +82,7 @@ class Recorded:
 
 
 def _number_remedy(cell: str) -> str:
-    """Return a remedy for a cell; a comma between groups of three digits is not read as a decimal comma."""
+    """Return a remedy for a cell that is not a number; a comma between three-digit groups is not a decimal comma."""
     plain = cell.replace(",", "")
     if _GROUPED.fullmatch(cell):
         if cell.count(",") == 1 and "." not in cell:

@@ -1,4 +1,4 @@
-"""Old names of the previous release, which this release still accepts with a warning that gives the new name."""
+"""Names of the previous release that have changed; this release accepts the old names with a warning."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class OldName(UserWarning):
 
 
 def current_table(table: Mapping[str, Any], *, file: object) -> dict[str, Any]:
-    """Return the table of a file with the current names for its kind.
+    """Return the table of a file with old keys and values replaced by the current names.
 
     Warns:
         OldName: a key or value has a new name.

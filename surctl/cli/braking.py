@@ -23,7 +23,7 @@ class Braking(NamedTuple):
 
 
 def is_braking(name: str) -> bool:
-    """Return whether a name denotes a braking claim; names of the steps of a claim's proof do not."""
+    """Return whether a name denotes a braking claim; False for the name of a step in the proof of a claim."""
     return name.startswith(_KINDS)
 
 

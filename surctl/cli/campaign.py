@@ -43,7 +43,7 @@ The command receives them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh
 
 @dataclass(frozen=True)
 class CampaignOptions:
-    """The campaign options of the command line; None for options that are not given.
+    """The campaign options of the command line; an option that is not given has the value None.
 
     Attributes:
         monte_carlo: whether plant and obstacles are drawn at random.

@@ -41,7 +41,7 @@ controller_options = together(
 
 @dataclass(frozen=True)
 class ControllerOptions:
-    """The options for the controller process and its connection; None for options that are not given."""
+    """The options for the controller process and its connection; an option that is not given has the value None."""
 
     controller: str | None
     loss: float | None
@@ -80,7 +80,7 @@ class ControllerOptions:
 
     @contextmanager
     def opened(self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle) -> Iterator[Line | None]:
-        """Open the connection to the controller of this law and these parameters; None if the law itself is simulated.
+        """Open the connection to the controller of this law and these parameters; None if no option requests one.
 
         Raises:
             InputError: no controller listens at the address, or the processor is unknown.
@@ -108,7 +108,7 @@ class ControllerOptions:
     def linked(
         self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, vehicle: Vehicle, *, seed: int
     ) -> LinkedLaw | None:
-        """Return the stepper that simulates a run over the open connection; None without a connection.
+        """Return the function that computes each step of a run over the open connection; None without a connection.
 
         Raises:
             InputError: the connected controller is not the controller of this run.

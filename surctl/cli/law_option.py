@@ -15,7 +15,7 @@ law_option = click.option(
 
 
 def law_words(reference: str) -> list[str]:
-    """Return the options that select a law in a command to suggest."""
+    """Return the command-line options that select this law, for a suggested command."""
     from surctl.own_code import own_file
 
     return ["--law", own_file(reference)]

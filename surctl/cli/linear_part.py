@@ -95,9 +95,9 @@ def linear_part(
 def speed_lines(
     vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float, uncertainty: float
 ) -> tuple[list[str], dict[str, float]]:
-    """Return the speeds [m/s] with stability and with a disk margin over the corners: lines to print, and numbers.
+    """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
 
-    A line flags a speed cap [m/s] above them.
+    Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
     """
     from surctl.verification.linear import LEAST_DISK_MARGIN, bearable_speed, corners, margin_speed
 
@@ -125,7 +125,7 @@ def _disk(margin: float) -> str:
 
 
 def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
-    """Combine analyses of several cruise speeds (slowest first) to a comparison and the full last analysis."""
+    """Combine analyses at several cruise speeds (slowest first): a comparison, then the whole analysis of the last."""
     import numpy as np
 
     from surctl.verification import worst_place, worst_text

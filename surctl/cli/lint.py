@@ -48,7 +48,7 @@ def _file_findings(loaded: object) -> list[Finding]:
 
 
 def _cap_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Return a warning if the speed cap of the scenario exceeds the bearable speed of the vehicle with the gains."""
+    """Return a warning if the scenario's speed limit exceeds the largest speed with a stable linear loop."""
     from surctl.simulation import Finding
     from surctl.verification.linear import cap_above_bearable
 

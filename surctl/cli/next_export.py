@@ -1,4 +1,4 @@
-"""The export command that another command proposes: with vehicle, gains, law, sensing, and a scenario that fits."""
+"""The export command that other commands suggest, with vehicle, gains, law, sensing, and a scenario that fits."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ _TRIED = (MISSION, "tank-static")
 
 
 def fitting_scenario(vehicle: Vehicle, scenario: str | None = None) -> str | None:
-    """Return the first scenario in which `findings` reports no error for the hull; None if none fits.
+    """Return the first of the tried scenarios for which `findings` reports no error with this hull, or None.
 
-    The scenarios are the given one, and without one the default of `surctl export` and `tank-static`, in this order.
+    If `scenario` is given, only this scenario is tried; otherwise first the default scenario of `surctl export`, then
+    `tank-static`.
     """
     from surctl.simulation import load_scenario
 
@@ -33,7 +34,7 @@ def fitting_scenario(vehicle: Vehicle, scenario: str | None = None) -> str | Non
 def export_command(
     scenario: str | None, vehicle: str, gains: str, certificates: Sequence[Path] = (), *, sensing: str = "sonar"
 ) -> list[str]:
-    """Return the export command with the certificates that apply; empty if the vehicle fits no scenario.
+    """Return the words of the export command, with the certificates that apply; empty if the vehicle fits no scenario.
 
     Args:
         scenario: name or file of the scenario; None takes a built-in scenario that fits the hull.

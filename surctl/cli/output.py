@@ -123,7 +123,7 @@ def refusal_line(refused: Inapplicable) -> str:
 
 
 def same_command(**changed: int) -> str:
-    """Return the command line of this process, quoted for a shell; the changed options replace those that are typed."""
+    """Return the command line of this process, quoted for a shell, with the values of some options replaced."""
     words, typed = [], iter(sys.argv[1:])
     for word in typed:
         if word.partition("=")[0].removeprefix("--") in changed and word.startswith("--"):

@@ -61,7 +61,7 @@ def prove_regions(
     Args:
         words: names and files of the claims.
         vehicle, gains: name or file of the vehicle, and name or file of the gains.
-        speeds: (cruise speed, speed limit) [m/s] for claims that do not set these speeds.
+        speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
         seed: seed of the search for a certificate.
         out: folder of the certificates.
 

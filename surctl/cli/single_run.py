@@ -25,7 +25,7 @@ def run_line(run: Run) -> str:
 
 
 def failure(run: Run) -> str | None:
-    """Return why a run fails, which ends a command with exit status 1; None if it arrives without contact."""
+    """Return why a run fails (the command then exits with status 1); None if the robot arrives without contact."""
     m = run.metrics
     why = [] if m.reached else [f"it does not arrive ({m.stopped_because} at {m.time_s:.2f} s)"]
     why += [f"the hull touches an obstacle or wall (clearance {m.min_clearance_m:.3f} m)"] * (m.min_clearance_m <= 0)
@@ -33,7 +33,7 @@ def failure(run: Run) -> str | None:
 
 
 def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
-    """Add the stability of the linear loop at cruise speed to `result`; return lines to print if it is unstable."""
+    """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if it is not."""
     from surctl.errors import InputError
     from surctl.verification.cascade import build_cascade, has_cascade
     from surctl.verification.linear import slowest_mode

@@ -32,7 +32,7 @@ def is_utf8() -> bool:
 
 
 def failed_write(error: OSError) -> str | None:
-    """Return the message for an error by which output to stdout or a file was lost; None for any other error."""
+    """Return the message if the error means that output to stdout or a file was lost; None for any other error."""
     if error.errno not in _LOSES_TEXT:
         return None
     where = f"{error.filename}: " if error.filename else ""

@@ -60,7 +60,7 @@ def study(file: str | None, out: Path, workers: int, trust: bool, as_json: bool)
 
 
 def _examined(law: str, about: list[str]) -> list[str]:
-    """Return the command that examines the picked gains: claims, or the runs of a law that no claim is about."""
+    """Return the command that checks the selected gains: `verify`, or `simulate` if no claim is about the law."""
     from surctl.control import law_source
 
     _, scenario, *others = about

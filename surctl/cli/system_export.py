@@ -15,7 +15,7 @@ __all__ = ["export_system"]
 
 
 def export_system(words: Sequence[str], *, seconds: float | None, name: str | None, out: Path, as_json: bool) -> None:
-    """Write the controller as C, and compare C and Python at every step of a run; status 1 if a number differs."""
+    """Write the controller as C, compare C and Python over a run; exit with status 1 if a number differs."""
     from surctl.export import Records, build_bundle, build_controller, compare_runs, write_bundle
     from surctl.ir import find_compiler
     from surctl.system import LOST, run_system

@@ -27,7 +27,7 @@ _MOST_PERIODS = 10_000_000  # of a run in Python, whose signals are in memory
 
 @dataclass(frozen=True)
 class OwnSystem:
-    """A system of the user's own, and how it was named.
+    """A system of the user's own, and its name on the command line.
 
     Attributes:
         system: the closed loop.
@@ -61,7 +61,7 @@ class OwnSystem:
         """Return the duration of a run [s].
 
         Raises:
-            InputError: it is missing, or no duration of a run.
+            InputError: the duration is missing, or is not a valid duration.
         """
         from surctl.errors import InputError
         from surctl.system import periods
@@ -87,7 +87,7 @@ def is_system(words: Sequence[str], *allowed: str) -> bool:
 
     Raises:
         InputError: an option of the command line applies only to a system, or only to the robot; or a word names a
-            system or a Python file where none can be.
+            system or a Python file in a position where it is not allowed.
     """
     from surctl.errors import InputError
     from surctl.own_code import is_own
@@ -115,7 +115,7 @@ def load_system(words: Sequence[str]) -> OwnSystem:
     """Return the system that the first word names; what its file prints goes to stderr.
 
     Raises:
-        InputError: there is no such file or function, it fails, or it returns something else.
+        InputError: the file or function does not exist, the function fails, or it does not return a system.
     """
     from surctl.own_code import label, object_of, pinned
     from surctl.system import System
@@ -126,10 +126,10 @@ def load_system(words: Sequence[str]) -> OwnSystem:
 
 
 def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
-    """Return the numbers of NAME=VALUE words by name; entries of a port are separated by commas.
+    """Return the numbers of words NAME=VALUE by name; commas separate the entries of a vector.
 
     Raises:
-        InputError: a word is no assignment, its value is no number, or a name is given twice.
+        InputError: a word does not assign a value, a value is not a number, or a name is given twice.
     """
     import numpy as np
 
@@ -151,5 +151,5 @@ def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
 
 
 def command_line(command: str, own: OwnSystem, *words: str) -> str:
-    """Return the command line that runs a command on the same system."""
+    """Return the command line that runs a command on this system."""
     return shlex.join(["surctl", command, own.word, *words])

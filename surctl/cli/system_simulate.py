@@ -85,7 +85,7 @@ def _write(own: OwnSystem, record: Record, out: Path) -> list[Path]:
 
 
 def _sweep(own: OwnSystem, seconds: float) -> str:
-    """Return the command that sweeps the first gain about its nominal value; "" if there is no such gain."""
+    """Return the command that sweeps the first gain about its nominal value; "" if no gain can be swept."""
     swept = [port for port in own.system.controller.gains if port.size == 1 and port.default > 0]
     if not swept or not own.system.costs:
         return ""

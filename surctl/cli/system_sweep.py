@@ -1,4 +1,4 @@
-"""`surctl sweep FILE.py:FUNCTION`: costs of a system of the user's own over a grid of its numbers."""
+"""`surctl sweep FILE.py:FUNCTION`: costs of a system of the user's own over a grid of gains and parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NAMED = 5  # largest number of points that a line names
 
 
 def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | None, out: Path, as_json: bool) -> None:
-    """Simulate a run at each point of the grid in compiled code, and print costs, their range and best points."""
+    """Simulate a run at each point of the grid in compiled code; print each cost's range and best point."""
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.system import LOST, simulate_system

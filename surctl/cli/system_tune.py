@@ -1,4 +1,4 @@
-"""`surctl tune FILE.py:FUNCTION`: gains of a system of the user's own with the least first cost."""
+"""`surctl tune FILE.py:FUNCTION`: search the gains that minimise the first cost of a system of the user's own."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def tune_own_system(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Search gains, print their costs and disk margin, and write them; status 1 if a bound is not kept."""
+    """Search gains, write them, and print costs and disk margin; exit with status 1 if a bound is violated."""
     from surctl.files import prepare_folder
     from surctl.tuning import tune_system
 
@@ -66,7 +66,7 @@ def tune_own_system(
 
 
 def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
-    """Return the search ranges: as typed, else a quarter to four times the nominal value; default: every gain."""
+    """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
     from surctl.system import entry_labels
 
@@ -84,7 +84,7 @@ def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) ->
 
 
 def _cases(words: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the numbers of each case from words NAME=V1,V2,…"""
+    """Return the values of each name in all cases from words NAME=V1,V2,…; a single value is for all cases."""
     import numpy as np
 
     from surctl.errors import InputError

@@ -19,7 +19,7 @@ __all__ = ["verify_system"]
 
 
 def verify_system(words: Sequence[str], *, as_json: bool) -> None:
-    """Print the equilibrium, the sampled closed-loop poles and the margins; exit with status 1 if it is unstable."""
+    """Print equilibrium, sampled closed-loop poles and margins; exit with status 1 if the loop is unstable."""
     from surctl.system import find_equilibrium, linearise
     from surctl.verification import system_disk_margin, system_margins
 
@@ -75,7 +75,7 @@ def _equilibrium(system: System, at: Operating) -> dict[str, list[tuple[str, flo
 
 
 def _slowest(pole: complex, dt: float) -> dict[str, Any]:
-    """Return size, time constant [s] (negative if it grows) and angular frequency [rad/s] of the mode of a pole z."""
+    """Return magnitude, time constant [s] (negative if unstable) and angular frequency [rad/s] of a sampled pole."""
     size = abs(pole)
     rate = math.log(size) / dt if size > 0.0 else -math.inf
     return {

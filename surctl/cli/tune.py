@@ -269,7 +269,7 @@ def tune(
 
 
 def _needs_page(scenario: str | None, gains: str | None) -> str:
-    """Return the error for options of the page without --page; it says how a study file sets their values."""
+    """Return the error for options that need --page; the message says how a study file sets their values."""
     if scenario:
         own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
         return f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}"
@@ -294,7 +294,7 @@ def _check_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
 
 
 def _caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
-    """Return one line for each vehicle and speed cap above the bearable speed with these gains."""
+    """Return one line for each vehicle whose speed limit exceeds the largest speed with a stable linear loop."""
     from surctl.verification.cascade import has_cascade
     from surctl.verification.linear import cap_above_bearable
 
@@ -304,7 +304,7 @@ def _caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
 
 
 def _look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
-    """Return the command that repeats the worst run of a missed goal with the vehicle's own parameters."""
+    """Return the command that repeats the worst run of a missed goal, with the nominal vehicle parameters."""
     runs = [miss.nominal for miss in missed if miss.nominal is not None and miss.ending is not None]
     if not runs:
         return []

@@ -1,4 +1,4 @@
-"""Which vehicle a command takes: that of `--vehicle`, else that of the scenario, else the default of the command."""
+"""The vehicle that a command uses: that of `--vehicle`, else that of the scenario, else the command's default."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class VehicleChoice(NamedTuple):
 def choose_vehicle(
     option: str | None, scenario: tuple[str, str] | None = None, *, default: str = DEFAULT_VEHICLE
 ) -> VehicleChoice:
-    """Return the vehicle of `--vehicle`, else the scenario's, else the default.
+    """Return the vehicle of the option `--vehicle`, else the vehicle of the scenario, else the default vehicle.
 
     Args:
         option: value of the option `--vehicle`; None if it is not given.
         scenario: name of the scenario and name or file of its vehicle; None if the command has no scenario.
-        default: vehicle without either.
+        default: vehicle if neither the option nor the scenario names one.
     """
     if option is not None:
         return VehicleChoice(option, "--vehicle")

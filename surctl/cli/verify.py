@@ -219,7 +219,8 @@ def verify(
 def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tuple[float, float]:
     """Return the cruise speed and the speed limit [m/s] from the options or the scenario.
 
-    The default speed limit is that of the scenario; it is scaled up in proportion if the cruise speed exceeds it.
+    The default speed limit is that of the scenario. If the cruise speed exceeds this limit, the limit is multiplied by
+    (cruise speed)/(cruise speed of the scenario).
     """
     from surctl.cli.next_export import MISSION
     from surctl.errors import InputError

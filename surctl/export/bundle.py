@@ -34,14 +34,14 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Bundle:
-    """The exported files of a controller, as text; two builds of one law give the same bytes.
+    """The exported files of a controller, as text; building the same law twice gives the same bytes.
 
     Attributes:
         name: prefix of files and C symbols.
         id: SHA-256 of what the controller computes (see `law_id`).
         files: text of each file by its name, in the order of writing; the manifest is last.
         real: precision of every number in the C text.
-        envelope: ranges and rates of change that the guard of the controller accepts.
+        envelope: ranges and rates of change that the input check (guard) of the exported C accepts.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Bundle:
 
     @property
     def selftest(self) -> str:
-        """Return the name of the C file with the self-test, which a program may leave out."""
+        """Return the name of the C file with the self-test; a program without self-test does not need this file."""
         return f"{self.name}_selftest.c"
 
     @property
@@ -91,15 +91,16 @@ def build_bundle(
 
     Args:
         law: the control law.
-        gains: values of the gains by port name; a port without a value keeps its default.
-        name: prefix of files and C symbols instead of the law's own name.
+        gains: values of the gains by name; a gain without a value has its default.
+        name: prefix of file names and C symbols; by default the name of the law.
         real: "float32" for a processor with a single-precision unit; every number in the C text is then a float.
-        envelope: ranges that the guard accepts; None accepts any finite number.
+        envelope: ranges that the input check of the exported C accepts; None accepts any finite number.
         origin: vehicle and certificates to record in the bundle.
 
     Raises:
-        InputError: a name is not a valid C identifier, a gain is unknown or not finite, the law does not fit its
-            layouts, a certificate is about another controller, or a float32 law uses libm functions such as sin.
+        InputError: a name is not a valid C identifier, a gain is unknown or not finite, the sizes that the law declares
+            differ from those of its code, a certificate is about another controller, or a float32 law calls functions
+            of the C library such as sin.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -133,7 +134,7 @@ def build_bundle(
 
 
 def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:
-    """Return the flat gain vector (np,); InputError for an unknown gain, a wrong size or a non-finite value."""
+    """Return all gains in one vector (np,); InputError for an unknown gain, a wrong size or a non-finite value."""
     p = layout.pack(gains)
     for port in layout:
         if not np.all(np.isfinite(p[layout.slice(port.name)])):
@@ -142,10 +143,10 @@ def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vec
 
 
 def law_id(law: Exportable, gains: Vector, *, real: Real = "float64") -> str:
-    """Return the SHA-256 of the law's instruction list, period, precision, gains and initial state, to the last bit.
+    """Return one SHA-256 of the law's instruction list, period, precision, exact gains and exact initial state.
 
-    The instruction list, the gains and the initial state enter by their own hashes. A comparison of these hashes shows
-    in which part two controllers differ.
+    The instruction list, the gains and the initial state are first hashed separately. If two controllers differ, these
+    three hashes show in which part.
     """
     parts = (numbers_sha256(numbers.tolist()) for numbers in (gains, law.initial_state()))
     lines = [law.block.digest(), float(law.dt).hex(), real, *parts]
@@ -173,7 +174,7 @@ def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Env
 
 
 def manifest_with(table: Mapping[str, object], files: Mapping[str, str], *, proof: Mapping[str, object]) -> str:
-    """Return the text of the manifest, completed with the hashes of these files and the outcome of the proof."""
+    """Return the text of the manifest `table`, with the hashes of `files` and the outcome of the proof added."""
     full = {**table, "proof": proof, "sha256": {file: _sha256(text) for file, text in files.items()}}
     return json.dumps(full, indent=2, sort_keys=True) + "\n"
 

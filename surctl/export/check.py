@@ -45,7 +45,7 @@ _AT_ONCE = 4  # number of targets checked in parallel; each target keeps its res
 
 @dataclass(frozen=True)
 class Instructions:
-    """Numbers of instructions per step on an emulated processor, over all accepted steps."""
+    """Numbers of instructions per step on an emulated processor, over all steps with accepted inputs."""
 
     least: int
     mean: float
@@ -153,7 +153,7 @@ class CheckReport:
         }
 
     def summary(self) -> str:
-        """Return the reports of all targets as a text table."""
+        """Return a text table with one line for each target."""
         head = (
             f"check in {self.real}: {self.simulated} steps of closed loops, {self.tried} single steps, against Python"
         )
@@ -174,9 +174,9 @@ def check_builds(
     """Build the bundle for each target, and compare the results of C byte by byte with the law in Python.
 
     First, each build receives the recorded inputs in order and carries its own state, as on the robot. Then each build
-    runs single steps near the recorded runs, where the law switches in these runs, and far from the recorded runs
-    (`trial_steps`). Python computes each step from the state that `controller` reached before this step. If all steps
-    agree, the whole runs agree, by induction.
+    runs single steps near the recorded runs, at steps of these runs at which a branch of the law changes, and far from
+    the recorded runs (`trial_steps`). Python computes each step from the state that `controller` reached before this
+    step. If all steps agree, the whole runs agree, by induction.
 
     Args:
         controller: the bundle, compiled on this machine.
@@ -284,11 +284,11 @@ def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]
 def built_for(host: Controller, target: Target, folder: Path) -> tuple[Controller, Path | None, list[Path]]:
     """Compile the bundle for a target; return the controller, the file of its instruction counts, and its object files.
 
-    The file of instruction counts gets one line per step; it is None if instructions are not counted. The last object
-    file is that of the self-test.
+    The file of instruction counts gets one line per step; if the target does not count instructions, None is returned
+    instead of the file. The last object file is that of the self-test.
 
     Args:
-        host: the law and its bundle.
+        host: the law and its bundle, compiled on this machine.
         target: compiler and processor.
         folder: scratch folder.
 
@@ -331,7 +331,7 @@ def _plugin(folder: Path, program: Path, step: str, counts: Path) -> tuple[str, 
 
 
 def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructions | None:
-    """Return instruction counts over the accepted steps (a refused step is shorter), None if there is no count."""
+    """Return the instruction counts of accepted steps (rejected steps are shorter); None if nothing was counted."""
     if counts is None or not counts.exists() or not accepted.any():
         return None
     per_step = np.array([int(line) for line in counts.read_text(encoding="ascii").split()])
@@ -342,7 +342,7 @@ def instructions(counts: Path | None, accepted: NDArray[np.bool_]) -> Instructio
 
 
 def step_stack(bundle: Bundle, code: Sequence[Path]) -> int | None:
-    """Return the bytes of stack of one step with all its calls, from objects compiled with `-fstack-usage`."""
+    """Return the stack [bytes] of one step with all its calls, from object files compiled with `-fstack-usage`."""
     text = "\n".join(bundle.files[file] for file in (*bundle.headers, *bundle.sources, bundle.selftest))
     try:
         reports = "".join(file.with_suffix(".su").read_text(encoding="utf-8") for file in code)

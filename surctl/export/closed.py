@@ -1,4 +1,4 @@
-"""Rewriting of a law for a target: polynomials and tolerances for its precision, and optionally constant gains."""
+"""Rewrite a law for a target: sin, cos, atan2 and solver tolerances for its precision, optionally constant gains."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class ClosedForm(Around):
 
     Attributes:
         law: the original law.
-        block: the function (x, u, p) → (tau, x_next, status, telemetry) as a program or routine; for a law in closed
-            form it is an instruction list.
-        gains: layout of the gains p; empty if the gains became constants.
+        block: the code that computes thrust tau, next state x_next, status and telemetry from state x, inputs u and
+            gains p; for a law in closed form this code is an instruction list.
+        gains: names and sizes of the gains p; empty if the gains became constants.
         constants: gains that became constants (np,), in the order of the law's gains; None if the gains stayed inputs.
     """
 
@@ -38,7 +38,7 @@ class ClosedForm(Around):
 
     @cached_property
     def constant_table(self) -> tuple[tuple[Port, Vector], ...]:
-        """Return the port and the values of every constant."""
+        """Return the name, size and values of every gain that became a constant."""
         if self.constants is None:
             return ()
         return tuple((port, self.constants[self.law.gains.slice(port.name)]) for port in self.law.gains)
@@ -48,7 +48,7 @@ class ClosedForm(Around):
         return self.law.initial_state()
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
+        """Run one step; if an input or a result is not finite, return tau = 0, x_next = x and status NONFINITE."""
         if all(np.isfinite(v).all() for v in (x, u, p)):
             parts = [np.asarray(part, dtype=np.float64) for part in replay(self.block, x, u, p)]
             if all(np.isfinite(part).all() for part in parts):
@@ -59,7 +59,7 @@ class ClosedForm(Around):
 def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = None) -> Exportable:
     """Return the law rewritten for a target, or the law itself if nothing has to change.
 
-    A law that is not in closed form gets the solver tolerances of the target's precision, see `in_real`.
+    For a law that is not in closed form, `in_real` sets the solver tolerances to those of the target's precision.
 
     Args:
         law: the law.

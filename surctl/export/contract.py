@@ -1,4 +1,4 @@
-"""Interface that a law needs for export: its layouts, its instruction list, and one guarded step."""
+"""Interface that a law needs for export: names and sizes of its inputs and outputs, instruction list, and one step."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ Exportable: TypeAlias = SampledController
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Base of a law that wraps another law, whose name, period and layouts it shares."""
+    """Base class of a law that wraps another law and has its name, period, states, inputs and outputs."""
 
     law: Exportable
 
@@ -75,49 +75,49 @@ class Around:
 
     @property
     def state(self) -> Layout:
-        """Return the layout of the controller state x (nx,)."""
+        """Return the layout (names and sizes of the entries) of the controller state x (nx,)."""
         return self.law.state
 
     @property
     def inputs(self) -> Layout:
-        """Return the layout of the inputs u (nu,)."""
+        """Return the layout (names and sizes of the entries) of the inputs u (nu,)."""
         return self.law.inputs
 
     @property
     def outputs(self) -> Layout:
-        """Return the layout of the outputs: commands, then telemetry."""
+        """Return the layout (names and sizes of the entries) of the outputs: first commands, then telemetry."""
         return self.law.outputs
 
 
 def commands(law: Exportable) -> tuple[Port, ...]:
-    """Return the ports of the commands, which are the first outputs."""
+    """Return the name and size of each command; the commands are the first outputs."""
     return command_ports(law).ports
 
 
 def command_size(law: Exportable) -> int:
-    """Return the number of command entries."""
+    """Return how many numbers all commands have together."""
     return command_ports(law).size
 
 
 def telemetry_ports(law: Exportable) -> tuple[Port, ...]:
-    """Return the output ports that follow the commands."""
+    """Return the name and size of each telemetry output; the telemetry follows the commands."""
     return law.outputs.ports[len(commands(law)) :]
 
 
 def is_robot_law(law: Exportable) -> bool:
-    """Return whether the controller is a law of the robot, and not one of any plant (`surctl.system.Controller`)."""
+    """Return True for a control law of the robot, False for a `surctl.system.Controller` of another plant."""
     while isinstance(law, Around):
         law = law.law
     return not isinstance(law, Controller)
 
 
 def command_word(law: Exportable) -> str:
-    """Return what text calls the commands: thrust for a law of the robot, otherwise command."""
+    """Return the word for the commands in texts: "thrust" for a law of the robot, "command" for another controller."""
     return "thrust" if is_robot_law(law) else "command"
 
 
 def status_table(law: Exportable) -> tuple[tuple[str, int, str], ...]:
-    """Return (name, code, meaning) of each status; a controller of any plant defines its own bits."""
+    """Return (name, code, meaning) of each status; a controller of another plant defines its own status bits."""
     if is_robot_law(law):
         return STATUS
     return tuple((name, code, text.replace("thrust", "command")) for name, code, text in STATUS if code <= 0)
@@ -127,8 +127,8 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
     """Check every name that the C text uses, and return the bundle's name.
 
     Raises:
-        InputError: a name is not a C identifier or collides with that of another file or member, nothing is commanded,
-            the period is not positive, or the sizes of the law's program or routine differ from its layouts.
+        InputError: a name is not a C identifier or collides with the name of another file or struct member, the law has
+            no command, the period is not positive, or the sizes that the law declares differ from those of its code.
     """
     chosen = identifier(law.name if name is None else name)
     _check_files(chosen)

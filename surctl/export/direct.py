@@ -13,9 +13,10 @@ _TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
 
 
 def direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
-    """Return the C function `<name>_law(state, gains, input, next, status, output)`.
+    """Return the C text of the function `<name>_law(state, gains, input, next, status, output)`.
 
-    The function reads state->x, *gains and *input. It writes next, *status and *output, and never reads what they hold.
+    The function reads state->x, *gains and *input. It writes next, *status and *output, and never reads their old
+    values.
     """
     members = [
         [f"state->x[{k}]" for k in range(law.state.size)],
@@ -64,7 +65,7 @@ def changing(block: Program) -> list[int]:
 
 
 def results(law: Exportable, block: Program) -> list[str]:
-    """Return the C names of results that may be NaN or infinite (no constants, copied inputs or truth values)."""
+    """Return the C names of results that may be NaN or infinite; constants, copied inputs and truth values cannot."""
     left = [
         [f"output->{member}" for member, _ in entries(commands(law))],
         [f"state->next[{k}]" for k in range(law.state.size)],

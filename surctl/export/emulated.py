@@ -1,4 +1,4 @@
-"""Processor in the loop: the exported controller runs on an emulated processor that is connected by messages."""
+"""Processor in the loop: the exported controller runs on an emulated processor and exchanges messages with Python."""
 
 from __future__ import annotations
 

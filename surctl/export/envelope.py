@@ -1,4 +1,4 @@
-"""Ranges of all numbers that the guard of an exported law accepts, and largest rates of measured inputs."""
+"""Ranges and rates of change that the guard (the input check of the exported C) accepts."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Envelope:
             raise InputError("has a rate of an input that does not exist", key="envelope.rates")
 
     def fitted(self, law: Exportable, real: Real) -> Envelope:
-        """Return the envelope with bounds rounded to `real`; InputError if its sizes are not those of the law."""
+        """Return the envelope with bounds rounded to `real`; InputError if its arrays do not fit the law's vectors."""
         largest, parts = float(np.finfo(real).max), []
         for name in ("state", "inputs", "gains"):
             box, size = getattr(self, name), getattr(law, name).size
@@ -86,7 +86,7 @@ class Envelope:
         return Envelope(state, inputs, gains, self.rates, self.reasons)
 
     def refusals(self, records: Records) -> NDArray[np.int64]:
-        """Return the status (T,) of each step: 0 if all its numbers are in range, else `NONFINITE` or `RANGE`."""
+        """Return the status (T,) of T steps: 0 if all numbers of the step are in range, else `NONFINITE` or `RANGE`."""
         rows = np.hstack([records.X, records.U, records.P])
         box = np.vstack([self.state, self.inputs, self.gains])
         with np.errstate(invalid="ignore"):
@@ -94,7 +94,7 @@ class Envelope:
         return np.where(inside, 0, np.where(np.isfinite(rows).all(axis=1), RANGE, NONFINITE))
 
     def jumped(self, u: Vector, before: Vector, gap: int, *, dt: float, real: Real) -> bool:
-        """Return whether an input changed more in `gap` samples than its rate allows, with operations in `real`."""
+        """Return whether an input changed more in `gap` samples than its rate allows, computed in precision `real`."""
         number = np.dtype(real).type
         turn, count = number(2.0 * np.pi), number(min(gap, LONGEST_GAP))
         for rate in self.rates:
@@ -115,12 +115,12 @@ class Envelope:
         real: Real,
         counts: NDArray[np.int64] | None = None,
     ) -> Rows:
-        """Return the results with status `RANGE` at steps where an input jumped since the last accepted step.
+        """Return the results, with status `RANGE` where an input changed too fast since the last accepted step.
 
         Args:
-            rows: results of the steps, without the check for jumps.
+            rows: results of T steps, without the check of rates.
             records: state, inputs and gains of each step.
-            load: (T,) whether a step starts a new run.
+            load: (T,) True at each step that starts a new run.
             dt: control period [s].
             real: precision of the check.
             counts: (T,) sample number of each step; None means one sample per step.

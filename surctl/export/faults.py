@@ -33,10 +33,10 @@ class Fault(NamedTuple):
 
     Attributes:
         label: description such as "u.clearance[2] = nan".
-        at: index of the invalid number in (state, input, gains) end to end; larger indices mean faults that follow a
-            valid step.
+        at: index of the invalid number in the vector that joins state, input and gains; an index beyond this vector
+            means a fault that follows a valid step.
         value: the invalid number.
-        status: required status, None if Python computes the required status.
+        status: required status; None if the status that Python computes is required.
     """
 
     label: str

@@ -1,4 +1,4 @@
-"""C text that accesses the numbers of a layout: declarators, struct members, and loops over struct members."""
+"""C text that accesses the numbers of a layout (a list of named arrays, the ports): declarators, members, loops."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Export of a controller as a functional mock-up unit (FMI 2.0, co-simulation), built from the C files of the bundle.
 
-Standard: FMI 2.0.4 (Modelica Association, 2022). Libraries that build functional mock-up units put an interpreter
-inside, so this module writes the model description and the C functions itself. The tests validate the units with fmpy.
+Standard: FMI 2.0.4 (Modelica Association, 2022). Existing libraries put a language interpreter into the unit, so this
+module writes the model description and the C functions itself. The tests validate the units with fmpy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""C text of the guard, which checks that numbers are in range and that inputs have not jumped since the last step."""
+"""C text of the guard, the input check of the exported C: numbers are in range, and no input changed too fast."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _interval_text(low: float, high: float) -> str:
 
 
 def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], real: Real) -> list[str]:
-    """Return C lines that return 0 from their function unless every number is in its range (NaN is in no range).
+    """Return C lines that end their function with 0 if a number is out of range (NaN is out of every range).
 
     Args:
         layout: layout of the numbers.
@@ -59,7 +59,7 @@ def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], re
 
 
 def flat_lines(layout: Layout, box: Vector, array: str, real: Real) -> list[str]:
-    """Return the C lines of `box_lines` for numbers in one array; ports with equal bounds share a loop."""
+    """Return the C lines of `box_lines` for numbers in one array; neighbours with equal bounds share a loop."""
     lines: list[str] = []
     ports = [(port, layout.slice(port.name)) for port in layout if port.size]
 
@@ -113,7 +113,7 @@ def _bound(value: float, real: Real) -> str:
 
 
 def number_calls(layout: Layout, struct: str) -> list[str]:
-    """Return C calls that test each port of a struct, or all of x in the state, for finite numbers."""
+    """Return C calls that test whether numbers are finite, one for each member of a struct; of the state, only x."""
     if struct == "state":
         return [f"numbers(state->x, {layout.size}U)"] if layout.size else []
     calls = []
@@ -125,7 +125,7 @@ def number_calls(layout: Layout, struct: str) -> list[str]:
 
 
 def jump_lines(layout: Layout, envelope: Envelope, dt: float, real: Real) -> list[str]:
-    """Return C lines that return 1 if an input differs from `state->last` by more than `count` samples allow."""
+    """Return C lines that return 1 if an input differs from `state->last` by more than allowed in `count` samples."""
     size, floor = ("fabs", "floor") if real == "float64" else ("fabsf", "floorf")
     lines = []
     for rate, first, members in _alike(layout, envelope):

@@ -43,7 +43,7 @@ class LineDown(SurctlError):
 
 
 class Identity(NamedTuple):
-    """Identity of a controller and numbers of its values, as the controller reports them.
+    """Identity of a controller and the sizes of its vectors, as the controller reports them.
 
     Attributes:
         id: hash of what the controller computes, see `law_id`.
@@ -104,7 +104,7 @@ class Line:
         self.wire.close()
 
     def request(self) -> Identity:
-        """Request the identity and the sizes of the controller.
+        """Request the controller's identity and the sizes of its vectors.
 
         Raises:
             LineDown: the other process is not an exported controller, or the connection is down.

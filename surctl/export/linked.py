@@ -1,8 +1,8 @@
 """Simulation of a robot whose control law runs in another process, with lost and delayed messages.
 
 The robot applies the newest command that it received until this command is too old; then the robot applies zero thrust
-(fail-safe). This module simulates losses and delays: a seed determines them, and delays are whole control periods. The
-other process receives and sends its messages at once, and simulated time stops meanwhile.
+(fail-safe). Losses and delays are simulated: a seed determines the losses, and a delay is a whole number of control
+periods. The real messages arrive without loss, and simulated time does not advance while the other process computes.
 """
 
 from __future__ import annotations
@@ -131,14 +131,14 @@ class _Command(NamedTuple):
 
 @dataclass
 class LinkedLaw:
-    """Stepper for `surctl.simulation.simulate` that runs the law in another process.
+    """Function that computes each control step of `surctl.simulation.simulate` in another process.
 
     Attributes:
         law: the exported law in Python.
         p: gains of the run (np,), equal to the exported gains.
         line: connection to the controller.
         faults: simulated faults of the connection.
-        envelope: ranges that the controller's guard accepts; None accepts any finite number.
+        envelope: ranges that the controller's input check accepts; None accepts any finite number.
     """
 
     law: Exportable
@@ -198,7 +198,7 @@ class LinkedLaw:
         return closed_form(self.law, real=self.real), self.p
 
     def __call__(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """Return thrust, controller state and newest telemetry of this period; the controller uses its own x and p."""
+        """Return thrust, state and newest telemetry of this period; the other process uses its own state and gains."""
         if self._gone is None:
             self._request(u)
         while self._pending and self._pending[0].arrives <= self._period:
@@ -234,7 +234,7 @@ class LinkedLaw:
         self._pending.append(_Command(self._period + self._late, self._period, reply))
 
     def report(self) -> LinkReport:
-        """Return the statistics of the connection; every reply is compared with a Python step from the same state.
+        """Return the statistics of the connection; each reply is compared with a step in Python from the same state.
 
         If all steps agree, the whole run agrees, by induction from the initial state.
         """

@@ -32,7 +32,7 @@ class Mutant:
     """A bundle with one deliberate error in its C text.
 
     Attributes:
-        kind: sign, operator, gain, guard or memory.
+        kind: what is wrong: sign, operator, gain, guard (input check) or memory.
         file: name of the changed C file.
         line: number of the changed line, from 1.
         old, new: `old` is the text before the change, `new` the text after the change.
@@ -48,7 +48,7 @@ class Mutant:
 
 
 def mutants(bundle: Bundle, *, each: int = 6) -> tuple[Mutant, ...]:
-    """Return up to `each` mutants of each kind, spread evenly over the text; equal bundles give equal mutants."""
+    """Return up to `each` mutants of each kind, spread evenly over the C text; the choice is not random."""
     by_kind: dict[str, list[Mutant]] = {}
     for mutant in _all(bundle):
         by_kind.setdefault(mutant.kind, []).append(mutant)

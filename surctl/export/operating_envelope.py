@@ -1,4 +1,4 @@
-"""Ranges of the guard, derived from the site, the vehicle and the sensors of a mission."""
+"""Ranges for the input check of the exported C, derived from the site, the vehicle and the sensors of a mission."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ _SURPRISE = 0.3  # [m/s], [rad/s] by which a measured velocity may jump at once
 
 
 def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Layout) -> Envelope:
-    """Return the ranges of states and inputs; a state or input that nothing bounds may be any finite number.
+    """Return the ranges of states and inputs; a state or input without a known bound may be any finite number.
 
     Args:
         law: the law to export.
-        mission: scenario; its site, path and sensors bound positions, progress and ranges.
+        mission: scenario; its site bounds positions, its path the progress along it, and its sensors the measured
+            ranges.
         vehicle: vehicle model; its thrust and drag bound the speed.
         gains: layout of the gains that remain inputs of the exported law; these gains may be any finite numbers.
 

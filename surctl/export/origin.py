@@ -1,4 +1,4 @@
-"""Origin of a bundle, as recorded in its manifest: law, gains, vehicle, claims about these, and certificates."""
+"""Origin of a bundle, as recorded in its manifest: law, gains, vehicle, claims about them, and certificates."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
 
 
 def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: Vector) -> list[Path]:
-    """Return the certificates that are about this law with these parameters, and so can be exported with the law.
+    """Return the certificates that concern this law with these parameters; only these can be exported with the law.
 
     Args:
         paths: certificate files.
@@ -223,7 +223,7 @@ def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]
 
 
 def _has_part(law: Law, claim: str) -> bool:
-    """Return whether the law contains the part that a claim of the library is about."""
+    """Return whether the law contains what the claim is about: path following, avoidance, or the barrier."""
     parts = law_source(law.ref).parts
     if claim in _AVOIDANCE:
         return AVOIDANCE in parts and law.avoidance == _AVOIDANCE[claim]

@@ -41,7 +41,7 @@ class Rounded(_Same):
     """An exportable law that Python evaluates instruction by instruction, with every number rounded to `real`.
 
     `Rounded` is the reference for the exported C in this precision, because IEEE 754 defines each operation to the last
-    bit. All vectors are arrays of doubles; for float32 their values are floats.
+    bit. All vectors are arrays of doubles; for float32 their values have single precision.
 
     Attributes:
         law: the law, which must not use libm functions such as sin, whose last bits no standard defines.
@@ -94,7 +94,7 @@ class Rounded(_Same):
 
 @dataclass(frozen=True, eq=False)
 class Guarded(_Same):
-    """A law in Python behind a guard that equals the guard of the exported C.
+    """A law in Python that first checks its inputs as the guard of the exported C does.
 
     Attributes:
         envelope: ranges that the guard accepts, in the law's precision.
@@ -109,7 +109,7 @@ class Guarded(_Same):
         return self.law.initial_state()
 
     def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
-        """Run a step without predecessor; a number out of range gives tau = 0, x_next = x and a negative status."""
+        """Run one step without a check of rates; a number out of range gives tau = 0, x_next = x, negative status."""
         x, u, p = (rounded(np.asarray(v, dtype=float), self.real) for v in (x, u, p))
         refused = int(self.envelope.refusals(Records(*(v[None] for v in (x, u, p))))[0])
         if refused == RANGE:  # the law itself refuses numbers that are not finite
@@ -120,20 +120,20 @@ class Guarded(_Same):
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
-    """Return the law as a target computes it: inside `Rounded` for float32, inside `Guarded` if `envelope` is given."""
+    """Return the law as a target computes it: wrapped in `Rounded` for float32, in `Guarded` if `envelope` is given."""
     inner = law if real == "float64" else Rounded(law)
     return inner if envelope is None else Guarded(inner, envelope, real)
 
 
 def plain(law: Exportable) -> Exportable:
-    """Return the innermost law, without `Rounded` and `Guarded`."""
+    """Return the law that `Rounded` and `Guarded` wrap."""
     while isinstance(law, _Same):
         law = law.law
     return law
 
 
 def evaluated(law: Exportable, X: Vector, U: Vector, P: Vector) -> Rows:
-    """Run independent steps of the law in Python, step k from row k of X, U and P."""
+    """Run independent steps of the law in Python, step k from row k of states X, inputs U and gains P."""
     if isinstance(law, Guarded):
         return _let_in(law, Records(*(rounded(v, law.real) for v in (X, U, P))))
     if isinstance(law, Rounded):
@@ -169,7 +169,7 @@ def _let_in(law: Guarded, records: Records) -> Rows:
 def replayed(
     law: Exportable, records: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
 ) -> Rows:
-    """Run `evaluated`, then refuse input jumps between successive steps; `load` (T,) marks steps that start a new run.
+    """Run `evaluated`, then reject steps whose inputs changed too fast; `load` (T,) is True where a new run starts.
 
     `counts` (T,) are the sample numbers of the steps; None means that no sample is missing.
     """

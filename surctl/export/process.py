@@ -32,7 +32,7 @@ _STEP = 0.05  # s more per step: enough for a law with sonars and software float
 
 @dataclass(frozen=True)
 class FaultResults:
-    """Results of the compiled controller for each invalid number.
+    """Results of the compiled controller for K invalid numbers.
 
     Attributes:
         status: status codes (K,).
@@ -62,11 +62,11 @@ class Controller:
     code_bytes: int | None
 
     def run(self, records: Records, *, load: NDArray[np.bool_]) -> Rows:
-        """Run one step for each record; where `load` (T,) is set, the state comes from the record."""
+        """Run one step for each record, from the previous state or, where `load` (T,) is True, the recorded state."""
         return self.parsed(self.output(self.stream(records, load=load), len(records)), len(records))
 
     def stream(self, records: Records, *, load: NDArray[np.bool_]) -> bytes:
-        """Return the records as input bytes of the program; they depend on its precision but not on its target."""
+        """Return the records as input bytes of the program; the bytes depend on the precision, not on the target."""
         fresh = np.ones(len(records), dtype=bool)  # gains that equal those of the previous step are not sent again
         fresh[1:] = (records.P[1:] != records.P[:-1]).any(axis=1)
         parts: list[NDArray[np.float64]] = []
@@ -77,7 +77,7 @@ class Controller:
             return np.concatenate(parts).astype(self._dtype).tobytes()
 
     def output(self, stream: bytes, count: int) -> bytes:
-        """Run the program; return the bytes that it writes for the records of a stream."""
+        """Run the program on the records in `stream`; return the bytes that the program writes."""
         return self._output([], stream, count, sum(self._widths))
 
     def parsed(self, raw: bytes, count: int) -> Rows:
@@ -101,7 +101,7 @@ class Controller:
         return np.dtype(self.bundle.real)
 
     def run_faults(self, record: Vector, at: Vector, values: Vector) -> FaultResults:
-        """Run K steps from `record` (state, input, gains end to end); step k sets entry `at[k]` to `values[k]`."""
+        """Run K steps, each from `record` (state, input, gains in one vector) with entry `at[k]` set to `values[k]`."""
         numbers = np.concatenate([record, np.column_stack([at, values]).ravel()])
         n_tau = command_size(self.law)
         with np.errstate(over="ignore"):
@@ -192,7 +192,7 @@ def _run(command: list[str], data: bytes, steps: int) -> bytes:
 
 
 def code_bytes(code: Sequence[Path], tool: str = "size") -> int | None:
-    """Return the bytes of code and constants in object files, as reported by `size` or its variant for a target."""
+    """Return how many bytes of code and constants object files contain, according to `size` or a target's `size`."""
     if which(tool) is None:
         return None
     done = subprocess.run([tool, *map(str, code)], capture_output=True, text=True, check=False, timeout=_TIMEOUT)

@@ -1,13 +1,14 @@
 """Proof by abstract interpretation (Frama-C's Eva) that the exported C has no run-time error.
 
-The analysed program (`proof.c`) sets every state, input, gain and last accepted input to any number in its range, sets
-an arbitrary sample number, and calls the step once. If Eva reports no alarm, then in every such step no uninitialised
-value is read, no array index is out of bounds, no conversion overflows, and each thrust is a number within its limit.
-For a law in closed form with bounded memory, Eva also shows that no NaN or infinity is computed and nothing is divided
-by zero. The absence of NaN, infinities and divisions by zero is not proved for a law that loops over constraint rows
-`(n·v ≤ b)` with possibly infinite bounds, or whose state is unbounded. IEEE 754 defines the operations of such a law on
-infinities and NaN, and the exported step checks every result of the law. The analysis uses the ranges of the guard,
-which refuses all numbers outside before the law reads them. The proof therefore covers every step on the robot.
+The analysed program (`proof.c`) sets every state, input, gain and last accepted input to an arbitrary number in its
+range, sets an arbitrary sample number, and calls the step once. If Eva reports no alarm, then in every such step no
+uninitialised value is read, no array index is out of bounds, no conversion overflows, and each thrust is a number
+within its limit. For a law in closed form with bounded memory, Eva also shows that no NaN or infinity is computed and
+nothing is divided by zero. The absence of NaN, infinities and divisions by zero is not proved for a law that loops over
+velocity constraints `n·v ≤ b` with possibly infinite bounds b, or whose state is unbounded. IEEE 754 defines the
+operations of such a law on infinities and NaN, and the exported step checks every result of the law. The analysis uses
+the ranges of the guard (input check), which rejects all numbers outside before the law reads them. The proof therefore
+covers every step on the robot.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class ProofReport:
         tool: the analyser's version.
         log: output of the analyser.
         source: text of the analysed program.
-        inside: whether the proof also covers that every intermediate number is finite and no divisor is zero.
+        inside: whether the proof also shows that every intermediate number is finite and no divisor is zero.
     """
 
     alarms: tuple[Alarm, ...]
@@ -99,12 +100,12 @@ class ProofReport:
 
     @property
     def proved(self) -> bool:
-        """Return whether every property was proved, and the guard accepts some step."""
+        """Return whether every property was proved, and the input check accepts at least one step."""
         return not self.alarms and self.properties > 0 and self.accepts
 
     @property
     def accepts(self) -> bool:
-        """Return whether the guard accepts some step; if it refused every step, the law would not be analysed."""
+        """Return whether the input check accepts at least one step; otherwise the analysis never reaches the law."""
         match = re.search(r"show_each_status: (.*)", self.log)
         return match is not None and any(not number.startswith("-") for number in re.findall(r"-?\d+", match.group(1)))
 

@@ -37,7 +37,7 @@ class Records:
 
 
 def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
-    """Return `Records` that fit the law, from a list of (x, u, p) or from `Records` whose P may be one vector (np,).
+    """Return `Records` from triples (state, inputs, gains), or from `Records` whose gains P may be one vector (np,).
 
     Raises:
         InputError: there is no step, or an array does not fit the law's layouts.

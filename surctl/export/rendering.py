@@ -51,7 +51,7 @@ def render_files(
     Args:
         law: the law, whose names are already checked.
         gains: tuned gains (np,).
-        within: ranges that the guard accepts, rounded to `real`.
+        within: ranges that the input check of the exported C accepts, rounded to `real`.
         name: prefix of files and symbols.
         identity: id of the law (see `law_id`).
         tests: inputs and expected results of the built-in self-test.
@@ -205,7 +205,7 @@ def _values(
 
 
 def _fields(ports: Sequence[Port]) -> str:
-    """Return the members of the output with the verb that follows them, such as "output.tau is"."""
+    """Return the names of output members and "is" or "are", such as "output.tau is", as the start of a sentence."""
     return f"{', '.join(f'output.{port.name}' for port in ports)} {'is' if len(ports) == 1 else 'are'}"
 
 

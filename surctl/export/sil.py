@@ -1,4 +1,4 @@
-"""Software in the loop: comparison of the exported C, which carries its own state, with the law in Python."""
+"""Software in the loop: compare the exported C, which computes its own state from step to step, with Python."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ class SilReport:
         name: the bundle's name.
         id: the law's id.
         steps: number of steps T.
-        resets: number of steps at which the recorded state does not follow from the previous step, so that C was loaded
-            with the recorded state.
+        resets: number of steps whose recorded state does not follow from the previous step; there, C continues from the
+            recorded state.
         tau, state, telemetry: largest differences of thrust, of state and of telemetry.
         status_mismatches: number of steps at which C and Python return different status codes.
         fault_cases: number of invalid inputs tried in C and in Python, see `faults`.
@@ -73,7 +73,7 @@ class SilReport:
         self_test: whether the exported self-test passes.
         compiler: the compiler's version line.
         code_bytes: size of code and constants, None when unknown.
-        command: what the summary calls tau: thrust, or command for a controller of another plant.
+        command: word for tau in the summary: "thrust", or "command" for a controller of another plant.
     """
 
     name: str
@@ -99,7 +99,7 @@ class SilReport:
 
     @property
     def conclusive(self) -> bool:
-        """Return whether the test passed, and C carried its own state from the first step to the last."""
+        """Return whether the test passed, and C continued from its own state at every step after the first."""
         return self.passed and not self.resets
 
     def to_dict(self) -> dict[str, Any]:
@@ -143,15 +143,15 @@ def software_in_the_loop(
 ) -> SilReport:
     """Export the law, compile it, and compare it with Python over a recorded run.
 
-    C starts from the first recorded state and then steps on its own; only the inputs come from the record.
-    Python is evaluated on each recorded state. If a recorded state does not follow from the previous step (a reset,
-    another run), C is loaded with the recorded state; the report counts these loads.
+    C starts from the first recorded state and then steps on its own; only the inputs come from the record. Python is
+    evaluated on each recorded state. If a recorded state does not follow from the previous step (because the controller
+    was reset, or another run begins), C continues from the recorded state; the report counts such steps.
 
     Args:
         law: the control law.
         records: (x, u, p) of each step, or `Records`.
         workdir: folder for the bundle and the program, which stay there; None uses a temporary folder.
-        real: precision of the bundle; Python rounds every operation to it.
+        real: precision of the bundle; Python rounds the result of every operation to this precision.
 
     Raises:
         ToolMissing: there is no compiler.
@@ -269,10 +269,10 @@ def _compare(controller: Controller, run: Records) -> SilReport:
 
 
 def _on_its_own(controller: Controller, run: Records) -> Records:
-    """Return the recorded inputs with the states that C reaches; a float32 law does not reach the states of float64.
+    """Return the recorded inputs with the states that C computes; in float32 these differ from the recorded states.
 
-    Python computes each step from these states, so every wrong step of C shows. If no step is wrong, the whole runs
-    agree.
+    Python computes each step from these states, so every wrong step of C is detected. If no step is wrong, C and Python
+    agree over the whole run.
     """
     first = np.zeros(len(run), dtype=bool)
     first[0] = True

@@ -51,7 +51,7 @@ class Target:
         return ("qemu-system-arm", "-M", self.machine or "", *_BOARD, "-kernel", program)
 
     def bare(self, folder: Path) -> tuple[str, ...]:
-        """Return flags that link a program for the board; `folder` has the bundle's start code and memory map."""
+        """Return flags that link a program for the board; `folder` contains the start-up code and the memory map."""
         return (*self.flags, "--specs=rdimon.specs", "-nostartfiles", f"-T{folder / 'target.ld'}")
 
 

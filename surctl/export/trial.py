@@ -1,4 +1,4 @@
-"""Single steps to try on every build: near recorded runs, where the law switches, far from the runs, and with NaN."""
+"""Single steps on which every build is compared with Python: near recorded runs, far from them, and with NaN."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def trial_steps(
     seed: int = 0,
     within: Envelope | None = None,
 ) -> Records:
-    """Return up to `count` steps (at most `MOST_NUMBERS` numbers), which vary recorded steps in eight ways in turn.
+    """Return up to `count` steps (at most `MOST_NUMBERS` numbers): recorded steps, changed in eight ways in turn.
 
-    The eight ways are: (0) the step as recorded; (1) and (2) a recorded step at which the law switches, with all
-    numbers (1) or about one number (2) moved to the next float up or down; (3) and (6) the step slightly perturbed; (4)
-    the step widely perturbed; (5) some numbers replaced by 0, 1 or their negative; (7) one number NaN or infinite. In
-    every second group of 256 steps, the gains change by up to 10 %.
+    The eight ways are: (0) the step as recorded; (1) and (2) a recorded step at which a branch of the law changes, with
+    all numbers (1) or about one number (2) replaced by the next larger or smaller float; (3) and (6) the step slightly
+    perturbed; (4) the step widely perturbed; (5) some numbers replaced by 0, 1 or their negative; (7) one number NaN or
+    infinite. In every second group of 256 steps, the gains change by up to 10 %.
 
     Args:
         law: the law.
@@ -47,8 +47,8 @@ def trial_steps(
         count: largest number of steps.
         real: precision of the target, which defines the next float.
         seed: seed of the random numbers.
-        within: ranges that the guard accepts. Perturbed numbers stay inside these ranges, and widely perturbed numbers
-            cover the whole ranges, so that the steps test the law and not only the guard.
+        within: ranges that the input check accepts. Perturbed numbers stay inside these ranges, and widely perturbed
+            numbers cover the whole ranges, so that the steps test the law and not only the input check.
     """
     rng = np.random.default_rng(seed)
     X = np.concatenate([run.X for run in runs])

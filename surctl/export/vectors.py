@@ -32,7 +32,7 @@ class SelfTest:
     """Inputs and expected results of the self-test, a run of the law from its initial state.
 
     Attributes:
-        inputs: u of each step (T, nu).
+        inputs: inputs of each step (T, nu).
         tau: expected thrust (T, n_tau) [N, N m].
         state: expected state after each step (T, nx).
         status: expected status of each step (T,).
@@ -45,11 +45,12 @@ class SelfTest:
 
 
 def self_test_vectors(law: Exportable, gains: Vector, within: Envelope) -> SelfTest:
-    """Run `law` on default inputs in the first step, then on perturbed inputs; return inputs and results as `SelfTest`.
+    """Run `law` for one step on default inputs, then on perturbed inputs; return inputs and results as a `SelfTest`.
 
     The perturbation is a low-discrepancy sequence of ±0.1 to ±2 times 1 + |default|, so nothing is random. Expected
     values are rounded to 12 digits, so that the bundle does not depend on the last bits of the machine's sine function.
-    Inputs are rounded to 6 digits to be short, and limited to the guard's ranges, so that every step is accepted.
+    Inputs are rounded to 6 digits to be short, and limited to the accepted ranges, so that the input check accepts
+    every step.
     """
     default = law.inputs.pack()
     inputs = np.array([_perturbed(default, k, spread) for k, spread in enumerate(_SPREADS)])

@@ -66,7 +66,7 @@ def check_animation(path: Path | str) -> Path:
 
 
 def frame_steps(run: Run, *, apart: float) -> list[int]:
-    """Return indices of control periods at intervals of `apart` [s] or slightly more, with the first and the last."""
+    """Return indices of control periods with intervals of `apart` [s] or slightly more, including first and last."""
     last = len(run.record.time) - 1
     step = max(1, int(np.ceil(apart / run.law.dt - 1e-9)))
     return [*range(0, last, step), last]
@@ -213,7 +213,7 @@ def _cells(picture: NDArray[np.uint8]) -> NDArray[np.int_]:
 
 
 def _palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the k most frequent colours (k, 3) of a picture, and the index of the nearest for each of 32³ colours."""
+    """Return the k most frequent colours (k, 3) of a picture, and which of them is nearest to each of 32³ colours."""
     # Pillow's own mapping to a palette turns white into grey
     parts = np.stack(np.unravel_index(np.arange(1 << 15), (32, 32, 32)), axis=1)
     every = (parts << 3) | (parts >> 2)

@@ -17,7 +17,7 @@ INSTANT = "#6D28D9"
 
 @dataclass(frozen=True)
 class Beam:
-    """The beam of one sonar, drawn in {E} as a cone whose length is the filtered range.
+    """The beam of one sonar in the world frame {E}, drawn as a cone whose length is the filtered range.
 
     Attributes:
         apex: position of the sonar (x, y) [m].
@@ -49,7 +49,7 @@ def beams_at(run: Run, step: int) -> tuple[Beam, ...]:
 
 
 def beam_patch(beam: Beam) -> Wedge:
-    """Return the beam as a matplotlib patch in {E} [m], filled with an echo, dashed if the sonar reads its maximum."""
+    """Return the beam as a matplotlib patch in the world frame {E} [m], filled if there is an echo, else dashed."""
     middle, half = np.rad2deg(beam.axis), np.rad2deg(beam.half_angle)
     return Wedge(
         beam.apex,

@@ -101,7 +101,7 @@ class Bench:
         return tuple(sorted({self.scenario.cruise, *self.cruise, *(u for goal in self.goals for u in goal.cruise)}))
 
     def ranges(self, gains: Gains) -> tuple[GainRange, ...]:
-        """Return the gains with a slider and the slider's ends: the gain file's range, or gain / 4 to 4 · gain."""
+        """Return gains that have a slider, with the slider's ends: the gain file's range, or gain / 4 to 4 · gain."""
         return gain_ranges(gains, {name: gains.ranges.get(name) for name in default_tuned(gains)})
 
     def simulate(self, gains: Gains) -> Run:
@@ -114,14 +114,14 @@ class Bench:
         return evaluate(self.goals, evaluated, {name: np.array([value]) for name, value in gains.values.items()})
 
     def linear(self, gains: Gains) -> dict[str, float]:
-        """Return the `LINEAR_METRICS` at the scenario's cruise speed."""
+        """Return the metrics of the linear loop (`LINEAR_METRICS`) at the scenario's cruise speed."""
         table = linear_table(
             self.vehicle, {}, base=gains.values, columns=tuple(LINEAR_METRICS), cruise=self.scenario.cruise, dt=self.dt
         )
         return {name: float(values[0]) for name, values in table.items()}
 
     def over_speeds(self, gains: Gains, columns: Collection[str]) -> OverSpeeds:
-        """Return the given columns of `LINEAR_METRICS` at all cruise speeds."""
+        """Return the given metrics of the linear loop (`columns` of `LINEAR_METRICS`) at all cruise speeds."""
         return over_speeds(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, columns=columns)
 
     def bode(self, gains: Gains, loop: str | None = None) -> Figure:
@@ -145,7 +145,7 @@ class Bench:
         return plot_steps({u: step_responses(self.vehicle, gains.values, cruise=u, dt=self.dt) for u in self.speeds})
 
     def sensitivity(self, gains: Gains) -> Figure:
-        """Plot S and T of all loops opened together at the thrust, at each speed with a stable closed loop."""
+        """Plot sensitivities S and T of all loops opened together at the thrust, at each speed with a stable loop."""
         curves = sensitivities(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, places=("thrust",))
         if not curves:
             raise _unstable(self.vehicle, gains.values, cruise=self.speeds[0], dt=self.dt)

@@ -26,7 +26,7 @@ _COLOURS = ("#0072B2", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#5F6368")
 
 
 def plot_cells(verdict: Verdict, ax: Axes | None = None) -> Axes:
-    """Plot the boxes of a proved claim's certificate over the two variables that are halved most often.
+    """Plot the boxes of a proved claim's certificate over the two variables that the proof bisected most often.
 
     If the claim has more than two variables, the plot shows a section near the middle of the other variables. If the
     proof distinguishes several cases, the plot shows the case with the most boxes.
@@ -104,7 +104,7 @@ def _axes(claim: Claim, ends: Sequence[NDArray[np.float64]]) -> tuple[int, int]:
 
 
 def _section(cells: Cells, first: int, second: int) -> list[int]:
-    """Return the indices of the boxes that the section near the middle of all other variables intersects."""
+    """Return the indices of the boxes that the section near the middle of all other variables cuts."""
     low, high = cells.lower.min(axis=1), cells.upper.max(axis=1)
     centre = low + _BESIDE * (high - low)
     others = [k for k in range(len(centre)) if k not in (first, second)]

@@ -42,7 +42,7 @@ class ExportSummary:
 
     @property
     def passed(self) -> bool | None:
-        """Return whether every comparison with Python passed without a reset; None if there was no comparison."""
+        """Return whether C equalled Python in every comparison, without a reset; None if there was no comparison."""
         return all(report.conclusive for report in self.sil) if self.sil else None
 
 
@@ -71,7 +71,7 @@ class ReportData:
         seconds: computing time [s] of each part of the study.
         summary: lines of the summary, each with True (holds), False (fails) or None (does not count towards the
             result); see `Check`.
-        gains_file: the gain file that `--gains` takes to use these gains; empty if there is none.
+        gains_file: name of the gain file with these gains, for the option `--gains`; empty if there is none.
 
     Raises:
         InputError: `deciding` and `runs` differ in length.

@@ -47,8 +47,8 @@ def margin_slice(verdict: Verdict) -> MarginSlice:
     """Return the margin near a verdict's counterexample over the two most influential variables.
 
     The influence of a variable is the range of the margin while only this variable changes from its value at the
-    counterexample. Values below minus the counterexample's margin are clipped first, so that terms far from the
-    counterexample do not dominate.
+    counterexample. Before the comparison, margins are limited from below to −(margin at the counterexample), so that
+    values far from the counterexample do not dominate.
 
     Raises:
         InputError: the verdict has no counterexample, or fewer than two variables can vary.
@@ -124,7 +124,7 @@ def plot_counterexample(verdict: Verdict, ax: Axes | None = None) -> Axes:
 
 
 def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) -> Axes:
-    """Plot the watched quantity along the replayed motion, and the bound that the claim sets for it.
+    """Plot the quantity whose rate the claim bounds along the replayed motion, and its bound by the claim.
 
     Raises:
         InputError: the verdict has no counterexample, or the replay has no motion.
@@ -157,7 +157,7 @@ def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) ->
 
 
 def _sense(claim: Claim, here: NDArray[np.float64]) -> int:
-    """Return +1 if the left side is the rate of the watched quantity, −1 if it is minus this rate, otherwise 0.
+    """Return +1 if the claim's left side is the rate of the plotted quantity, −1 if minus this rate, otherwise 0.
 
     The left side and the rate are compared at the counterexample. A left side that is the maximum over two turning
     directions equals the rate for only one direction.

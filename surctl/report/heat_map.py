@@ -1,4 +1,4 @@
-"""Heat map of one column of a parameter sweep over two axes, with the picked point framed."""
+"""Heat map of one column of a parameter sweep over two axes, with a frame around the selected point."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _TICKS = 12  # largest number of labels on an axis
 def plot_heat_map(
     table: SweepTable, column: str, ax: Axes | None = None, *, over: tuple[str, str] | None = None
 ) -> Axes:
-    """Plot one column of a sweep grid over two axes; all other parameters have their picked or middle value.
+    """Plot one column of a sweep grid over two axes; all other parameters are fixed at their selected or middle value.
 
     Args:
         table: a parameter sweep over a grid of two or more axes; infeasible cells are hatched.

@@ -30,8 +30,8 @@ def plot_locus(
         ax: axes to draw in.
         unit: unit of the swept parameter.
         picked: parameter value whose poles are marked; the nearest computed value is used.
-        radius: largest |pole| shown [rad/s]; by default the largest |pole| below the topmost gap of a factor of 3,
-            which leaves out the poles of the delay.
+        radius: largest |pole| shown [rad/s]; by default the largest |pole| below the highest gap of a factor of 3
+            between sorted |poles|, so that the fast poles caused by the delay are not shown.
 
     Example:
         >>> from surctl.control import load_gains
@@ -73,7 +73,7 @@ def plot_locus(
 
 
 def _below_the_gap(sizes: NDArray[np.float64]) -> float:
-    """Return the size below the topmost gap that has at least a third of the sizes below it, or the largest size."""
+    """Return the largest |pole| below the highest gap with a third of all poles below it; without gap, the largest."""
     gaps = 1 + np.flatnonzero(sizes[1:] > _GAP * sizes[:-1])
     gaps = gaps[gaps >= max(2, len(sizes) / 3)]
     return float(sizes[gaps[-1] - 1] if gaps.size else sizes[-1])

@@ -206,7 +206,7 @@ def plot_poles(poles: NDArray[np.complex128], ax: Axes | None = None) -> Axes:
 
 
 def _slow(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the poles below the widest gap if it exceeds `_GAP` and all poles above it are stable, else all poles."""
+    """Return the poles below the widest gap in |pole|; all poles if the gap is small or a pole above is unstable."""
     ordered = poles[np.argsort(np.abs(poles), kind="stable")]
     size = np.maximum(np.abs(ordered), 1e-3)
     ratio = size[1:] / size[:-1]

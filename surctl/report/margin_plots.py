@@ -1,4 +1,4 @@
-"""Plots of margins: Bode plots with marked margins, disk margins over frequency and as gain-phase regions, S and T."""
+"""Plots of margins: Bode plots with marked margins, disk margins, gain-phase regions, and sensitivities S and T."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _nearest_turn(loop: LoopResponse, phase: NDArray[np.float64], margins: LoopM
 
 
 def _crossing(omega: NDArray[np.float64], value: NDArray[np.float64], miss: NDArray[np.float64]) -> float:
-    """Return the frequency at which `value` crosses zero; among several frequencies, that with the least `miss`."""
+    """Return the frequency at which `value` crosses zero; if there are several, the one with the least `miss`."""
     at = np.flatnonzero(np.diff(np.sign(value)))
     if not at.size:
         return float(omega[int(np.argmin(np.abs(value)))])
@@ -112,9 +112,10 @@ def plot_disk_margins(loops: Sequence[tuple[OpenLoop, DiskMargin]], *, highest: 
 def sensitivities(
     vehicle: Vehicle, gains: Mapping[str, float], *, cruise: Sequence[float], dt: float, places: Sequence[str]
 ) -> list[Sensitivity]:
-    """Return S and T of the loop opened at the given `DISK_PLACES`, at each cruise speed [m/s] with a stable loop.
+    """Return sensitivities S and T of the loop opened at each of `places`, at each cruise speed with a stable loop.
 
-    If there are several speeds, the `place` of a result contains the speed. `dt` is the control period [s].
+    The names in `places` are those of `DISK_PLACES`. If there are several speeds, the attribute `place` of each result
+    also contains the speed. `cruise` are the cruise speeds [m/s], `dt` is the control period [s].
     """
     curves: list[Sensitivity] = []
     for speed in cruise:
@@ -126,7 +127,7 @@ def sensitivities(
 
 
 def plot_s_and_t(curves: Sequence[Sensitivity]) -> Figure:
-    """Plot the largest singular values of S and T over frequency, with one curve for each loop opening."""
+    """Plot the largest singular values of sensitivities S and T over frequency, one curve for each opened loop."""
     columns = 2 if len(curves) <= 2 else 1  # loop openings at several speeds have long names
     figure = new_figure(9.6, 3.9 + 0.2 * len(curves))
     for ax, which, name in zip(figure.subplots(1, 2), ("S", "T"), ("sensitivity S", "complementary T"), strict=True):

@@ -122,7 +122,7 @@ def figures(run: Run, linear: Mapping[str, float]) -> str:
 
 
 def speeds(table: OverSpeeds) -> str:
-    """Return a table of linear metrics at each cruise speed, and each metric's worst speed; empty for one speed."""
+    """Return a table of linear metrics at each cruise speed, with each metric's worst speed; "" for one speed."""
     if len(table.cruise) < 2:
         return ""
     rows = []

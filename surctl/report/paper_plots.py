@@ -16,7 +16,7 @@ __all__ = ["plot_coordinates", "plot_position_errors", "plot_series"]
 
 
 def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
-    """Plot x, y and z in {E} [m] of each run over time [s].
+    """Plot x, y and z in the world frame {E} [m] of each run over time [s].
 
     Raises:
         InputError: `runs` is empty.
@@ -45,7 +45,7 @@ def plot_coordinates(runs: Sequence[Run], *, title: str) -> Figure:
 
 
 def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None = None) -> Axes:
-    """Plot the distance to the path in three axes, √(Δx² + Δy² + Δz²) [m], over time [s], including avoidance.
+    """Plot the distance to the path in three axes, √(Δx² + Δy² + Δz²) [m], over time [s], also during avoidance.
 
     Args:
         runs: the runs to plot.
@@ -78,7 +78,7 @@ def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None
 
 
 def plot_series(runs: Sequence[Run], *, title: str) -> Axes:
-    """Plot the trajectories of several runs at one site in {E} [m]; the legend gives the time of arrival.
+    """Plot the trajectories of several runs at one site, in the world frame {E} [m]; the legend has arrival times.
 
     Raises:
         InputError: `runs` is empty.

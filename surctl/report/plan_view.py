@@ -34,7 +34,7 @@ def describe(run: Run) -> str:
 
 
 def plot_run(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the plan view of a run in {E}, x and y in m; numbers in hulls and moving obstacles are times in s.
+    """Plot the plan view of a run, x and y in the world frame {E} [m]; numbers in hulls and obstacles are times [s].
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -70,7 +70,7 @@ def plot_run(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def _snapshots(run: Run) -> list[int]:
-    """Return indices of control periods at evenly spaced round times (hulls hardly overlap), and the last index."""
+    """Return indices of control periods at round times so far apart that hulls hardly overlap, and the last index."""
     time, m = run.record.time, run.metrics
     apart = 1.4 * run.vehicle["radius"] * m.time_s / max(m.length_m, 1e-9)  # [s] to travel 0.7 diameters
     least = max(m.time_s / _SNAPSHOTS, apart)
@@ -101,7 +101,7 @@ def draw_site(ax: Axes, length: float, width: float) -> None:
 
 
 def body_outline(shape: Shape) -> Patch:
-    """Return a disc or box as a matplotlib patch in {E} [m]; TypeError for a wall."""
+    """Return a disc or box as a matplotlib patch in the world frame {E} [m]; TypeError for a wall."""
     if isinstance(shape, Disc):
         return Circle((shape.center[0], shape.center[1]), shape.radius)
     if isinstance(shape, Box):

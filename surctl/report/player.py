@@ -41,8 +41,8 @@ def _grid(run: Run) -> float:
 def player_frames(run: Run, *, apart: float = _APART) -> str:
     """Return the frames, at least `apart` [s] from each other, as one JSON text without any `<`.
 
-    Lengths are in m, angles in rad, times in s, and positions in {E} unless stated; values that are not finite are
-    null. The `length` of a beam is negative if the sonar reads its maximum range.
+    Lengths are in m, angles in rad, times in s, and positions in the world frame {E} unless stated otherwise; values
+    that are not finite are null. The `length` of a beam is negative if the sonar reads its maximum range.
     """
     record, scenario, steps = run.record, run.scenario, frame_steps(run, apart=apart)
     frames = {

@@ -22,7 +22,7 @@ _MOST = 8  # largest number of constraint rows shown: those that bind or are vio
 
 
 def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
-    """Plot the relaxation of each level, highest priority first, and below it when each constraint row binds.
+    """Plot the relaxation of each level, highest priority first; a lower plot shows when each constraint row binds.
 
     Args:
         run: the run.

@@ -54,7 +54,7 @@ def plot_region(document: Mapping[str, Any]) -> Figure:
 
 
 def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
-    """Plot one phase portrait: certified set (V ≤ 1, above the floor), points where the rate fails, and flow."""
+    """Plot one phase portrait: level sets of the Lyapunov function, points where the certified rate fails, and flow."""
     alone = ax is None
     ax = dress(ax or new_axes(5.1, 4.9), x=_LABELS[one.plane][0], y=_LABELS[one.plane][1])
     ax.grid(visible=False)

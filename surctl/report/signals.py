@@ -74,7 +74,7 @@ def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the path errors [m]: distance to the path in the plane, depth error, and y_e of (8) as used by the law."""
+    """Plot path errors [m]: distance in the plane, depth error, and the law's y_e by equation (8) of the paper."""
     ax = _axes(run, ax, title="path error", unit="m")
     record, scenario = run.record, run.scenario
     curve(ax, record.time, run.telemetry("path_error")[:, 1], label="y_e in the law", k=1, faint=True)
@@ -85,7 +85,7 @@ def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def plot_velocity(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the ground velocity u, v, w in {B} and the horizontal speed [m/s], with the speed limit."""
+    """Plot the ground velocity u, v, w in the body frame {B} and the horizontal speed [m/s], with the speed limit."""
     ax = _axes(run, ax, title="velocity in {B}", unit="m/s")
     nu = run.record.nu
     for k, name in enumerate("uvw"):
@@ -106,7 +106,7 @@ def plot_yaw_rate(run: Run, ax: Axes | None = None) -> Axes:
 
 
 def plot_force(run: Run, ax: Axes | None = None) -> Axes:
-    """Plot the commanded forces F_u, F_v, F_w in {B} [N], with their limits."""
+    """Plot the commanded forces F_u, F_v, F_w in the body frame {B} [N], with their limits."""
     ax = _axes(run, ax, title="force", unit="N")
     for k, name in reversed([*enumerate(("F_u", "F_v", "F_w"))]):  # surge on top
         curve(ax, run.record.time, run.record.tau[:, k], label=name, k=k, faint=True)

@@ -21,10 +21,10 @@ class RangeTrace:
         title: title of the plot.
         time: (k,) times [s].
         range: (k,) filtered range [m].
-        bound: (k,) half-width of the promised error bound [m].
-        healthy: (k,) 1 if the sensor is healthy, otherwise 0.
+        bound: (k,) bound on the error of the filtered range [m].
+        healthy: (k,) 1 if the filter considers the sensor healthy, otherwise 0.
         reading_time: (m,) times of the received readings [s].
-        reading: (m,) robust values of these readings [m].
+        reading: (m,) ranges that the filter uses from these readings [m].
         truth: (k,) true range [m]; None if it is not known.
     """
 
@@ -40,7 +40,7 @@ class RangeTrace:
 
 @dataclass(frozen=True, kw_only=True)
 class FilterErrors:
-    """Rms range errors [m] of several filters, at rest and when approaching, with the largest errors allowed."""
+    """Rms range errors [m] of several filters, for a robot at rest and approaching, and the largest allowed errors."""
 
     names: tuple[str, ...]
     still: tuple[float, ...]
@@ -51,7 +51,7 @@ class FilterErrors:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LmsTrace:
-    """Prediction errors |ℜ| [m] over sonar firings, by name of the LMS step rule; each array has the shape (k,)."""
+    """Prediction errors |ℜ| [m] at k sonar firings, arrays (k,) by name of the LMS step rule."""
 
     title: str
     errors: dict[str, NDArray[np.float64]]
@@ -87,7 +87,7 @@ def plot_range_trace(trace: RangeTrace, ax: Axes | None = None) -> Axes:
 
 
 def plot_filter_errors(data: FilterErrors, ax: Axes | None = None) -> Axes:
-    """Plot bars of rms range errors, at rest and approaching, with limits as lines; long bars are cut and labelled.
+    """Plot rms range errors as bars, at rest and approaching, with limits as lines; too long bars are cut and labelled.
 
     Args:
         data: the errors.

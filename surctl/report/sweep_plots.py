@@ -21,10 +21,10 @@ _LINES = 2000  # largest number of lines drawn, because more lines would merge
 
 
 def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: Axes | None = None) -> Axes:
-    """Plot a sweep in parallel coordinates: one line for each point, one scale for each parameter and column.
+    """Plot a sweep in parallel coordinates: one line for each point, one scale for each parameter and metric.
 
-    Feasible points are drawn over infeasible ones, and the picked point on top. The line of a point is interrupted at a
-    column without a number. If there are very many points, an evenly spaced selection is drawn.
+    Feasible points are drawn over infeasible points, and the selected point on top. The line of a point has a gap at a
+    metric without a value. If there are very many points, an evenly spaced selection is drawn.
 
     Args:
         table: a sweep of any kind.

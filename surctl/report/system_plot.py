@@ -54,7 +54,7 @@ _Line = tuple[str, NDArray[np.float64], bool]
 
 
 def _groups(record: Record) -> list[tuple[str, str, list[_Line]]]:
-    """Return (signal, unit, lines) of each plot; commands are held between control instants."""
+    """Return (signal, unit, lines) of each plot; lines of commands are constant between control instants."""
     commands = record.ports("command")
     groups: dict[tuple[str, str], list[_Line]] = {}
     for name, port in record.ports("state", "command", "reference").items():

@@ -1,4 +1,4 @@
-"""The style of all plots: colours that colour-blind readers can distinguish, and axes without global state."""
+"""The style of all plots: colours that colour-blind readers can distinguish, and figures outside of pyplot's state."""
 
 from __future__ import annotations
 

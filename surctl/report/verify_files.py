@@ -26,10 +26,10 @@ __all__ = ["save_margins", "save_regions", "save_verdicts"]
 def save_margins(
     vehicle: Vehicle, gains: Mapping[str, float], folder: Path | str, *, cruise: float | Sequence[float], dt: float
 ) -> list[Path]:
-    r"""Write PNGs of Bode (loops with the least margins), Nyquist, disk-margin, and S and T plots; return the paths.
+    r"""Write PNGs of Bode (loops of least margin), Nyquist, disk-margin and sensitivity plots; return the paths.
 
-    With several cruise speeds [m/s], S and T are plotted at each speed, and all other plots are for the largest speed.
-    Nothing is written for an unstable loop.
+    With several cruise speeds [m/s], the sensitivities S and T are plotted at each speed, and all other plots are for
+    the largest speed. Nothing is written for an unstable loop.
 
     Raises:
         InputError: see `loop_margins`; or the folder cannot be written.
@@ -70,7 +70,7 @@ def save_margins(
 
 
 def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]:
-    """Write PNGs for each claim (counterexample and slice, boxes of the proof, or open boxes); return the paths.
+    """Write PNGs for each claim: a counterexample, the boxes of a proof, or the undecided boxes; return the paths.
 
     Raises:
         InputError: the folder cannot be written.

@@ -41,7 +41,7 @@ def file_size(path: Path) -> str:
 
 
 def gains_argument(gains: Gains, gains_file: str) -> str | None:
-    """Return the `--gains` argument: `gains_file`, or the gains' source if they are unchanged; None if neither fits."""
+    """Return the value of `--gains`: `gains_file`, or the file of unchanged gains; None if neither has these gains."""
     try:
         for source in filter(None, (gains_file, gains.source)):
             if load_gains(source).values == gains.values:

@@ -1,4 +1,4 @@
-"""Errata of sections III-C and III-D on angles, sides of avoidance, the window and V2 (E1, E10–E13, E17)."""
+"""Errata E1, E10–E13 and E17 of the paper's sections III-C and III-D on obstacle avoidance."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def printed_obstacle_rate(speed: float, psi: float) -> tuple[float, float]:
 
 
 def printed_turn(acceleration: float, radius: float, time: float) -> float:
-    """Return the angle σ_0 of equation (19) as it reads in our (damaged) copy of the paper, √((a/R)·t)."""
+    """Return the angle σ_0 of equation (19) as our (damaged) copy of the paper reads: √((acceleration/radius)·time)."""
     return sqrt(acceleration / radius * time)
 
 
 def mended_turn(acceleration: float, radius: float, time: float) -> float:
-    """Return the corrected angle σ_0 = √(a/R)·t [rad] of equation (19)."""
+    """Return the corrected angle σ_0 = √(acceleration/radius)·time [rad] of equation (19) of the paper."""
     return sqrt(acceleration / radius) * time
 
 
 def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca.SX:
-    """Return the desired course ψ_dm [rad] of equation (20), counter-clockwise, for λ2 = +1 at the printed speed."""
+    """Return the desired course ψ_dm [rad] of equation (20) of the paper, with the obstacle on the side λ2 = +1."""
     return avoidance_course(
         "consistent",
         phi,
@@ -52,9 +52,9 @@ def course(e2: ca.SX, phi: ca.SX, setting: Setting, *, delta: float = 0.0) -> ca
 
 
 def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closing: float = 0.0) -> float:
-    """Return the distance e2 [m] to the safety circle after 120 s of avoidance by equation (20), from e2 = `start`.
+    """Return the distance e2 [m] to the safety circle after 120 s of avoidance by the paper's equation (20).
 
-    The obstacle approaches head-on at the speed −`closing` [m/s].
+    The distance at the beginning is `start` [m]. The obstacle approaches head-on at the speed −`closing` [m/s].
     """
     e2 = ca.SX.sym("e2")
     turned = course(e2, ca.SX(0), setting, delta=delta)
@@ -64,7 +64,7 @@ def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closin
 
 
 def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vector:
-    """Return position and velocity (k, 4) of a point mass with |v̇| ≤ `acceleration` that avoids the origin by (20)."""
+    """Return position and velocity (k, 4) of a point mass that avoids the origin by equation (20) of the paper."""
     x = ca.SX.sym("x", 4)
     away = ca.sqrt(ca.sumsqr(x[:2]))
     turned = course(away - setting.radius, ca.atan2(-x[1], -x[0]), setting)
@@ -76,7 +76,7 @@ def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vec
 
 
 def e1() -> Result:
-    """Return the result for erratum E1: the rate ẏ by equation (17) and by equation (2), at equal speed and angle."""
+    """Return the result for erratum E1: equations (2) and (17) give different rates ẏ for the same speed and angle."""
     speed, psi = 0.15, pi / 4
     ours_y = value((planar_rotation(ca.SX(psi)) @ ca.vertcat(speed, 0.0))[1])
     printed_y = printed_obstacle_rate(speed, psi)[1]
@@ -98,7 +98,7 @@ def e1() -> Result:
 
 
 def e10() -> Result:
-    """Return the result for erratum E10: the side λ2 by two rules, in one encounter rotated to all directions."""
+    """Return the result for erratum E10: the printed rule for the side λ2 depends on the compass direction."""
     rule, mended = set(), set()
     for k in range(360):
         phi = np.radians(k + 0.5)
@@ -120,7 +120,7 @@ def e10() -> Result:
 
 
 def e11() -> Result:
-    """Return the result for erratum E11: V̇2 inside the circle (−δ < e2 < 0), and the final e2 for δ > 0."""
+    """Return the result for erratum E11: for δ > 0, V̇2 > 0 inside the safety circle, and the robot ends inside."""
     s = Setting()
     claim = claims(names=["v2-printed"])[0]
     margin, inside = evaluate(claim, claim.witnesses[0])
@@ -135,7 +135,7 @@ def e11() -> Result:
 
 
 def e12() -> Result:
-    """Return the result for erratum E12: the final e2 if an obstacle approaches head-on, slower than the robot."""
+    """Return the result for erratum E12: the robot enters the safety circle of a slower, approaching obstacle."""
     s = Setting()
     end, formula = final_distance(0.5, s, closing=-s.obstacle_speed), settling_intrusion(s)
     ours = f"e2 converges to {end:.4f} m; the formula −k3 R c/√(1 − c²) gives {formula:.4f} m"
@@ -148,7 +148,7 @@ def e12() -> Result:
 
 
 def e13() -> Result:
-    """Return the result for erratum E13: avoidance of a resting obstacle with δ = 0, without and with robot inertia."""
+    """Return the result for erratum E13: how close a robot without or with inertia comes to a resting obstacle."""
     s, vehicle = Setting(), load_vehicle("sur540-flooded")
     acceleration = float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     begins = 0.3  # [m] less than the 0.46 m that it takes to stop

@@ -1,4 +1,4 @@
-"""Compare each claim of the paper on V1, V2 and the course, as printed and as corrected, with its verdict."""
+"""Verdicts on the paper's claims about Lyapunov functions V1, V2 and about the course, as printed and as corrected."""
 
 from __future__ import annotations
 

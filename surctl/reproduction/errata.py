@@ -1,4 +1,4 @@
-"""Compare the print with the computation for each of the errata E1–E21."""
+"""Compare the printed statement with the computed result for each of the errata E1–E21."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _ERRATA: tuple[tuple[str, str, str, Word, Callable[[], Result]], ...] = (
 
 
 def errata_items() -> list[Item]:
-    """Return the comparisons for all errata; E8 has two, for the sign and for the diagonal."""
+    """Return the comparisons for all errata; E8 has two, for the sign of ‖e‖²‖M‖ and for the diagonal of M."""
     return [
         Item(name, "errata", what, paper, expected, compute, f"surctl reproduce {name}")
         for name, what, paper, expected, compute in _ERRATA

@@ -50,9 +50,9 @@ def avoidances(run: Run) -> list[float]:
 
 
 def passed_at(run: Run) -> float:
-    """Return the last time [s] at which a moving obstacle is ahead of the robot on its way; 0 if never.
+    """Return the last time [s] at which a moving obstacle is ahead of the robot; 0 if there is no such time.
 
-    Ahead means: in the direction from start to target.
+    Ahead means farther in the direction from start to target.
     """
     direction = run.scenario.target - run.scenario.start
     last = 0.0

@@ -1,4 +1,4 @@
-"""Helper functions: the value of an expression, and the simulation of a small system of differential equations."""
+"""Compute the value of an expression, and the solution of a small system of differential equations."""
 
 from __future__ import annotations
 

@@ -19,9 +19,9 @@ _SERIES = ("tank-speed", "pool-speed")
 
 
 def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
-    """Write the HTML page with a table for each group of comparisons.
+    """Write an HTML page with one table for each group of comparisons.
 
-    If scenarios are among the comparisons, the page shows figures of one run per scenario.
+    If scenarios are among the comparisons, the page also shows figures of one run for each scenario.
 
     The figures show runs with true positions and seed 0.
 

@@ -56,7 +56,7 @@ class Reproduction:
 
 
 def items(simulations: Simulations, *, samples: int = FULL) -> list[Item]:
-    """Return every comparison before its computation: claims, tables, errata, scenarios, position errors.
+    """Return all comparisons, not yet computed: claims, tables, errata, scenarios, position errors.
 
     Example:
         >>> from surctl.reproduction import Simulations, items

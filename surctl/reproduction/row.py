@@ -24,7 +24,7 @@ class Result:
         word: the verdict.
         reason: reason for a difference from the paper, or the counterexample; empty if the result agrees with the
             paper.
-        numbers: the numbers from which `ours` is written, by name, with the unit in the name.
+        numbers: the numbers in the text `ours` by name; each name contains the unit.
         safe: for simulations, whether every run arrived and none collided; None if arrivals and collisions do not
             decide the comparison.
     """
@@ -64,7 +64,7 @@ def wrong_in_print(ours: str, counterexample: str, **numbers: float) -> Result:
 
 
 def unreadable(ours: str, **numbers: float) -> Result:
-    """Return a result for a statement that is wrong as our copy of the paper reads; the copy may be damaged."""
+    """Return a result for a statement that is wrong in our copy of the paper, which may be damaged there."""
     return Result(ours, "unreadable in our copy", numbers=numbers)
 
 

@@ -14,7 +14,7 @@ PRINTED_HULL = "sur540-flooded"  # the paper's hull of 540 mm
 
 
 def erratum_findings(scenario: str, erratum: str) -> list[Finding]:
-    """Return the `findings` on one erratum for a scenario with the printed hull, without its id in their texts."""
+    """Return the `findings` that concern one erratum in a scenario with the printed hull, without the erratum's id."""
     results = findings(load_scenario(scenario), load_vehicle(PRINTED_HULL))
     return [replace(f, text=f.text.replace(f" ({erratum})", "")) for f in results if f"({erratum})" in f.text]
 

@@ -1,4 +1,4 @@
-"""Compare arrivals, collisions and times of all seeds with the paper for each scenario, and E_p for both series.
+"""Compare arrivals, collisions and times of each scenario with the paper, and the position errors of tank and pool.
 
 These comparisons have no expected verdict: the result is as expected if every run arrived and none collided. A time
 that differs from the paper is reported, but it does not make the comparison fail.
@@ -74,7 +74,7 @@ def hull_items(simulations: Simulations) -> list[Item]:
 
 
 def limit_items(simulations: Simulations) -> list[Item]:
-    """Return the comparison on the vehicle parameter that limits the time of the slowest scenario with sonar."""
+    """Return the comparison that shows which vehicle parameter limits the travel time of the slowest scenario."""
     scenario, name = simulations.scenario(_LIMITED), f"{_LIMITED}-sonar-limit"
     return [
         Item(
@@ -112,9 +112,9 @@ def position_items(simulations: Simulations) -> list[Item]:
 
 
 def time_verdict(ours: float, paper: float, kind: str) -> tuple[bool, str]:
-    """Return whether a time [s] agrees with the paper's time of that kind, and a text with the difference.
+    """Return whether a time [s] agrees with the paper's time, and a text that states the difference.
 
-    The kind says whether the paper's time is approximate or an upper limit.
+    `kind` states whether the paper's time is approximate or an upper limit.
     """
     off = ours / paper - 1
     if kind == "less than":

@@ -29,13 +29,13 @@ def largest_percent(test: RangeTest) -> float:
 
 
 def printed_step(x: Vector, residual: float) -> float:
-    """Return the step size μ in S5 of Algorithm 1 as printed, gᵀg/(gᵀRg) with g = Xℜ and R = XXᵀ [1/m²]."""
+    """Return the step size μ = gᵀg/(gᵀRg) [1/m²] as printed in step S5 of Algorithm 1, with g = Xℜ and R = XXᵀ."""
     g, R = x * residual, np.outer(x, x)
     return float(g @ g / (g @ R @ g))
 
 
 def residual_after(step: StepRule) -> float:
-    """Return the ratio of the residuals after and before one step of Algorithm 1 from θ = 1/m, without momentum."""
+    """Return the residual after one step of Algorithm 1 divided by the residual before it, without momentum."""
     m = len(_X)
     theta, x = ca.SX(np.full(m, 1.0 / m)), ca.SX(_X)
     done = lms_step(
@@ -53,14 +53,14 @@ def residual_after(step: StepRule) -> float:
 
 
 def loss_gradient(theta: Vector, x: Vector, x_n: float) -> Vector:
-    """Return the gradient of ℜ² = (x_n − θᵀX)² with respect to θ, (n,) [m²], by automatic differentiation."""
+    """Return the gradient (n,) [m²] of ℜ² = (x_n − θᵀX)² with respect to θ, by automatic differentiation."""
     symbol = ca.SX.sym("theta", len(theta))
     loss = (x_n - ca.dot(symbol, ca.SX(x))) ** 2
     return np.asarray(ca.Function("gradient", [symbol], [ca.gradient(loss, symbol)])(theta)).ravel()
 
 
 def printed_gradient(theta: Vector, x: Vector, x_n: float) -> Vector:
-    """Return the gradient ∇(ℜ) in S3 of Algorithm 1 as printed, +2ℜX (n,) [m²]."""
+    """Return the gradient ∇(ℜ) = +2ℜX (n,) [m²] as printed in step S3 of Algorithm 1."""
     printed: Vector = 2 * (x_n - theta @ x) * x
     return printed
 
@@ -96,7 +96,7 @@ def e3() -> Result:
 
 
 def e4() -> Result:
-    """Return the result for erratum E4: the step size of the 8-bit conversion, compared with the printed resolution."""
+    """Return the result for erratum E4: the range step of an 8-bit converter, compared with the printed resolution."""
     array = SonarArray()
     step, needed = 1e3 * array.resolution, int(np.ceil(np.log2(array.maximum / 0.005 + 1)))
     ours = f"{step:.2f} mm"
@@ -111,7 +111,7 @@ def e4() -> Result:
 
 
 def e5() -> Result:
-    """Return the result for erratum E5: the residual after one LMS step with the printed μ and the factor 2."""
+    """Return the result for erratum E5: one LMS step with the printed step size 2μ increases the residual."""
     m = len(_X)
     printed, corrected = residual_after("printed"), residual_after("corrected")
     mu = printed_step(_X, _X_N - float(np.full(m, 1 / m) @ _X))
@@ -129,7 +129,7 @@ def e5() -> Result:
 
 
 def e6() -> Result:
-    """Return the result for erratum E6: the residual after a step 2μt of (6) at 1 s and at 3 s, if t is the time."""
+    """Return the result for erratum E6: the residual grows if t in equation (6) of the paper is the time."""
     half = 0.5 * printed_step(_X, 1.0)  # the line-search optimum
     at = {t: 1 - 2 * half * t * float(_X @ _X) for t in (1.0, 3.0)}
     ours = (
@@ -142,7 +142,7 @@ def e6() -> Result:
 
 
 def e19() -> Result:
-    """Return the result for erratum E19: the printed and the true gradient of ℜ², and an X_n that contains x_n."""
+    """Return the result for erratum E19: the printed gradient of ℜ² has the wrong sign, and X_n contains x_n."""
     theta = np.full(len(_X), 1.0 / len(_X))
     true, printed = loss_gradient(theta, _X, _X_N), printed_gradient(theta, _X, _X_N)
     ratio = float(true @ printed / (true @ true))

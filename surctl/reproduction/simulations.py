@@ -1,4 +1,4 @@
-"""The simulations of the scenarios for the comparisons; every simulation is computed once and stored."""
+"""The simulations of the scenarios for the comparisons with the paper; each is computed once and stored."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ class Simulations:
         return load_scenario(name)
 
     def batch(self, name: str, sensing: Sensing, vehicle: str = "", factors: Factors = ()) -> BatchResult:
-        """Return the metrics of all seeds with the scenario's or another vehicle.
+        """Return the metrics of the runs with all seeds; `vehicle` names another vehicle than the scenario's.
 
-        `factors` multiply parameters of this vehicle.
+        The parameters of the vehicle are multiplied by `factors`.
         """
         key = (name, sensing, vehicle, factors)
         if key not in self._batches:

@@ -1,4 +1,4 @@
-"""Errata of section III-A and of the position error: tracking law (E7–E9, E18, E21) and position error E_p (E14)."""
+"""Errata of the paper's tracking law in section III-A (E7–E9, E18, E21) and of its position error E_p (E14)."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _TURN = 0.1  # γ̇_d [rad/s] at that point
 
 
 def cross_track_rate(y_e: ca.SX, u: float, v: float, *, lookahead: float, course: bool) -> ca.SX:
-    """Return the cross-track rate ẏ_e [m/s] on a straight path, if (9) controls the heading or the course."""
+    """Return the cross-track rate ẏ_e [m/s] on a straight path; equation (9) steers the heading or the course."""
     aim = -ca.atan2(y_e, lookahead)
     heading = aim - ca.atan2(v, u) if course else aim
     return (planar_rotation(heading) @ ca.vertcat(u, v))[1]
 
 
 def loop_terms(setting: Setting) -> tuple[float, float, float]:
-    """Return V̇1 of the closed loop [m²/s], U_h [m/s] and √(y_e² + Δ_h²) [m], all at the tracking errors `_AT`."""
+    """Return V̇1 [m²/s], the speed U_h [m/s] and √(y_e² + Δ_h²) [m] of the closed loop at the tracking errors `_AT`."""
     x_e, y_e, z_e = (ca.SX(v) for v in _AT)
     s = setting
     along = along_command(
@@ -47,7 +47,7 @@ def loop_terms(setting: Setting) -> tuple[float, float, float]:
 
 
 def first_line(setting: Setting, speed: float, *, factor: float) -> float:
-    """Return the first line of equation (12) [m²/s] at the errors `_AT`; `factor` (1 as printed) multiplies U_h."""
+    """Return the first line of equation (12) [m²/s] at the errors `_AT`, with U_h times `factor` (1 as printed)."""
     (x, y, z), s = _AT, setting
     return (-s.k1 * x + y * _TURN) * x + (-speed * factor - x * _TURN) * y - s.k2 * z * z
 
@@ -69,7 +69,7 @@ def printed_position_error(x: float, y: float, z: float) -> float:
 
 
 def e7() -> Result:
-    """Return the result for erratum E7: the final cross-track error y_e with sway, by heading and by course control."""
+    """Return the result for erratum E7: with sway and heading control, a cross-track error y_e remains."""
     s, y = Setting(), ca.SX.sym("y_e")
     u, v = s.speed, s.speed / 3
     ends = []
@@ -89,9 +89,9 @@ def e7() -> Result:
 
 
 def e8() -> Result:
-    """Return the result for erratum E8: a point that violates ‖e‖²‖M‖ ≤ 0 of (12).
+    """Return the result for erratum E8: a point that violates ‖e‖²‖M‖ ≤ 0 in equation (12) of the paper.
 
-    The result also checks V̇1 ≤ −λ_min(M)‖e‖² at `_AT`.
+    The function also checks the corrected bound V̇1 ≤ −λ_min(M)‖e‖² at the tracking errors `_AT`.
     """
     claim = claims(names=["m-norm-printed"])[0]
     margin, inside = evaluate(claim, claim.witnesses[0])
@@ -106,7 +106,7 @@ def e8() -> Result:
 
 
 def e8_diagonal() -> Result:
-    """Return the result for erratum E8 on the matrix M: V̇1 and −eᵀMe, with k2 or our copy's third diagonal entry."""
+    """Return the result for erratum E8 on M: V̇1 = −eᵀMe holds if the third diagonal entry of M is k2."""
     s = Setting()
     rate, speed, slant = loop_terms(s)
     with_k2 = quadratic_form(s, speed / slant, s.k2)
@@ -118,7 +118,7 @@ def e8_diagonal() -> Result:
 
 
 def e9() -> Result:
-    """Return the result for erratum E9: a point with V̇1 > 0, and the region in which V̇1 ≤ 0 under the speed limit."""
+    """Return the result for erratum E9: a point with V̇1 > 0, and the region with V̇1 ≤ 0 under the speed limit."""
     s = Setting()
     printed, capped = claims(names=["v1-printed", "v1-speed-cap"])
     margin, inside = evaluate(printed, printed.witnesses[0])
@@ -132,7 +132,7 @@ def e9() -> Result:
 
 
 def e14() -> Result:
-    """Return the result for erratum E14: E_p of one offset, by √(Δx² + Δy² + Δz²) and by the formula of our copy."""
+    """Return the result for erratum E14: the position error E_p by √(Δx² + Δy² + Δz²) and by our copy's formula."""
     x, y, z = 0.02, 0.06, 0.03
     used = path_error(np.array([np.hypot(x, y)]), np.array([z]), np.array([False]))
     whole, read = float(np.linalg.norm([x, y, z])), printed_position_error(x, y, z)
@@ -143,7 +143,7 @@ def e14() -> Result:
 
 
 def e18() -> Result:
-    """Return the result for erratum E18: the two lines of equation (12) and V̇1 of the closed loop at one point."""
+    """Return the result for erratum E18: the two lines of equation (12) of the paper differ at a point."""
     s = Setting()
     rate, speed, slant = loop_terms(s)
     printed, mended = first_line(s, speed, factor=1.0), first_line(s, speed, factor=_AT[1] / slant)
@@ -163,7 +163,7 @@ def e18() -> Result:
 
 
 def e21() -> Result:
-    """Return the result for erratum E21: T = x + y of equation (10) has equal values at two different points."""
+    """Return the result for erratum E21: T = x + y of equation (10) is equal at two different points of the plane."""
     one, other = (1.0, 2.0), (2.0, 1.0)
     first, second, apart = followed_path(*one), followed_path(*other), float(np.hypot(1.0, 1.0))
     ours = f"T{one} = {first:g} m and T{other} = {second:g} m for points {apart:.3f} m apart"

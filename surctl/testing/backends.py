@@ -32,7 +32,7 @@ class BackendReport:
         problems: number of problems solved in each family.
         error: largest |y − y*|.
         violation: largest violation of an inequality with a normal of length 1.
-        gradient: largest |y + Gᵀ·multipliers|.
+        gradient: largest |y + Gᵀ·multipliers|, which is 0 at the optimum.
         unsolved: number of feasible problems whose status is not "optimal".
         undetected: number of infeasible problems whose status is "optimal".
         unnamed: number of infeasible problems whose status is "failed" instead of "infeasible".
@@ -97,14 +97,15 @@ def measure_backend(
 ) -> BackendReport:
     """Measure the errors of a backend on problems with known solutions, so that no reference solver is needed.
 
-    A feasible problem is constructed from its optimality conditions: random normals, multipliers ≥ 0 and active bounds;
-    y* = −Gᵀ·multipliers; active bounds pass through y*, the other bounds leave a margin. An infeasible problem is
-    constructed from weights ≥ 0 for which the weighted sum of the normals is 0 and the weighted sum of the bounds is
-    negative (Farkas).
+    A feasible problem is constructed from its solution: random normals (rows of G) and multipliers ≥ 0 give the
+    solution y* = −Gᵀ·multipliers; then the bounds are chosen so that the active ones hold with equality at y* and all
+    others with a margin. An infeasible problem is constructed so that a sum of its inequalities, with weights ≥ 0, is a
+    contradiction (Farkas).
 
     Args:
-        backend: a name in `BACKENDS`, called as the toolkit calls it (rows scaled, solution polished and checked); or a
-            solver function (G (m, d), lower (m,), upper (m,)) → KernelSolution, called directly.
+        backend: a name in `BACKENDS`, called as surctl calls it (rows scaled, solution polished and checked); or a
+            solver function, called directly, that takes G (m, d), lower (m,), upper (m,) and returns a
+            `KernelSolution`.
         families: names in `BACKEND_FAMILIES`.
         problems: number of problems in each family.
         size: number of unknowns d.

@@ -22,8 +22,8 @@ class Known:
     Attributes:
         G: (m, d). lower, upper: (m,).
         y: (d,), the only optimum; None if no y satisfies the inequalities.
-        angle: smallest angle between normals of active inequalities [rad], at most 1; errors in the bounds are
-            amplified by 1/angle.
+        angle: smallest angle between normals of active inequalities [rad], at most 1; a small angle amplifies errors in
+            the bounds to errors in y by 1/angle.
     """
 
     G: Array
@@ -40,9 +40,9 @@ def _unit(rng: np.random.Generator, count: int, size: int) -> Array:
 
 
 def _with_active(normals: Array, rng: np.random.Generator, *, idle: int = 6, free: int = 0) -> Known:
-    """Return a problem with the optimum y* = −normalsᵀ·multipliers, each of `normals` at its upper bound.
+    """Return a problem with the optimum y* = −normalsᵀ·multipliers, at which the inequalities of `normals` are active.
 
-    Random signs are applied, and inequalities that are not active are added.
+    The signs of normals are random, and `idle` inequalities that are not active at y* are added.
 
     The last `free` normals have multiplier 0: their inequalities hold with equality at y* but do not affect y*.
     """

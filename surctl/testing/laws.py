@@ -31,7 +31,7 @@ class LawReport:
     Attributes:
         name: name of the law.
         levels: (name, number of rows) of each priority level, highest first.
-        state, gains: names of the law's own state ports and gains.
+        state, gains: names of the states and of the gains that the law defines itself.
         samples: number of poses, velocities and states at which the law was evaluated.
         digest: SHA-256 of what the law computes.
     """
@@ -45,11 +45,11 @@ class LawReport:
 
 
 def check_law(source: LawSource, *, samples: int = 200, extent: float = 5.0, seed: int = 0) -> LawReport:
-    """Check a law: it builds twice to equal instructions, and thrust and next state are finite and within limits.
+    """Check a law: two builds give equal instructions; thrust and next state are finite, thrust within its limits.
 
-    The law is built for true positions in its first priority mode. At random poses, velocities, contacts and states,
-    the instruction list and CasADi must agree, the thrust must respect the limits of vehicle sur540-flooded, and no
-    value may be NaN or infinite.
+    The law is built for true positions in its first priority mode. At random poses, velocities, obstacle points and
+    states, the instruction list and CasADi must agree, the thrust must respect the limits of vehicle sur540-flooded,
+    and no value may be NaN or infinite.
 
     Args:
         source: the law.
@@ -101,7 +101,7 @@ def check_law(source: LawSource, *, samples: int = 200, extent: float = 5.0, see
 
 
 def _points(law: Law, count: int, extent: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return random states and inputs: poses and velocities anywhere, one contact at a random place."""
+    """Return random states and inputs: poses, velocities, and one obstacle point at a random position."""
     x = np.tile(law.initial_state(), (count, 1))
     x[count // 2 :] += rng.uniform(-1, 1, x[count // 2 :].shape)
     u = np.tile(law.inputs.pack(), (count, 1))

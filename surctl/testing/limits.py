@@ -38,8 +38,8 @@ class LimitReport:
     Attributes:
         names: names of the constraint rows of the limit.
         samples: number of points at which the constraint rows were evaluated, including corners of the ranges.
-        narrowest: smallest upper − lower found, as a velocity; inf if no constraint row has two bounds. narrowest_row:
-            the constraint row with this gap.
+        narrowest: smallest distance upper − lower between two bounds, as a velocity; inf if no constraint row has two
+            bounds. narrowest_row: the constraint row with this distance.
         compared: number of velocities at which `holds` was compared with the constraint rows.
     """
 
@@ -61,17 +61,19 @@ def check_limit(
 ) -> LimitReport:
     """Check the constraint rows of a limit over the ranges of its symbols.
 
-    The names of the constraint rows lower ≤ a·v ≤ upper must be unique, consist of identifiers joined by dots, and be
-    the same at every call. The kinds must be known, and the shape of a must be (1, 4). At random points and at corners
-    of the ranges, the normal a must be finite, the bounds must not be NaN, and lower ≤ upper must hold. If a = 0, the
-    bounds must include 0. For each constraint row, the check then searches for crossing bounds by random steps from the
-    points with the smallest upper − lower. Some velocity must satisfy all actuator rows (tested by linear programming).
+    The names of the constraint rows lower ≤ a·v ≤ upper on the velocity v must be unique, consist of identifiers joined
+    by dots, and be the same at every call. The kinds must be known, and the shape of a must be (1, 4). At random points
+    and at corners of the ranges, the normal a must be finite, the bounds must not be NaN, and lower ≤ upper must hold.
+    If a = 0, the bounds must include 0. For each constraint row, the check then searches for crossing bounds by random
+    steps from the points with the smallest upper − lower. Some velocity must satisfy all rows of the kind actuator
+    (tested by linear programming).
 
     Args:
         limit: any object with a method `rows()`.
         parameters: (symbol, lowest, highest) for every symbol in the constraint rows.
-        holds: function (v (4,), *values of the parameters) → whether v satisfies the limit as intended. Its result is
-            compared with the constraint rows at random velocities and on both sides of every bound.
+        holds: function that takes a velocity v (4,) and the values of the parameters, and returns whether v satisfies
+            the limit as intended. The check compares this result with the constraint rows at random velocities and on
+            both sides of every bound.
         velocity: largest entry of the random velocities for `holds` [m/s, rad/s].
         samples: number of random points.
         seed: seed of numpy's PCG64 generator.

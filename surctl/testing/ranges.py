@@ -25,7 +25,7 @@ _MOST_CORNERS = 10  # largest number of entries for which all corners of the box
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Symbols and their ranges. low, high: (total,), lowest and highest value of each entry of all symbols."""
+    """Symbols and their ranges; low, high (total,) are the lowest and highest values of all entries of the symbols."""
 
     symbols: tuple[ca.SX, ...]
     low: Array
@@ -36,7 +36,7 @@ class Ranges:
         return rng.uniform(self.low, self.high, (count, self.low.size))
 
     def corners(self) -> Array:
-        """Return corners (corners, total) of the box: all corners for few entries, else the lowest and the highest."""
+        """Return corners of the ranges, one per row: for few entries all corners, else the lowest and the highest."""
         if self.low.size == 0:
             return np.zeros((1, 0))
         if self.low.size > _MOST_CORNERS:

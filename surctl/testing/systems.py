@@ -1,4 +1,4 @@
-"""Check whether a plant or controller of the user's own gives finite numbers, equal in all its forms."""
+"""Check whether a user's plant or controller gives finite numbers, equal in CasADi and as instruction list."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SystemReport:
         form_error: largest difference between the instruction list and CasADi, relative to 1 + |value|.
         derivative_error: difference between CasADi's Jacobian and central differences, relative to 1 + |J|: the
             median over the points; 0 for a controller.
-        digest: SHA-256 of what it computes.
+        digest: SHA-256 of what the plant or controller computes.
     """
 
     name: str
@@ -52,7 +52,7 @@ def check_plant(
     smooth: float = 1e-4,
     seed: int = 0,
 ) -> SystemReport:
-    """Check a plant at random points: derivatives and outputs are finite, and every form gives the same numbers.
+    """Check a plant at random points: derivatives and outputs are finite, CasADi and instruction list agree.
 
     Args:
         plant: the plant.
@@ -110,7 +110,7 @@ def check_controller(
     samples: int = 200,
     seed: int = 0,
 ) -> SystemReport:
-    """Check a controller at random points: results are finite, the status is never negative, and all forms agree.
+    """Check a controller at random points: finite results, no negative status, CasADi and instruction list agree.
 
     Args:
         controller: the controller.
@@ -179,7 +179,7 @@ def _points(
 def _compare(
     what: str, block: Block, direct: ca.Function, layouts: Mapping[str, Layout], points: Mapping[str, Array]
 ) -> float:
-    """Return the largest relative difference between the instruction list and CasADi with libm functions."""
+    """Return the largest relative difference between the instruction list and CasADi with C library functions."""
     listed = replay(block, *points.values())
     function = on_vectors(direct.expand())
     largest = 0.0

@@ -1,4 +1,4 @@
-"""Check whether the Jacobian, the reference and the angle wrap of a task are consistent with its σ."""
+"""Check whether the Jacobian, the reference and the angle wrap of a task are consistent with its task function σ."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TaskReport:
     """Properties of a task that passed the check.
 
     Attributes:
-        name: name of the task. size: number of entries of σ.
+        name: name of the task. size: number of entries of the task function σ.
         samples: number of poses at which σ was differentiated.
         derivative_error: largest difference between J and the central differences of σ, relative to 1 + max |J|.
         rank: largest rank of J found.
@@ -59,13 +59,13 @@ def check_task(
     tol: float = 1e-6,
     seed: int = 0,
 ) -> TaskReport:
-    """Check a task, or the task that a builder returns for an eta symbol.
+    """Check a task, or the task that a function returns for a symbolic pose eta.
 
-    At random poses, J must equal the central differences of σ along the motion due to each velocity. The check uses its
-    own implementation of the kinematics (1)–(2). σ, J and reference must be finite (a set-based task may have no lower
-    or no upper bound; its bounds must not cross), and an angular error must lie in [−π, π]. A full turn of the vehicle
-    must change neither J nor the reference. At the poses in `near`, and close to these poses, all values must be
-    finite.
+    At random poses, the Jacobian J must equal the central differences of the task function σ along the motion due to
+    each velocity. The check has its own implementation of the kinematics, equations (1)–(2) of the paper. σ, J and
+    reference must be finite (a set-based task may have no lower or no upper bound; its bounds must not cross), and an
+    angular error must lie in [−π, π]. A full turn of the vehicle must not change J or the reference. At the poses in
+    `near`, and close to these poses, all values must be finite.
 
     Args:
         task: the task, or a function that returns the task for a symbol eta, SX (4, 1).

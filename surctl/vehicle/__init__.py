@@ -1,4 +1,4 @@
-"""The vehicle: parameters with provenance, kinematics (1)–(2), dynamics (3), linearisation and identification."""
+"""The vehicle: parameters, equations (1)–(3) of the paper (kinematics, dynamics), linearisation, identification."""
 
 from surctl.vehicle.dynamics import (
     PLANT_DISTURBANCE,

@@ -1,4 +1,4 @@
-"""The dynamics (3) with current, optional linear heave drag, thrust limits and first-order thrust lag.
+"""The dynamics, equation (3) of the paper, with current, optional heave drag, thrust limits and thrust lag.
 
 Added mass is part of the inertia matrix that the model inverts. A model that instead feeds back the added-mass force
 from a delayed acceleration diverges if the added mass exceeds the dry mass, as the added mass of this robot does.
@@ -73,12 +73,12 @@ def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
 
 
 def damping_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
-    """Return the drag D(ν)ν of (3), (4,): the sum of linear and quadratic drag on each axis [N, N m]."""
+    """Return the drag D(ν)ν (4,) of equation (3): the sum of linear and quadratic drag on each axis [N, N m]."""
     return p["linear_drag"] * nu + p["quadratic_drag"] * nu * ca.fabs(nu)
 
 
 def coriolis_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
-    """Return C(ν)ν for diagonal M, (4,): (−m22 v r, m11 u r, 0, (m22 − m11) u v) [N, N m]."""
+    """Return the Coriolis term C(ν)ν (4,) of a diagonal M: (−m22 v r, m11 u r, 0, (m22 − m11) u v) [N, N m]."""
     m = p["mass"]
     return ca.vertcat(-m[1] * nu[1] * nu[3], m[0] * nu[0] * nu[3], 0, (m[1] - m[0]) * nu[0] * nu[1])
 
@@ -88,9 +88,9 @@ class Plant:
     """The differential equation of the vehicle, with every parameter as an input.
 
     Attributes:
-        ode: function (x (12,), tau_command (4,), d (7,), p (17,)) → ẋ (12,), with the layouts `PLANT_STATE`,
-            `PLANT_DISTURBANCE`, `PLANT_PARAMETERS`.
-        jacobians: function with the arguments of `ode` → exact ∂ẋ/∂x (12, 12) and exact ∂ẋ/∂tau_command (12, 4).
+        ode: function that computes ẋ (12,) from state x (12,), tau_command (4,), disturbance d (7,) and parameters p
+            (17,); `PLANT_STATE`, `PLANT_DISTURBANCE` and `PLANT_PARAMETERS` name their entries.
+        jacobians: function with the arguments of `ode` that computes exact ∂ẋ/∂x (12, 12) and ∂ẋ/∂tau_command (12, 4).
     """
 
     ode: ca.Function
@@ -99,10 +99,10 @@ class Plant:
 
 @cache
 def build_plant() -> Plant:
-    """Assemble the plant (1)–(3).
+    """Return the differential equation of the vehicle, equations (1)–(3) of the paper.
 
     A constant irrotational current enters as ν_r = ν − ν_c in every hydrodynamic and inertial term (Fossen 2021,
-    property 10.1). In {B}, the current vector rotates against the turn of the vehicle, with ν̇_c = −r S ν_c.
+    property 10.1). In the body frame {B}, the current vector ν_c rotates at −r, opposite to the vehicle's yaw rate r.
     """
     x, state = PLANT_STATE.symbols("x")
     d, disturbance = PLANT_DISTURBANCE.symbols("d")
@@ -146,7 +146,7 @@ def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64
 
 @cache
 def trim_function() -> ca.Function:
-    """Return a CasADi function (ν, p) → `trim_thrust`; ν and p may have several columns, one for each plant."""
+    """Return a CasADi function of (ν, p) that computes the trim thrust; ν and p may have one column for each plant."""
     flat, parameters = PLANT_PARAMETERS.symbols("p")
     velocity = ca.SX.sym("nu", 4)
     return ca.Function(
@@ -155,9 +155,9 @@ def trim_function() -> ca.Function:
 
 
 def steady_speed(force: float, linear: float, quadratic: float) -> float:
-    """Return the speed u [m/s] at which the drag X u + X₂ u² equals a force F ≥ 0 [N].
+    """Return the speed u [m/s] at which the drag X u + X₂ u² equals the force F ≥ 0 [N].
 
-    It is u = (−X + √(X² + 4 X₂ F)) / (2 X₂).
+    The speed is u = (−X + √(X² + 4 X₂ F)) / (2 X₂), with F = `force`, X = `linear` and X₂ = `quadratic`.
 
     Example:
         >>> from surctl.vehicle import load_vehicle, steady_speed

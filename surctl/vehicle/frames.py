@@ -1,8 +1,8 @@
 """Conversion between the frame conventions ENU/FLU, used in all computations, and NED/FRD, used by other programs.
 
 ENU is the frame {E}: x east, y north, z up, ψ counter-clockwise from x. FLU is the frame {B}: x forward, y left, z up.
-NED has x north, y east, z down, and ψ clockwise from north. FRD has x forward, y right, z down (Fossen 2021,
-section 2.1). A function converts in both directions, because each conversion is its own inverse.
+NED has x north, y east, z down, and ψ clockwise from north. FRD has x forward, y right, z down (Fossen 2021, section
+2.1). Each function converts in both directions, because the conversion is its own inverse.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FRAME_TEXT: dict[Frame, str] = {
 def swap_pose(eta: ArrayLike) -> NDArray[np.float64]:
     """Convert poses (…, 4) of x, y, z [m] and ψ [rad] from ENU to NED or back: (y, x, −z, π/2 − ψ).
 
-    Headings are not wrapped to one turn by the conversion. If a quantity is NaN, its converted value is NaN.
+    The conversion does not wrap headings to one turn. A NaN is converted to NaN.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""Estimate the parameters of (3) for a spherical vehicle from its size, mass and thrust."""
+"""Estimate the parameters of a spherical vehicle (equation (3) of the paper) from its size, mass and thrust."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ def sphere(
 ) -> Vehicle:
     """Return a spherical vehicle from its geometry; every derived parameter has a range and a provenance.
 
-    The mass including added mass is m + f (3/2 ρV − m), where f is the flooded fraction. For f = 1, all water inside
-    the shell moves with the shell, and the added mass is that of a sphere, ½ρV (Fossen 2021, ch. 8). For f = 0, water
-    passes freely through the shell. The moment of inertia is 2/5 (m + f (ρV − m)) R², as for a solid sphere without
-    added mass. The quadratic drag is ½ρ C_d πR² in surge and sway, and 1.5 times this value in heave. Linear drag and
-    yaw drag are design choices, because no formula of this kind exists for linear drag or yaw drag.
+    The mass including added mass is m + f (3/2 ρV − m), with dry mass m, flooded fraction f, water density ρ and volume
+    V. For f = 1, all water inside the shell moves with the shell, and the added mass is that of a sphere, ½ρV (Fossen
+    2021, ch. 8). For f = 0, water passes freely through the shell. The moment of inertia is 2/5 (m + f (ρV − m)) R²
+    with the radius R, as for a solid sphere without added mass. The quadratic drag is ½ρ C_d πR² in surge and sway, and
+    1.5 times this value in heave. Linear drag and yaw drag are design choices, because no formula of this kind exists
+    for linear drag or yaw drag.
 
     Args:
         name: name of the vehicle.

@@ -1,8 +1,8 @@
 """Identification of a vehicle from a log by output-error least squares, with 95 % intervals and identifiability test.
 
-The simulated motion is fitted to the measured motion (Ljung 1999, section 7.4; Tischler & Remple 2012). So measurement
-noise does not bias masses and drag. If measured velocities were differentiated, noise would bias them. If the noise in
-each column of the log is white, the result is the maximum-likelihood estimate.
+The simulated motion is fitted to the measured motion (Ljung 1999, section 7.4; Tischler & Remple 2012). Measurement
+noise therefore does not bias the estimated masses and drag, as it would if measured velocities were differentiated. If
+the noise in each column of the log is white, the result is the maximum-likelihood estimate.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Identified:
         estimates: for every fitted parameter by name, the estimate and half the width of its 95 % interval.
         identified: names of the parameters whose 95 % interval is sufficiently narrow.
         noise: standard deviation of the residuals, by column of the log.
-        notes: reasons why the 95 % intervals may be wrong.
+        notes: possible reasons why the 95 % intervals are wrong.
     """
 
     vehicle: Vehicle
@@ -126,7 +126,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
 
 
 def _begun(log: MotionLog, start: Vehicle, noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an initial θ, fitted to the first lines of the log, then to 1.5 times as many lines, and so on.
+    """Return an initial guess of θ, fitted to the first lines of the log, then to 1.5 times as many, and so on.
 
     Over the whole log, a simulated heading may be wrong by more than half a turn; then the fit would end in a local
     minimum. Over a short part of the log, the error of the simulated heading is smaller.
@@ -146,7 +146,7 @@ def _begun(log: MotionLog, start: Vehicle, noise: NDArray[np.float64]) -> NDArra
 
 
 def _simulable(problem: _Problem, theta: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return θ, if necessary with reduced parameter changes, such that the simulated motion over the log is finite.
+    """Return θ, if necessary nearer to the start vehicle, so that the simulated motion over the log is finite.
 
     A fit to a short part of the log may give a negative drag. With a negative drag, the simulated motion over the whole
     log can diverge.
@@ -171,8 +171,7 @@ def _simulable(problem: _Problem, theta: NDArray[np.float64], noise: NDArray[np.
 def _moved(velocities: NDArray[np.float64], noise: NDArray[np.float64], measured: NDArray[np.bool_]) -> frozenset[str]:
     """Return the names of the masses on axes that moved by more than the noise.
 
-    On an axis at rest, the fit would interpret the noise as motion, and the mass of this axis would seem to be
-    identified.
+    If an axis is at rest, the fit interprets noise as motion, and the mass of this axis wrongly seems to be identified.
     """
     x, y, z, psi, *rates = noise  # an axis without a measured velocity uses the position noise per second
     has_rate = measured[4:]
@@ -335,9 +334,10 @@ def _cut(blocks: ca.DM, width: int) -> NDArray[np.float64]:
 
 @cache
 def _stepper(parts: int, lagged: bool) -> tuple[ca.Function, ca.Function]:
-    """Return two functions of (x (12,), thrust (4,), p (13,), dt): one for the state after dt, one for its Jacobians.
+    """Return two functions of state x (12,), thrust (4,), p (13,) and dt: the state after dt, and its Jacobians.
 
-    The functions integrate the plant (1)–(3) in still water by RK4 in `parts` steps; p has the order of `FITTED`.
+    The functions integrate equations (1)–(3) of the paper in still water by RK4 in `parts` steps. The parameters p have
+    the order of `FITTED`.
     """
     x, thrust, p, dt = ca.SX.sym("x", 12), ca.SX.sym("thrust", 4), ca.SX.sym("p", 13), ca.SX.sym("dt")
     limits = ca.DM.ones(4) * 1e12  # the thrust in the log is not limited again

@@ -1,4 +1,4 @@
-"""The plant (1)–(3) as a nonlinear system of python-control."""
+"""The plant, equations (1)–(3) of the paper, as a nonlinear system of python-control."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), unit
     """Return a `control.NonlinearIOSystem` from thrust command to the whole plant state, continuous in time.
 
     `control.input_output_response` interpolates inputs between the given times, but the simulation of this toolkit
-    holds inputs constant. `control.input_output_response` may also skip a short input. So give times on both sides of a
-    step of an input, and `solve_ivp_kwargs={"max_step": ...}`. With "rtol" and "atol" of 1e-12, its result agrees with
-    the fixed-step simulation (`surctl.simulation.advance`) to 1e-8 in SI units. `control.linearize` about trimmed
-    motion gives the system that `linearise` returns.
+    holds inputs constant. `control.input_output_response` may also skip a short input. Therefore give times on both
+    sides of a step of an input, and limit the step size with `solve_ivp_kwargs={"max_step": ...}`. With "rtol" and
+    "atol" of 1e-12, the computed motion agrees with the fixed-step simulation (`surctl.simulation.advance`) to 1e-8 in
+    SI units. `control.linearize` about trimmed motion gives the system that `linearise` returns.
 
     Args:
         vehicle: the vehicle; the system includes its thrust limits and thrust lag.
-        current: steady current (3,) [m/s] in {E}, ENU.
+        current: steady current (3,) [m/s] in the world frame {E} (east, north, up).
         units: whether to append units to the signal names, as in "u [m/s]".
 
     Returns:

@@ -1,4 +1,4 @@
-"""The kinematics (1)–(2), η̇ = J(ψ) ν, with the ENU world frame {E} and the FLU body frame {B}."""
+"""The kinematics η̇ = J(ψ) ν, equations (1)–(2) of the paper, with ENU world frame {E} and FLU body frame {B}."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["jacobian", "planar_rotation"]
 
 
 def planar_rotation(psi: ca.SX) -> ca.SX:
-    """Return R(ψ), 2×2, which rotates horizontal vectors from {B} to {E}; ψ [rad] is counter-clockwise from x.
+    """Return the 2×2 matrix R(ψ) that rotates horizontal vectors from {B} to {E}; ψ [rad] is counter-clockwise from x.
 
     Example:
         >>> import casadi as ca
@@ -21,7 +21,7 @@ def planar_rotation(psi: ca.SX) -> ca.SX:
 
 
 def jacobian(psi: ca.SX) -> ca.SX:
-    """Return J(ψ) of (2), 4×4, which maps ν = (u, v, w, r) in {B} [m/s, rad/s] to η̇ in {E}.
+    """Return the matrix J(ψ) of equation (2), 4×4, that maps ν = (u, v, w, r) in {B} [m/s, rad/s] to η̇ in {E}.
 
     Example:
         >>> import casadi as ca

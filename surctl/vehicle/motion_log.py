@@ -29,9 +29,9 @@ class MotionLog:
 
     Attributes:
         time: (n,) [s], increasing.
-        motion: (n, 8) pose η in {E}, then velocity over ground ν in {B}; NaN where no measurement exists; ψ is
-            continuous, without jumps by a full turn.
-        thrust: (n, 4) commanded thrust in {B} [N, N m]; each command is held constant until the next sample.
+        motion: (n, 8) pose η in the world frame {E}, then velocity over ground ν in the body frame {B}; NaN where there
+            is no measurement. The heading ψ is continuous, without jumps by a full turn.
+        thrust: (n, 4) commanded thrust in {B} [N, N m]; each command is constant until the next sample.
         source: name of the file.
     """
 
@@ -61,7 +61,7 @@ class MotionLog:
 
 
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
-    """Read a log file (CSV, .mat or netCDF) with the columns `t_s`, thrust, and any of motion; ignore other columns.
+    """Read time `t_s`, thrust, and any motion columns of a log file (CSV, .mat, netCDF); ignore other columns.
 
     Args:
         path: the file.

@@ -23,7 +23,7 @@ LIBRARY = Path(__file__).parent / "library"
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """The definition of a vehicle parameter: table in the file, unit, meaning, whether 0 is allowed, default value."""
+    """The definition of a vehicle parameter: its table in the file, unit, meaning, whether 0 is allowed, default."""
 
     table: str
     unit: str
@@ -66,7 +66,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle: its name, a note, every parameter of (3) by name (in SI units), and the file it was read from."""
+    """A vehicle: its name, a note, every parameter of equation (3) by name (in SI units), and the name of its file."""
 
     name: str
     note: str
@@ -100,7 +100,7 @@ class Vehicle:
         return np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
 
     def steady_yaw(self, share: float) -> float:
-        """Return the yaw rate [rad/s] that `share` of the yaw moment sustains against the drag in the worst case."""
+        """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case."""
 
         def worst(name: str, which: int) -> float:
             known = self.parameters[name].range
