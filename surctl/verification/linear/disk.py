@@ -188,7 +188,7 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
 def _scaling(M: Complex) -> Array:
     """Return the diagonal matrix D (q,) that minimises the largest singular value of D M D⁻¹.
 
-    The minimum is convex in log D; quasi-Newton steps start from Osborne's scaling.
+    This singular value is convex in log D; quasi-Newton steps start from Osborne's scaling.
     """
     from scipy.optimize import minimize
 
@@ -292,7 +292,7 @@ def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
 
 
 def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> float | None:
-    """Return the frequency up to which σ_max(D M D⁻¹) stays below `level` from `omega` on; None if it never does.
+    """Return the frequency up to which σ_max(D M D⁻¹) stays below `level` from `omega` on; None if not at `omega`.
 
     Between two frequencies at which σ_max crosses the level, σ_max stays on one side, so one frequency between them is
     tested. Rounding errors would decide a test at a crossing.

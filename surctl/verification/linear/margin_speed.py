@@ -26,8 +26,8 @@ def margin_speed(
     """Return the largest cruise speed [m/s] up to which every vehicle keeps a disk margin of all loops; 0 if none.
 
     All loops are opened at the thrust commands or at the measurements. The margins are estimated on a coarse grid of
-    frequencies. The search over the speeds goes in steps of a twelfth of the range, followed by bisection. It uses only
-    the vehicles that are worst at the last result; all vehicles are compared at the new result.
+    frequencies. The search over the speeds goes in steps of a twelfth of the range, followed by bisection. The search
+    uses only the vehicles that are worst at the last result; all vehicles are compared at the new result.
 
     Args:
         tried: the vehicles; the law's model is the first one.

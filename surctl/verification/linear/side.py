@@ -177,7 +177,7 @@ def worst_linear_side(
 
 
 def alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
-    """Group the vehicles by whether they have thrust lag, which adds states; the first vehicle is in group 1."""
+    """Return the vehicles in two groups, with and without thrust lag; the group of the first vehicle comes first."""
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]
