@@ -22,7 +22,7 @@ def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = Fa
 
     Args:
         vehicle: the vehicle for which the claim is to be checked.
-        mass_alone: whether to compare the masses only, and to allow different drag.
+        mass_alone: whether to compare only the masses, so that surge and sway may have different drag.
         ranges: whether to require equal parameter ranges too, because the claim uses the ranges of surge for both axes.
     """
     for what, (surge, sway) in list(_ALIKE.items())[: 1 if mass_alone else None]:

@@ -50,5 +50,5 @@ def course_printed(setting: Setting) -> Claim:
 
 
 def course_corrected(setting: Setting) -> Claim:
-    """Return the claim of the paper's equation (9) with the course; the heading command compensates the sideslip."""
+    """Return the claim of the paper's equation (9) for course control; the heading command compensates the sideslip."""
     return _course(setting, corrected=True)

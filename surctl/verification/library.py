@@ -76,7 +76,7 @@ def claims(
 def applicable_claims(
     gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
 ) -> tuple[tuple[Claim, ...], Mapping[str, NotApplicable]]:
-    """Return the claims that apply to the vehicle, and a mapping from the names of all other claims to the reasons.
+    """Return the claims that apply to the vehicle and, by name, the reason why each of the other claims does not apply.
 
     A reason is the `NotApplicable` error of the claim. The arguments are those of `claims`.
 

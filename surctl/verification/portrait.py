@@ -81,7 +81,7 @@ class _Loop:
 
 
 def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
-    """Return the planes in which a certificate can be drawn: plane name → indices of the two states.
+    """Return the planes in which a certificate can be drawn, as a mapping from plane name to indices of two states.
 
     Raises:
         InputError: the certificate has no level sets.

@@ -19,9 +19,9 @@ _LEVELS, _RATIO, _SAMPLES = 4, 8, 512  # number of time grids, each `_RATIO` tim
 def step_system(cascade: Cascade, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the systems (A, b, c) from a reference to the controlled variable; a leading axis holds the cascades.
 
-    `cross_track`: the path steps to one side; all loops are closed. `heading`: the desired heading steps, and the path
-    does not change; all loops are closed. `surge_speed`: the desired surge speed steps; the along-track loop is open,
-    and the response is correct up to a constant factor.
+    `cross_track`: the path is displaced to one side by a step; all loops are closed. `heading`: the desired heading
+    changes by a step, and the path does not change; all loops are closed. `surge_speed`: the desired surge speed
+    changes by a step; the along-track loop is open, and the response is correct up to a constant factor.
     """
     B, K = cascade.B, cascade.K
     if name == "cross_track":

@@ -67,7 +67,7 @@ class LawNumbers:
 
 
 def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
-    """Return the numbers of the guarded law with `vehicle` as its model.
+    """Return the numbers that describe the guarded law with `vehicle` as the law's model.
 
     Raises:
         NotApplicable: surge and sway differ, or integral action is on.

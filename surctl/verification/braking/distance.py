@@ -137,7 +137,7 @@ def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
 
 
 def _force(claim: BrakingClaim, at: Encounter, z: Vector) -> Vector:
-    """Return the braking force [N] at closing speed z [m/s], with the drag that supports braking least."""
+    """Return the braking force [N] at closing speed z [m/s], with the drag that helps least to brake."""
     b, v = claim.brakes, z - at.through
     share = 1.0 if claim.drag == "along" else 1 / sqrt(2)
     ahead = b.linear[0] * v + share * b.quadratic[0] * v**2

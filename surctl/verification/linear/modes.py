@@ -104,7 +104,7 @@ class Mode:
 
     @property
     def remedy(self) -> str:
-        """Return text about changes that stabilise an unstable loop.
+        """Return a text that names the changes that stabilise an unstable loop.
 
         An example is "with k_r = 4.5 (one gain changed, …), or at 0.2 m/s".
         """

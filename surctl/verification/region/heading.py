@@ -27,7 +27,7 @@ Range = tuple[float, float]
 HEADING_GAINS: Mapping[str, float] = {
     "k1": 0.15, "k_z": 0.15, "lookahead": 1.2, "k": 0.35, "k_psi": 0.8, "k_r": 1.5, "cruise": 0.15,
 }  # fmt: skip
-"""Gains of the heading-steered loop, lower than those of the exported law [1/s, 1/s, m, 1/s, 1/s, 1/s, m/s]."""
+"""Gains of the heading-steered loop, which is softer than the exported law [1/s, 1/s, m, 1/s, 1/s, 1/s, m/s]."""
 
 _NUMBERS = {
     "mass_kg": "m11", "heave_mass_kg": "m33", "yaw_inertia_kg_m2": "m44", "surge_linear": "Xu",
@@ -143,8 +143,8 @@ def heading_claim(
 class Limits:
     """Bounds at n points: on surge speed minus cruise speed, sway speed and yaw rate, and on the thrust shares.
 
-    The thrust share φ of an axis is the share of the commanded thrust that the thrust limit lets pass; `shares` holds
-    its least values for surge, sway and yaw.
+    The thrust share φ of an axis is the share of the deviation of the commanded thrust that remains under the thrust
+    limit; `shares` holds the least values of φ for surge, sway and yaw.
     """
 
     surge: Array

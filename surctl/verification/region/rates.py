@@ -62,7 +62,7 @@ def heading_loop(claim: HeadingClaim) -> Loop:
 
 
 def cruise_loop(claim: RegionClaim) -> Loop:
-    """Return the function that computes ξ̇ of the cruise loop with thrust limits, without lag and held commands."""
+    """Return the function that computes ξ̇ of the cruise loop with thrust limits, without thrust lag or sampling."""
     mass, hat, hat2 = claim.model
     gains, v = claim.gains, claim.cruise
     ratio = np.inf if claim.asymmetry >= 2 else (2 + claim.asymmetry) / (2 - claim.asymmetry)

@@ -52,7 +52,8 @@ class Start:
     """Start values of the synthesis for the region V ≤ 1.
 
     `x` and `y` are the largest |x| and |y| [m], `share` is the least thrust share φ, `floor` the level of the innermost
-    shell, `growth` the part of the decay rate that w_5 uses up, and `velocity` the largest velocity deviation [m/s].
+    shell, `growth` the part of the decay rate that the uncertain input w_5 uses up, and `velocity` the largest velocity
+    deviation [m/s].
     """
 
     x: float
@@ -303,7 +304,7 @@ def _shaped(
 
 
 def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:
-    """Return the candidate for P and levels without held commands; None if a shell has no valid multipliers."""
+    """Return the candidate for P and levels in continuous time; None if a shell has no valid multipliers."""
     extent = np.sqrt(np.diag(np.linalg.inv(P)))
     velocity_gain = claim.model[0] * claim.gains["k_v"]
     gains = Gains(

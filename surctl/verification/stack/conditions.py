@@ -1,9 +1,10 @@
-"""Conditions for the convergence of every task under the paper's null-space law (16), for targets at rest.
+"""Conditions under which every task of a stack converges under equation (16) of the paper, for targets at rest.
 
-Let σ̃ contain the errors of all tasks. The law gives dσ̃/dt = −M K σ̃ with the gain matrix K and the blocks M_ij = J_i
-N_1 ⋯ N_{j−1} J_j⁺ (successive projection, as printed), where J_i is the Jacobian of task i, J_i⁺ its pseudoinverse, and
-N_i the projector onto its null space. The conditions extend those on orthogonality and independence by Antonelli (2009,
-Stability analysis for prioritized closed-loop inverse kinematic algorithms):
+Let σ̃ contain the errors of all tasks. Equation (16) is the null-space law; it gives dσ̃/dt = −M K σ̃ with the gain
+matrix K and the blocks M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ (successive projection, as printed), where J_i is the Jacobian of
+task i, J_i⁺ its pseudoinverse, and N_i the projector onto the null space of J_i. The conditions extend those on
+orthogonality and independence by Antonelli (2009, Stability analysis for prioritized closed-loop inverse kinematic
+algorithms):
 
 - M_ij with j > i is the disturbance of a higher task by a lower one. M_ij with j > i is zero if the projectors of the
   levels commute, as those of orthogonal tasks do. Then M is lower block triangular: a cascade, which is stable for any
@@ -92,8 +93,8 @@ class LevelCondition:
         outcome: whether the task converges for a target at rest, while the state stays in the region.
         shown: the weakest kind of evidence that the outcome depends on.
         tracks: whether the task also tracks a moving target exactly, because no other task disturbs it.
-        keeps: lower bound on the share of its own gain that the task keeps; 0 if higher tasks may remove one of its
-            directions.
+        keeps: lower bound on the share of the task's own gain that higher tasks leave to the task; 0 if higher tasks
+            may remove one of its directions.
         disturbed_by: mapping from the name of each lower task that disturbs this task to the size of the disturbance,
             the largest sampled ‖M_ij‖.
         reason: reason for the outcome, in words.
