@@ -101,7 +101,10 @@ class DistanceTable:
 
 
 def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
-    """Return the table for an obstacle that approaches at `obstacle` [m/s], up to the highest speed in the claim."""
+    """Return the table for an obstacle that approaches at `obstacle` [m/s], up to the highest z that the claim needs.
+
+    `DistanceTable` defines z.
+    """
     b, at = claim.brakes, encounter(claim, obstacle)
     fastest = claim.fastest + claim.watch.speed_error
     gain = (b.most + at.disturbance + b.largest_drag(max(at.through, fastest))) / b.masses[0]
