@@ -1,4 +1,4 @@
-"""Check the assumptions of claims about vehicle and gains. A claim is not applicable if an assumption is violated."""
+"""Check the assumptions of claims. A claim does not apply to a vehicle or to gains that violate an assumption."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = Fa
 
     Args:
         vehicle: the vehicle for which the claim is to be checked.
-        mass_alone: whether to compare the masses only, and to allow different drag.
+        mass_alone: whether to compare only the masses, so that surge and sway may have different drag.
         ranges: whether to require equal parameter ranges too, because the claim uses the ranges of surge for both axes.
     """
     for what, (surge, sway) in list(_ALIKE.items())[: 1 if mass_alone else None]:
@@ -39,7 +39,7 @@ def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = Fa
 
 
 def check_no_integral(gains: Gains) -> None:
-    """Raise NotApplicable if the gains include integral action, because the certified loops have none."""
+    """Raise NotApplicable if the gains include integral action, because the certified loops have no integral action."""
     if gains["k_i"]:
         raise NotApplicable(
             f"k_i = {gains['k_i']:g} 1/s^2 and the claim assumes a loop without integral action", to="these gains"

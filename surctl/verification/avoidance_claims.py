@@ -1,7 +1,8 @@
-"""Claims about the avoidance law: the function V2 of (21)–(24), and the clearance as a barrier function.
+"""Claims about the avoidance law: the function V2 of the paper's equations (21)–(24), and a barrier function.
 
-The obstacle is given in polar coordinates about the robot: distance l = R_OB + e2, bearing φ counter-clockwise (E1).
-The claims take their expressions for the course from the implemented law (`surctl.guidance.avoidance`).
+The position of an obstacle is given in polar coordinates about the robot: the distance is l = R_OB + e2, where R_OB is
+the anti-collision radius, and the bearing φ is positive counter-clockwise (erratum E1). V2 is e2²/2. The claims use the
+expression for the course that `surctl.guidance.avoidance` implements.
 """
 
 from __future__ import annotations
@@ -107,7 +108,11 @@ def _rate_bound(e: _Encounter) -> ca.SX:
 
 
 def v2_printed(setting: Setting) -> Claim:
-    """The claim (24) for a static obstacle and δ ≥ 0; the claim is refuted: the robot comes as near as R_OB − δ."""
+    """Return the refuted claim V̇2 ≤ 0 of the paper's equation (24), for a static obstacle and safety distances δ ≥ 0.
+
+    The claim is refuted because the robot comes as near to the obstacle as R_OB − δ, which is less than the
+    anti-collision radius R_OB.
+    """
     e = _encounter(setting)
     return Claim(
         name="v2-printed",
@@ -125,7 +130,10 @@ def v2_printed(setting: Setting) -> Claim:
 
 
 def v2_static(setting: Setting) -> Claim:
-    """The claim (24) for a static obstacle and δ e2 ≥ 0, the conditions under which (24) holds."""
+    """Return the claim of the paper's equation (24) for a static obstacle and δ e2 ≥ 0; then equation (24) holds.
+
+    δ is the safety distance of equation (20), and e2 is the distance to the obstacle minus the anti-collision radius.
+    """
     e = _encounter(setting)
     return Claim(
         name="v2-static",
@@ -143,9 +151,10 @@ def v2_static(setting: Setting) -> Claim:
 
 
 def v2_obstacle(setting: Setting) -> Claim:
-    """The claim (24) for a moving obstacle slower than the robot; a term that is missing in (24) refutes it (E12).
+    """Return the refuted claim V̇2 ≤ 0 of the paper's equation (24), for a moving obstacle slower than the robot.
 
-    The constraint δ e2 ≥ 0 excludes the failure that erratum E11 describes.
+    The claim is refuted because a term is missing in equation (24) (erratum E12). The claim has the constraint δ e2 ≥
+    0, which excludes the failure that erratum E11 describes.
     """
     e = _encounter(setting)
     obstacle = setting.obstacle_speed
@@ -169,9 +178,11 @@ def v2_obstacle(setting: Setting) -> Claim:
 
 
 def settling_intrusion(setting: Setting) -> float:
-    """Return the equilibrium e2* < 0 [m] that law (20) reaches in front of an obstacle approaching head-on (E12).
+    """Return the equilibrium e2* < 0 [m] of the paper's equation (20) for an obstacle that approaches head-on.
 
-    The obstacle's speed is u_OB < u_dm. For δ = 0, e2* = −k3 R_OB c/√(1 − c²) with c = u_OB/u_dm.
+    Erratum E12 describes this equilibrium. e2 is the distance to the obstacle minus the anti-collision radius R_OB. The
+    obstacle's speed u_OB is less than the robot's speed u_dm. For the safety distance δ = 0, e2* = −k3 R_OB c/√(1 − c²)
+    with c = u_OB/u_dm and the convergence coefficient k3.
 
     Example:
         >>> from surctl.verification import Setting, settling_intrusion
@@ -183,7 +194,10 @@ def settling_intrusion(setting: Setting) -> float:
 
 
 def v2_clockwise(setting: Setting) -> Claim:
-    """The claim V̇2 ≤ 0 if (2) uses the angle of (20) as (17) and (22) define it: clockwise."""
+    """Return the refuted claim V̇2 ≤ 0 for the case that the paper's equation (2) uses a clockwise course angle.
+
+    The course angle comes from equation (20); equations (17) and (22) define it as clockwise.
+    """
     e = _encounter(setting)
     # at this bearing the printed course points 155° away from the obstacle; the angle of (20) is 45°, because ζ = 1
     phi = float(np.deg2rad(55.0))
@@ -203,7 +217,11 @@ def v2_clockwise(setting: Setting) -> Claim:
 
 
 def clearance_printed(setting: Setting) -> Claim:
-    """The claim that the printed law keeps the clearance; refuted: the robot hits static obstacles at some bearings."""
+    """Return the refuted claim that the clearance l − R_OB is a barrier function of the law as printed.
+
+    l is the distance to a static obstacle, and R_OB the anti-collision radius. Under the law as printed, the robot hits
+    static obstacles at some bearings.
+    """
     e = _encounter(setting)
     return Claim(
         name="clearance-printed",
@@ -221,7 +239,11 @@ def clearance_printed(setting: Setting) -> Claim:
 
 
 def clearance_corrected(setting: Setting) -> Claim:
-    """The claim that h = l − R_OB − d_s is a barrier function of the corrected law if u_OB ≤ u − κ d_s."""
+    """Return the claim that h = l − R_OB − d_s is a barrier function of the corrected law if u_OB ≤ u − κ d_s.
+
+    l is the distance to the obstacle, R_OB the anti-collision radius, d_s the standoff distance, u_OB the obstacle's
+    speed, u the robot's speed and κ the barrier gain.
+    """
     e = _encounter(setting)
     needed = e.u_ob + setting.kappa * setting.standoff
     return Claim(

@@ -1,7 +1,7 @@
-"""The steps of the proof of the braking barrier, as claims over all parameter ranges of a vehicle.
+"""The steps of the proof that a vehicle can brake before an obstacle, as claims over the vehicle's parameter ranges.
 
-`surctl.guidance.braking` states the proof. `surctl.verification.braking` issues a separate certificate for given
-numerical values, laws and sampled control.
+The docstring of `surctl.guidance.braking` contains the proof. For a law with sampled control and given numerical
+values, `surctl.verification.braking` issues a separate certificate.
 """
 
 from __future__ import annotations
@@ -56,10 +56,12 @@ def _box(vehicle: Vehicle, fastest: float) -> _Box:
 
 
 def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
-    """The claim that l − S does not decrease while the vehicle brakes and the distance l decreases (step 2, times F').
+    """Return the claim that l − S does not decrease while the vehicle brakes and the distance l decreases.
 
-    S is the stopping distance. The claim covers the worse case: the vehicle moves astern at g and the obstacle
-    approaches at v_o = g + s. While the vehicle still moves ahead, drag helps to brake.
+    S is the stopping distance, and l the distance to the obstacle. The claim is the inequality of step 2 of the proof,
+    multiplied by the least braking force. The claim covers the worse case: the vehicle moves astern at a speed g, and
+    the obstacle approaches at v_o = g + s with the closing speed s. While the vehicle still moves ahead, drag helps to
+    brake.
     """
     box = _box(vehicle, fastest)
     b = box.brakes
@@ -90,9 +92,11 @@ def braking_keeps(vehicle: Vehicle, fastest: float) -> Claim:
 
 
 def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
-    """The claim that l − S does not decrease while the vehicle retreats faster than the obstacle approaches.
+    """Return the claim that l − S does not decrease while the vehicle retreats faster than the obstacle approaches.
 
-    The vehicle moves astern at v_o + r while z is still positive; its drag then exceeds D(v_o).
+    l is the distance to the obstacle, and S the stopping distance. The vehicle moves astern at v_o + r, where v_o is
+    the obstacle's speed; the vehicle's drag then exceeds its drag at the speed v_o. S is still positive, because the
+    lagging thrust still adds speed.
     """
     box = _box(vehicle, fastest)
     m, vo = box.mass(), box.obstacle()
@@ -114,9 +118,9 @@ def braking_retreat(vehicle: Vehicle, fastest: float) -> Claim:
 
 
 def braking_mass(vehicle: Vehicle, fastest: float) -> Claim:
-    """The claim that the stopping distance is largest at an end of the mass range.
+    """Return the claim that the stopping distance is largest at an end of the mass range.
 
-    The stopping distance is convex in the mass: between two masses it lies below the chord.
+    The stopping distance is a convex function of the mass: its graph between two masses lies below the chord.
     """
     box = _box(vehicle, fastest)
     s = box.closing()

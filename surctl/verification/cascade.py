@@ -1,10 +1,12 @@
-"""The cascaded controller, linearised about cruise: an outer guidance loop, inner velocity loops and one loop delay.
+"""The cascaded controller, linearised about cruise: outer guidance loop, inner velocity loops and loop delay.
 
-In the deviations from a straight cruise along x (path and heading along x) the controller is ν_c = (−k1 x, −(U/Δ_h) y −
-U ψ, −k2 z, −k_psi ψ), F = m̂ (k (ν_c − ν) + ξ) + D'(ν_0) ν_c, ξ̇ = k_i (ν_c − ν), with k = (k_v, k_v, k_v, k_r).
-Guidance commands a velocity in {E}; the rotation of this velocity into {B} gives the term −U ψ. D' is the slope of the
-drag that the controller feeds forward at the desired speed. The controller cancels neither Coriolis forces nor the
-measured drag.
+All quantities are deviations from a straight cruise at speed U; path and heading lie along x. Guidance commands the
+velocity ν_c = (−k1 x, −(U/Δ_h) y − U ψ, −k2 z, −k_psi ψ), where Δ_h is the lookahead distance. The velocity loops
+command the thrust F = m̂ (k (ν_c − ν) + ξ) + D'(ν_0) ν_c, where ν is the velocity, ν_0 its value in cruise, m̂ the mass
+in the controller's model, k = (k_v, k_v, k_v, k_r), and ξ the integral action with ξ̇ = k_i (ν_c − ν). The rotation of
+the commanded velocity from the earth-fixed frame {E} into the body frame {B} gives the term −U ψ. D' is the slope of
+the drag that the controller feeds forward at the desired speed. The controller compensates neither Coriolis forces nor
+the drag at the measured speed.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ _PADE_ORDER = 3
 
 
 def has_cascade(law: str, guidance: str) -> bool:
-    """Whether this cascade describes the linear loop of a law and a guidance about straight cruise, far from obstacles.
+    """Return whether this cascade describes a law with a guidance, linearised about straight cruise without obstacles.
 
     The law `dwa` chooses among discrete velocities and has no linear loop. Guidance with an internal state adds a state
     that the cascade does not contain.
@@ -40,9 +42,10 @@ def has_cascade(law: str, guidance: str) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Cascade:
-    """Delayed plant and controller, ẋ = A x + B f, y = C x, f = −K y; a leading array axis holds several cascades.
+    """A linear plant with loop delay, ẋ = A x + B f and y = C x, and its controller f = −K y.
 
-    With integral action, ξ (4,) is appended to the states and to y, and ξ̇ is appended to f.
+    A leading axis of the arrays holds several cascades. With integral action, the integral state ξ (4,) is appended to
+    the state x and to the output y, and its derivative ξ̇ is appended to the input f.
 
     Attributes:
         A: (…, n, n) state matrix; the states are those of the plant with thrust lag, then the delay states, then ξ.
@@ -74,14 +77,14 @@ class Cascade:
         return bool(np.all(self.poles[..., 0].real < -1e-9))
 
     def at_thrust(self, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The system (A, b, c) of the loop opened at one thrust command; all other loops are closed."""
+        """The matrices (A, b, c) of the loop that is opened at one thrust command while all other loops are closed."""
         rest = self.K.copy()
         rest[..., axis, :] = 0
         closed = self.A - self.B @ rest @ self.C
         return closed, self.B[..., [axis]], self.K[..., [axis], :] @ self.C
 
     def at_output(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """The system (A, b, c) of the loop opened at one measured output; all other loops are closed."""
+        """The matrices (A, b, c) of the loop that is opened at one measured output while all other loops are closed."""
         rest = self.K.copy()
         rest[..., index] = 0
         closed = self.A - self.B @ rest @ self.C
@@ -97,7 +100,7 @@ def build_cascade(
     model: Vehicle | None = None,
     delay: float | None = None,
 ) -> Cascade:
-    """Linearise the plant at cruise speed and close the cascade around it.
+    """Return the cascade of a plant and its controller, linearised at the cruise speed.
 
     Args:
         vehicle: the plant.
@@ -145,8 +148,8 @@ def build_cascades(
     All n cascades must have the same order: all or none have thrust lag, and all or none have integral action.
 
     Args:
-        plant: (n, 17) plant parameters in the order of `plant_parameters`; the caller checks that each plant can
-            hold the cruise speed.
+        plant: (n, 17) plant parameters in the order of `plant_parameters`; the caller must check that the thrust of
+            each plant suffices for the cruise speed.
         gains: the gains `CASCADE_GAINS` by name, and k_i for integral action, each an array (n,).
         cruise: cruise speed U (n,) [m/s].
         dt: control period [s].
@@ -222,7 +225,10 @@ def _with_integral(
     k: Mapping[str, NDArray[np.float64]],
     k_i: NDArray[np.float64],
 ) -> Cascade:
-    """Add integral action to a cascade: ξ̇ = k_i (ν_c − ν), and m̂ ξ is added to the thrust command."""
+    """Return the cascade with integral action: m̂ ξ is added to the thrust command, with ξ̇ = k_i (ν_c − ν).
+
+    ν_c − ν is the error of the velocity, and m̂ (the argument `mass`) is the mass in the controller's model.
+    """
     eye = np.broadcast_to(np.eye(4), (len(k_i), 4, 4))
     drive = k_i[:, None, None] * np.concatenate([_guidance(k), eye], axis=-1)
     return Cascade(
@@ -234,7 +240,7 @@ def _with_integral(
 
 
 def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the block-diagonal matrices of two stacks of matrices (n, …, …)."""
+    """Return n block-diagonal matrices; each has one matrix of `first` and one of `second` as its blocks."""
     (n, rows, columns), (_, more, further) = first.shape, second.shape
     joined = np.zeros((n, rows + more, columns + further))
     joined[:, :rows, :columns], joined[:, rows:, columns:] = first, second
@@ -244,7 +250,7 @@ def _diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 def _delayed(
     A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64], delay: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Add a Padé approximation of the delay [s] at every input of the plants."""
+    """Return the plants (A, B, C) with a Padé approximation of the delay [s] at every input."""
     eye = np.eye(B.shape[-1])
     a, b, c, d = (np.kron(eye, m) for m in _pade(delay))
     n, order, lags = len(A), A.shape[-1], len(a)

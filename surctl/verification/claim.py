@@ -42,11 +42,11 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The kinematic loop of a claim, on which a counterexample is replayed.
+    """The differential equations with which a counterexample of a claim is simulated.
 
     Attributes:
-        rates: time derivatives, by name of the variable, in the variable's unit per second; other variables are
-            constant.
+        rates: time derivative of each variable that changes, by name, in the variable's unit per second; all other
+            variables are constant.
         watched: the quantity whose rate the claim bounds (a Lyapunov function or a clearance).
         name: name of `watched`.
         unit: unit of `watched`.
@@ -62,10 +62,10 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Claim:
-    """The claim that left(x) ≤ right(x) for every x in a box at which constraints(x) ≤ 0.
+    """The claim that left(x) ≤ right(x) for every point x of a box where all constraints(x) ≤ 0.
 
-    Equality does not refute a claim. To claim that the left side is negative away from the origin, choose a right side
-    that is negative there, for instance −c‖e‖².
+    A point where both sides are equal does not refute a claim. To claim that the left side is negative everywhere
+    except at the origin e = 0, choose a right side that is negative there, for instance −c‖e‖² with c > 0.
 
     Attributes:
         name: short name, used on the command line.
@@ -79,10 +79,10 @@ class Claim:
         unit: unit of both sides.
         constraints: column g of SX expressions; the domain of the claim is the part of the box where g ≤ 0.
         witnesses: points that the falsifier tries first, each with a value for every variable.
-        motion: the loop on which a counterexample is replayed, if the claim bounds a rate.
+        motion: the differential equations with which a counterexample is simulated, if the claim bounds a rate.
         paper: whether the claim comes from the paper, either as printed or in corrected form.
         tolerance: relative tolerance for rounding: a point refutes the claim only if left − right exceeds `tolerance`
-            times the largest |left| or |right| found.
+            times the largest |left| or |right| at the evaluated points.
     """
 
     name: str
@@ -124,7 +124,7 @@ class Claim:
 
     @property
     def symbols(self) -> ca.SX:
-        """The symbols of the variables as a column (n, 1), in order."""
+        """The symbols of the variables as a column (n, 1), in the order of `variables`."""
         return ca.vertcat(*[v.symbol for v in self.variables])
 
     @property
@@ -153,7 +153,7 @@ class Claim:
         return {v.name: float(x) for v, x in zip(self.variables, point, strict=True)}
 
     def on(self, domain: Mapping[str, tuple[float, float]]) -> Claim:
-        """Return the claim with other bounds (lower, upper) by variable, without witnesses outside the new bounds."""
+        """Return the claim with new bounds (lower, upper) of the named variables, without witnesses outside them."""
         known = [v.name for v in self.variables]
         for name in domain:
             if name not in known:

@@ -84,8 +84,8 @@ def load_claim(path: Path) -> Claim:
 
     Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side that counts as rounding;
     default 1e-9), `witnesses` (points, each with a value for every variable) and the table `[motion]` (`rates` by
-    variable, `watched`, `name`, `unit`, `duration`). The motion is the loop on which a counterexample is replayed.
-    Units are printed but not converted: use SI units.
+    variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential equations with which a
+    counterexample is simulated. Units are printed but not converted: use SI units.
 
     Raises:
         InputError: the file is not a valid claim; the error names file, key, token and column, and the remedy.
@@ -174,7 +174,7 @@ def write_claim(claim: Claim) -> str:
 
     Raises:
         UnsupportedOperation: the claim uses an operation that the claim grammar does not have.
-        InputError: the claim has a name that the grammar cannot read.
+        InputError: a name in the claim is not a valid name of the claim grammar.
 
     Example:
         >>> from surctl.verification import claims, write_claim

@@ -57,7 +57,7 @@ class Counterexample:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """The result of evaluating a counterexample again and simulating the claim's motion from it.
+    """The result of a replay: a second evaluation of a counterexample, and a simulation that starts from it.
 
     Attributes:
         margin: left − right at the point, evaluated again.
@@ -82,7 +82,8 @@ class Replay:
     def confirmed(self) -> bool:
         """Whether the replay confirms the counterexample.
 
-        The point then lies in the domain, its margin is positive, and the motion exceeds the claimed bound.
+        A counterexample is confirmed if its point lies in the domain, the margin at the point is positive, and, if the
+        claim has a motion, the watched quantity exceeds its claimed bound in the simulation.
         """
         return self.inside and self.margin > 0 and (self.excess.size == 0 or bool(self.excess[-1] > 0))
 
@@ -113,9 +114,9 @@ def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
 
 
 def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -> Replay:
-    """Evaluate a counterexample again; if the claim bounds a rate, also integrate the claim's loop from this point.
+    """Evaluate a counterexample again; if the claim bounds a rate, also simulate the claim's motion from this point.
 
-    The integration ends when the margin is no longer positive, or after the duration that the motion states.
+    The simulation ends when the margin is no longer positive, or after the duration that the claim's motion states.
 
     Args:
         claim: the claim, with the gains for which it was refuted.
@@ -144,7 +145,7 @@ def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -
 def _replay(
     claim: Claim, motion: Motion, start: NDArray[np.float64], points: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the time, the watched quantity and ∫ margin dt until the violation ends."""
+    """Return times, the watched quantity and the integral of the margin, until the margin is no longer positive."""
     from scipy.integrate import solve_ivp
 
     x = claim.symbols

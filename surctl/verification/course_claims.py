@@ -1,4 +1,4 @@
-"""Claims about the course in (9): the effect of sway on a robot that steers by heading instead of course (E7)."""
+"""Claims about equation (9) of the paper: the effect of sway on a robot that steers by heading (erratum E7)."""
 
 from __future__ import annotations
 
@@ -42,10 +42,13 @@ def _course(setting: Setting, *, corrected: bool) -> Claim:
 
 
 def course_printed(setting: Setting) -> Claim:
-    """The claim for (9) as printed, with the heading as the course; sway then leaves a cross-track error Δ_h v/u."""
+    """Return the refuted claim of the paper's equation (9) as printed, with the heading in place of the course.
+
+    A sway speed v then leaves a cross-track error Δ_h v/u, where Δ_h is the lookahead distance and u the surge speed.
+    """
     return _course(setting, corrected=False)
 
 
 def course_corrected(setting: Setting) -> Claim:
-    """The claim for (9) with the course: the heading command compensates the sideslip angle."""
+    """Return the claim of the paper's equation (9) for course control; the heading command compensates the sideslip."""
     return _course(setting, corrected=True)

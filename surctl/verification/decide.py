@@ -49,7 +49,7 @@ def decide(
         progress: function that receives a line of progress from time to time.
 
     Raises:
-        InputError: `falsify` finds an error.
+        InputError: `falsify` rejects its arguments.
 
     Example:
         >>> from surctl.verification import claims, decide
@@ -84,8 +84,8 @@ def _confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float6
     """Return a counterexample that interval arithmetic confirms, or None if no counterexample is confirmed.
 
     Candidates are the worst point, then the other violating points (n, k), then the worst few violating points, moved
-    slightly into the domain. The worst point alone may not suffice: on the branch cut of atan2 an interval holds all
-    angles.
+    slightly into the domain. The worst point alone may not suffice: on the branch cut of atan2, interval arithmetic
+    yields all angles.
     """
     points = np.column_stack([claim.point(worst.values), violating])
     try:
@@ -108,7 +108,7 @@ def _confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float6
 
 
 def _moved(oracle: Oracle, point: NDArray[np.float64], by: float) -> NDArray[np.float64]:
-    """Return the point, moved into the box until every constraint holds with the margin `by`, if possible."""
+    """Return the point after a move into the domain, so that every constraint holds with margin `by` if possible."""
     claim = oracle.claim
     at = np.clip(point, claim.lower, claim.upper)
     for _ in range(_MOVES):

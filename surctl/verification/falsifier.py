@@ -39,9 +39,9 @@ class Search:
 def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 0) -> Verdict:
     """Search for a point of the domain where the claim fails.
 
-    The falsifier evaluates scrambled Sobol samples, whose number is rounded up to a power of two. The falsifier then
-    starts from the worst samples that are far enough apart, and maximises the margin in the unit box with L-BFGS-B, or
-    with SLSQP if the domain has constraints.
+    The falsifier evaluates scrambled Sobol samples, whose number is rounded up to a power of two. Local searches then
+    start from the worst samples that are far enough apart. They maximise the margin, in coordinates scaled to the unit
+    box, with L-BFGS-B, or with SLSQP if the domain has constraints.
 
     Args:
         claim: the claim.
@@ -134,7 +134,7 @@ def _choose_starts(
 ) -> NDArray[np.float64]:
     """Return the worst samples (n, ≤ starts) that are far enough apart.
 
-    Samples outside the domain come last; among them the nearest to the domain are first.
+    Samples outside the domain come last, those nearest to the domain first.
     """
     outside = np.flatnonzero(~inside)[: 8 * starts]
     miss = [-float(np.min(oracle.slack(unit[:, i]), initial=0)) for i in outside]
@@ -187,7 +187,7 @@ def _weigh(oracle: Oracle) -> tuple[Counterexample, ...]:
 def _worst(
     oracle: Oracle, points: NDArray[np.float64], witnesses: tuple[Counterexample, ...], threshold: float
 ) -> tuple[Counterexample | None, float]:
-    """Return the worst point, or None if the largest margin is within the threshold, and the largest margin."""
+    """Return the worst point and the largest margin; None as the point if the margin is within the threshold."""
     margin = oracle.evaluate(points)[0]
     best = int(np.argmax(margin))
     worst = max([float(margin[best]), *(w.margin for w in witnesses)])
@@ -198,7 +198,7 @@ def _worst(
 
 
 def _shorten(oracle: Oracle, point: NDArray[np.float64]) -> Counterexample:
-    """Round a point to as few decimals as possible; it stays in the domain and keeps 90 % or more of its margin."""
+    """Round a point to the fewest decimals with which it stays in the domain and keeps at least 90 % of its margin."""
     claim = oracle.claim
     full = float(oracle.evaluate(point[:, None])[0][0])
     for decimals in range(1, 8):

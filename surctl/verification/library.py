@@ -1,4 +1,4 @@
-"""The library of claims: claims of the paper on V1, V2 and the course, printed and corrected, and braking claims."""
+"""The library of claims: the paper's claims about V1, V2 and the course, printed and corrected, and braking claims."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ def claims(
 def applicable_claims(
     gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
 ) -> tuple[tuple[Claim, ...], Mapping[str, NotApplicable]]:
-    """Return the applicable claims, and for all other claims the reason, by name, why they do not apply to the vehicle.
+    """Return the claims that apply to the vehicle and, by name, the reason why each of the other claims does not apply.
 
-    The arguments are those of `claims`.
+    A reason is the `NotApplicable` error of the claim. The arguments are those of `claims`.
 
     Example:
         >>> from surctl.vehicle import load_vehicle

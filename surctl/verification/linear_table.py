@@ -91,24 +91,24 @@ def linear_table(
     columns: Collection[str] = tuple(LINEAR_METRICS),
     workers: int = 1,
 ) -> dict[str, NDArray[np.float64]]:
-    """Compute the linear metrics of n operating points; return one array (n,) for every column.
+    """Compute the linear metrics of n operating points; return one array (n,) for every requested metric.
 
-    At an unstable point the margins are 1, 0, 0, 0 (as in `LoopMargins`); sensitivity peak, settling time and overshoot
-    are infinite; the rejection frequency is 0; and the crossover is NaN. If the vehicle's thrust cannot hold the cruise
-    speed, the point has no linear model and every column is NaN.
+    At an unstable point the margins have the values that `LoopMargins` states for an unstable loop (1, 0, 0, 0);
+    sensitivity peak, settling time and overshoot are infinite; the rejection frequency is 0; and the crossover is NaN.
+    If the vehicle's thrust cannot hold the cruise speed, the point has no linear model and every column is NaN.
 
     Args:
         vehicle: the plant.
         values: mapping from parameter names (`LINEAR_PARAMETERS`) to values, scalar or (n,); other names are ignored.
             `vehicle.*` changes the plant and the controller's model, `plant.*` the plant alone; `plant.*` takes
             precedence.
-        base: gains that apply unless `values` names them.
+        base: gains that apply if `values` does not contain them.
         cruise: cruise speed U [m/s], (n,) or scalar; ignored if `values` has `scenario.cruise`.
         dt: control period [s].
         model: the controller's model of the vehicle; default the vehicle itself.
         columns: names of the metrics to compute, keys of `LINEAR_METRICS`. Step responses take three quarters of the
             computing time, and margins take most of the remaining time.
-        workers: number of threads; the results do not depend on it.
+        workers: number of threads; the results do not depend on this number.
 
     Raises:
         InputError: a column is unknown, a gain is missing or out of its bounds, a vehicle parameter has the wrong
@@ -142,7 +142,7 @@ def linear_table(
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Data of n operating points: plant and model (n, 17) as in `plant_parameters`; each gain (n,); cruise (n,)."""
+    """n operating points: plant and model (n, 17) as in `plant_parameters`, gains (n,), cruise speeds (n,)."""
 
     plant: NDArray[np.float64]
     model: NDArray[np.float64]

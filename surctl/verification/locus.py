@@ -72,7 +72,8 @@ def sweep_locus(
 
     Raises:
         InputError: the parameter moves no pole, the values are not in order or out of bounds, the vehicle cannot hold
-            the cruise speed, or the values change the number of poles (k_i or thrust_lag both 0 and positive).
+            the cruise speed, or the number of poles changes (because k_i or thrust_lag is 0 for some values and
+            positive for others).
 
     Example:
         >>> from surctl.control import load_gains

@@ -108,7 +108,7 @@ def broken_loops(cascade: Cascade) -> list[Loop]:
 
 
 def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
-    """Partition the states into decoupled sets, one index array per set; states coupled at any point share a set."""
+    """Partition the states into decoupled sets, one index array per set; coupled states share a set."""
     touch = np.any((A != 0) | (A.swapaxes(-1, -2) != 0), axis=0)
     left, blocks = np.arange(len(touch)), []
     while left.size:
@@ -163,7 +163,7 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
 
 
 def shape_of(loop: Loop, *, highest: float) -> Shape:
-    """Return sensitivity and crossover of one loop at n points; the closed loop must be stable at every point.
+    """Return the sensitivity metrics of one loop at n operating points; each closed loop must be stable.
 
     Args:
         loop: the loop.
@@ -187,7 +187,7 @@ def shape_of(loop: Loop, *, highest: float) -> Shape:
 
 
 def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the points with loop phase −180° at ω = 0, and the gain factor that puts a closed-loop pole at s = 0."""
+    """Return the points with loop phase −180° at ω = 0, and their gain factors that put a closed-loop pole at s = 0."""
     points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
     value = loop.response(np.zeros(1), points).real
     return points[value < 0], -1 / value[value < 0]
@@ -230,7 +230,7 @@ def _least(
     response: NDArray[np.complex128],
     radius: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """Return the least value at every point (n,), by golden-section search around the least value on the grid."""
+    """Return the least value of `radius` over frequency at every point (n,), by golden-section search from the grid."""
     points, log = np.arange(len(response)), np.log(grid)
     coarse = radius(response)
     nearest = np.argmin(coarse, axis=1)

@@ -1,4 +1,7 @@
-"""Stability margins of the linearised cascade about cruise, one loop at a time; tests compare with python-control."""
+"""Stability margins of the cascade linearised about cruise, one loop at a time.
+
+Tests compare the margins with those of python-control.
+"""
 
 from __future__ import annotations
 
@@ -110,7 +113,7 @@ def worst_margins(
         dt: control period [s].
 
     Raises:
-        InputError: `loop_margins` finds an error, or the uncertainty is out of range.
+        InputError: `loop_margins` rejects its arguments, or the uncertainty is out of range.
 
     Example:
         >>> from surctl.control import load_gains

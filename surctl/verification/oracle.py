@@ -20,7 +20,7 @@ _FEASIBLE = 1e-9  # tolerance of bounds and constraints in their own unit; in fl
 class Oracle:
     """The compiled functions of a claim.
 
-    Points are columns of the unit box; `place` converts them to the variables' units.
+    A point is a column of coordinates in the unit box; `place` converts the coordinates to the variables' units.
 
     Attributes:
         claim: the claim.
@@ -43,8 +43,7 @@ class Oracle:
         """Evaluate points x (n, N) given in the variables' units.
 
         Returns:
-            Return three arrays (N,): the margin; the larger of |left| and |right|; whether the point lies in the
-                domain.
+            Three arrays (N,): the margin; the larger of |left| and |right|; whether the point lies in the domain.
         """
         left, right, g = (np.asarray(part) for part in self.sides(x))
         left, right = np.broadcast_to(left, (1, x.shape[1]))[0], np.broadcast_to(right, (1, x.shape[1]))[0]
@@ -53,7 +52,7 @@ class Oracle:
         return left - right, np.maximum(abs(left), abs(right)), in_box & np.all(g <= _FEASIBLE, axis=0)
 
     def margin(self, unit: NDArray[np.float64]) -> float:
-        """Return the margin at a point (n,) of the unit box; −inf where it is not finite, so that searches avoid it."""
+        """Return the margin at a point (n,) of the unit box; −inf if not finite, so that searches avoid the point."""
         left, right, _ = self.sides(self.place(unit))
         value = float(left) - float(right)
         return value if np.isfinite(value) else -np.inf
@@ -61,7 +60,7 @@ class Oracle:
     def gradient(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the exact gradient ∂margin/∂unit (n,).
 
-        Where the exact gradient is not finite (a saturated arccos), finite differences replace it.
+        Where the exact gradient is not finite (at an arccos of ±1), finite differences replace the exact gradient.
         """
         exact = np.asarray(self.slopes(self.place(unit))[0]).reshape(-1) * (self.claim.upper - self.claim.lower)
         return exact if np.all(np.isfinite(exact)) else self._differences(unit)

@@ -1,9 +1,10 @@
-"""Phase portraits of a region certificate: level sets of V in a plane of states, the flow, and where V̇ ≤ −aV fails.
+"""Phase portraits of a region certificate: the flow and level sets in a plane of states, and violations of the decay.
 
-The flow shows the heading loop or the cruise that the certificate states, without thrust lag and sampling. The states
-are the position in the path frame and the velocity over ground in the path frame; thrust limits and drag act along the
-body axes. Violations of V̇ ≤ −aV are searched at the corners of the vehicle's parameter ranges and over headings. An
-area without violations is therefore no proof; the proof is the certificate.
+V is the Lyapunov function of the certificate, and a is its decay rate. The flow is that of the certified loop (the
+heading-steered loop or the cruise), but without thrust lag and sampling. The states are the position in the path frame
+and the velocity over ground in the path frame; thrust limits and drag act along the body axes. Violations of V̇ ≤ −aV
+are searched at the corners of the vehicle's parameter ranges and over headings. An area without violations is therefore
+no proof; the proof is the certificate.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ CRUISE_PLANES: Mapping[str, tuple[int, int]] = {"along": (0, 2), "across": (1, 3
 HEADING_PLANES: Mapping[str, tuple[int, int]] = {
     "along": (0, 3), "across": (1, 4), "turning": (2, 5), "steering": (1, 2),
 }  # fmt: skip
-"""Planes of two states, with all other deviations 0: x_e, y_e or ψ and its rate, or y_e and ψ."""
+"""Planes of two states, with all other deviations 0: x_e, y_e or ψ with its own rate, and y_e with ψ."""
 
 _SHARE = 0.85  # mean over the heading of the quadratic drag along the path, as a share; it gives the steady cruise
 _HEADINGS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
@@ -45,14 +46,14 @@ class Portrait:
     Attributes:
         plane: name of the plane, one of `planes_of`.
         x, y: grid values of the first deviation (m,) and of the second deviation (k,), in m, m/s, rad or rad/s.
-        flow: (2, k, m) time derivatives of the two deviations for the vehicle `whose`; in a cruise it heads along the
-            path.
+        flow: (2, k, m) time derivatives of the two deviations for the vehicle `whose`; in the cruise, this vehicle
+            heads along the path.
         whose: vehicle for which the flow is computed: `nominal` or `mid-range`.
         level: (k, m) values of V.
         excess: (k, m) largest V̇/V + a [1/s] found over vehicles and headings; where it is positive, V decays more
             slowly than the certified rate.
-        levels: values of V to draw: of the innermost shell, of the other shells, and 1; the innermost value is 0 if V
-            decays to the equilibrium.
+        levels: values of V to draw: the level of the innermost shell, the levels of the other shells, and 1. The
+            innermost level is 0 if V decays to the equilibrium.
         lagged: whether the certificate includes thrust lag; the flow of the portrait never includes it.
     """
 
@@ -69,7 +70,7 @@ class Portrait:
 
 @dataclass(frozen=True, eq=False)
 class _Loop:
-    """Data of a portrait: V = ξᵀPξ, the rates ξ̇ of the shown vehicle, and the rates ξ̇ of all vehicles tried."""
+    """Data of a portrait: P of V = ξᵀPξ, rates ξ̇ of the vehicle shown, and rates ξ̇ of all vehicles tried."""
 
     P: Array
     shown: Rates
@@ -80,7 +81,7 @@ class _Loop:
 
 
 def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
-    """Return the planes in which a certificate can be drawn: plane name → indices of the two states.
+    """Return the planes in which a certificate can be drawn, as a mapping from plane name to indices of two states.
 
     Raises:
         InputError: the certificate has no level sets.
@@ -100,7 +101,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     Args:
         document: a certificate of kind `region` or `heading`.
         plane: name of the plane, one of `planes_of`.
-        extent: half-width of the plane, as a multiple of the half-axes of V = 1.
+        extent: half-width of the plotted area, as a multiple of the half-axes of the ellipse V = 1.
         points: number of grid points along each axis.
 
     Raises:
@@ -177,7 +178,7 @@ Boat = tuple[float, tuple[float, ...], tuple[float, ...]]
 
 
 def _boats(claim: Mapping[str, Any]) -> list[Boat]:
-    """Return corner values of mass and drag, both with equal drag in surge and sway and with the largest difference."""
+    """Return corner values of mass and drag; the drag of surge and sway is equal or has the largest difference."""
     vehicle = claim["vehicle"]
     ratio = (2 + vehicle["asymmetry"]) / (2 - vehicle["asymmetry"]) if vehicle["asymmetry"] < 2 else np.inf
 
@@ -189,7 +190,10 @@ def _boats(claim: Mapping[str, Any]) -> list[Boat]:
 
 
 def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
-    """Convert deviations to states (x_e, y_e, U_x, U_y); unmodelled drag makes the steady cruise lag its target."""
+    """Convert deviations from the steady cruise to states (x_e, y_e, U_x, U_y).
+
+    If the true drag differs from the model, the vehicle in steady cruise has an offset from its target.
+    """
     law, (_, linear, quadratic) = claim["law"], boat
     v, hat, hat2 = law["cruise"], law["linear_drag"], law["quadratic_drag"]
     missing = (np.mean(linear) - hat) * v + _SHARE * (np.mean(quadratic) - hat2) * v * v

@@ -1,4 +1,4 @@
-"""Margins of any sampled linear system: of one loop from its frequency response, of several by disk margins."""
+"""Margins of any sampled linear system: margins of one loop at a time, and disk margins of several loops at once."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _stable(linear: Linearisation) -> bool:
 
 
 def _margins(linear: Linearisation, opening: str) -> LoopMargins:
-    """Compute the margins of one loop from all its crossings; margins of a loop that never crosses are infinite."""
+    """Compute the margins of one loop from the crossings of its frequency response; without a crossing, inf."""
     matrices, dt = linear.opened(opening), linear.system.dt
     angles = _angles(matrices[0], linear.poles())
     response = _response(matrices, angles)
@@ -125,7 +125,7 @@ def _angles(A: Array, closed: NDArray[np.complex128]) -> Array:
 
 
 def _response(matrices: tuple[Array, ...], angles: Array) -> NDArray[np.complex128]:
-    """Return L(z) (n,) at the angles of z; in state space, because polynomials of several states lose all digits."""
+    """Return L(z) (n,) at the angles of z, computed in state space; polynomials of several states lose all digits."""
     A, B, C, D = matrices
     pencils = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
     states = np.linalg.solve(pencils, np.broadcast_to(B, (len(angles), *B.shape)))
@@ -163,7 +163,8 @@ def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
 def _continuous(linear: Linearisation, *openings: str) -> OpenLoop:
     """Transform the open loop by z = (1 + s)/(1 - s), which maps the unit circle to the imaginary axis.
 
-    The values of the frequency response do not change, except by 1e-6 for a loop with a pole at z = -1.
+    The transformation does not change the values of the frequency response, except by 1e-6 for a loop with a pole at z
+    = -1.
     """
     A, B, C, D = linear.opened(*openings)
     if np.linalg.cond(A + np.eye(len(A))) > _SINGULAR:  # a pole at z = -1, which the transform maps to infinity

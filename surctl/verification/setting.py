@@ -23,9 +23,9 @@ class Setting:
     Attributes:
         k1: along-track gain [1/s].
         k2: depth gain [1/s].
-        k3: convergence coefficient of (20).
-        lookahead: Δ_h [m].
-        delta: scale of δ in (20) [m]; the printed claims cover δ up to 2 `delta`.
+        k3: convergence coefficient of equation (20) of the paper.
+        lookahead: lookahead distance Δ_h [m].
+        delta: scale of the safety distance δ in equation (20) [m]; the claims cover δ up to 2 `delta`.
         kappa: barrier gain κ of the corrected avoidance law [1/s].
         standoff: standoff distance d_s of the corrected avoidance law [m].
         radius: anti-collision radius R_OB [m].
@@ -78,7 +78,8 @@ class Setting:
 def setting_from(gains: Mapping[str, float] | None) -> Setting:
     """Return the setting with the given gains; gains that no claim uses are ignored.
 
-    A gain δ ≤ 0 cannot be the safety distance of the printed law; it is ignored, and `Setting.delta` keeps its default.
+    A gain δ ≤ 0 is ignored, because it cannot be the safety distance of the printed law; `Setting.delta` then has its
+    default value.
 
     Raises:
         InputError: a gain is not one finite number greater than 0.

@@ -65,7 +65,7 @@ def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: st
 
 
 def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the index of the worst entry along the first axis (the speeds), in the shape of the other axes.
+    """Return the indices of the worst entries along the first axis (the speeds), in the shape of the other axes.
 
     The largest entry is the worst; NaN counts as larger than all numbers. Entries that differ only by rounding count as
     equal; the index is then that of the slowest speed.
@@ -111,7 +111,7 @@ class OverSpeeds:
 
     Attributes:
         cruise: (k,) cruise speeds [m/s].
-        figures: name of a metric of `LINEAR_METRICS` → its values (k,) at the k speeds.
+        figures: mapping from the name of a metric of `LINEAR_METRICS` to the metric's values (k,) at the k speeds.
     """
 
     cruise: tuple[float, ...]
@@ -120,7 +120,7 @@ class OverSpeeds:
     def worst(self, name: str) -> tuple[float, float]:
         """Return the worst value of a metric and its speed [m/s].
 
-        The worst value is the least value, unless low values of the metric are better.
+        The worst value is the largest value if low values of the metric are better, otherwise the least value.
         """
         place = int(worst_place(self._ill(name)))
         return float(self.figures[name][place]), self.cruise[place]
@@ -154,7 +154,7 @@ def over_speeds(
     """Return the columns of `linear_table` at each cruise speed [m/s]; `dt` is the control period [s].
 
     Raises:
-        InputError: `linear_table` finds an error.
+        InputError: `linear_table` rejects its arguments.
 
     Example:
         >>> from surctl.control import load_gains

@@ -17,11 +17,11 @@ _LEVELS, _RATIO, _SAMPLES = 4, 8, 512  # number of time grids, each `_RATIO` tim
 
 
 def step_system(cascade: Cascade, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the systems (A, b, c), with a leading axis, from a reference to the controlled variable.
+    """Return the systems (A, b, c) from a reference to the controlled variable; a leading axis holds the cascades.
 
-    `cross_track`: the path steps to one side; all loops are closed. `heading`: the desired heading steps, and the path
-    does not change; all loops are closed. `surge_speed`: the desired surge speed steps; the along-track loop is open,
-    and the response is correct up to a constant factor.
+    `cross_track`: the path is displaced to one side by a step; all loops are closed. `heading`: the desired heading
+    changes by a step, and the path does not change; all loops are closed. `surge_speed`: the desired surge speed
+    changes by a step; the along-track loop is open, and the response is correct up to a constant factor.
     """
     B, K = cascade.B, cascade.K
     if name == "cross_track":
@@ -38,7 +38,10 @@ def step_system(cascade: Cascade, name: str) -> tuple[NDArray[np.float64], NDArr
 def step_figures(
     cascade: Cascade, stable: NDArray[np.bool_]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return settling time [s] and overshoot (share of the step) of n cascades for each step; inf if unstable."""
+    """Return settling time [s] and overshoot of n cascades for each step response; inf if unstable.
+
+    The overshoot is a share of the step.
+    """
     figures = {}
     for name in STEP_NAMES:
         settling, overshoot = (np.full(len(stable), np.inf) for _ in range(2))
@@ -56,9 +59,9 @@ def _figures(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return settling time and overshoot of stable systems A (n, k, k), b (n, k, 1), c (n, 1, k), by exact sampling.
 
-    The response is 1 − d(t) with d(t) = c e^(At) x_∞/(c x_∞) and x_∞ = −A⁻¹ b. The response is sampled on four time
-    grids, each eight times longer than the previous grid; together they resolve both an early peak and a late end.
-    Between samples the response is interpolated.
+    The response is 1 − d(t) with the remaining error d(t) = c e^(At) x_∞/(c x_∞) and the final state x_∞ = −A⁻¹ b. The
+    response is sampled on four time grids, each eight times longer than the previous grid; together they resolve both
+    an early peak and a late end. Between samples the response is interpolated.
     """
     from scipy.linalg import expm
 
@@ -83,7 +86,7 @@ def _figures(
 
 
 def _sampled(power: NDArray[np.float64], c: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return c Φ^j for j = 0 … `_SAMPLES`, (n, `_SAMPLES` + 1, k), computed by doubling, and the power Φ^`_RATIO`."""
+    """Return c Φ^j (n, `_SAMPLES` + 1, k) for j = 0 … `_SAMPLES`, and the matrix Φ^`_RATIO`; Φ is `power`."""
     rows, following = c, power
     while rows.shape[1] < _SAMPLES:
         rows = np.concatenate([rows, rows @ power], axis=1)

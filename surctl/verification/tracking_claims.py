@@ -1,6 +1,7 @@
-"""Claims about the tracking law: the function V1 of (11)–(12), the speed limit, and the chain of norms in (12).
+"""Claims about the tracking law: V1 of the paper's equations (11) and (12), the speed limit, and the norms in (12).
 
-The claims take their expressions for the rates from the implemented law (`surctl.guidance.tracking`).
+The claims use the expressions for the rates that `surctl.guidance.tracking` implements. V1 is a Lyapunov function of
+the tracking error e = (x_e, y_e, z_e).
 """
 
 from __future__ import annotations
@@ -91,12 +92,17 @@ def _half(setting: Setting) -> float:
 
 
 def _first_cross_track(setting: Setting) -> float:
-    """Return the least |y_e| [m] with V̇1 > 0 if surge may be negative: √(4 v_d Δ_h/k1), reached at x_e = 2 v_d/k1."""
+    """Return the least cross-track error |y_e| [m] at which a negative surge command can make V̇1 positive."""
+    # reached at x_e = 2 v_d/k1
     return float(np.sqrt(4 * setting.speed * setting.lookahead / setting.k1))
 
 
 def v1_printed(setting: Setting) -> Claim:
-    """The claim (12) as printed: the surge command may change sign, and then the term in y_e changes sign too."""
+    """Return the refuted claim V̇1 ≤ 0 of the paper's equation (12) as printed (erratum E9).
+
+    The surge command as printed may become negative; the term of V̇1 in the cross-track error y_e then becomes
+    positive.
+    """
     loop = _loop(setting, repaired=False)
     witness = {
         "x_e": 2 * setting.speed / setting.k1,
@@ -122,10 +128,11 @@ def v1_printed(setting: Setting) -> Claim:
 def regional_rate(setting: Setting, half: float) -> float:
     """Return c > 0 [1/s] such that V̇1 ≤ −c‖e‖² on the box |e_i| ≤ half, for the law with surge clipped at 0.
 
-    For x_e ≤ q = v_d/(2 k1) the speed along the path is at least v_d/2, so every term of V̇1 has a quadratic bound. For
-    larger x_e, the term in x_e alone must dominate y_e². That term is concave in x_e beyond v_d/k1, so its least value
-    is at one of the two ends of the interval.
+    e is the tracking error, and V1 the Lyapunov function of the paper's equation (11).
     """
+    # For x_e ≤ q = v_d/(2 k1) the speed along the path is at least v_d/2, so every term of V̇1 has a quadratic bound.
+    # For larger x_e, the term in x_e alone must dominate y_e². That term is concave in x_e beyond v_d/k1, so its least
+    # value is at one of the two ends of the interval.
     q2 = (setting.speed / (2 * setting.k1)) ** 2
     return min(
         setting.k1,
@@ -137,7 +144,10 @@ def regional_rate(setting: Setting, half: float) -> float:
 
 
 def v1_corrected(setting: Setting) -> Claim:
-    """The claim (12) with surge clipped at 0: V1 decreases strictly, at a rate that depends on the box."""
+    """Return the claim of the paper's equation (12) with a surge command ≥ 0: V1 decreases strictly in a box of errors.
+
+    The rate of decrease depends on the size of the box.
+    """
     loop, half = _loop(setting, repaired=True), _half(setting)
     c = regional_rate(setting, half)
     return Claim(
@@ -155,10 +165,9 @@ def v1_corrected(setting: Setting) -> Claim:
 
 
 def cap_limit(setting: Setting) -> tuple[float, float]:
-    """Return the point (|x_e|, |y_e|) [m] nearest to the target where V̇1 ≤ 0 fails under the speed limit U_h ≤ U.
+    """Return the point (|x_e|, |y_e|) [m] nearest to the target at which the speed limit can make V1 grow.
 
-    The robot is behind the target. With s = √(y_e² + Δ²), V1 grows if |x_e| > U (s² − Δ²)/(s v_d − U Δ). The bound on
-    |x_e| is least at s = Δ (U + √(U² − v_d²))/v_d, where the bound is 2 U s/v_d.
+    The point lies behind the target. V1 is the Lyapunov function of the paper's equation (11).
 
     Raises:
         NotApplicable: the speed limit is not above the cruise speed.
@@ -170,12 +179,17 @@ def cap_limit(setting: Setting) -> tuple[float, float]:
             "not cover a robot that cannot catch up with its target",
             to="these speeds",
         )
+    # With s = √(y_e² + Δ²), V1 grows if |x_e| > U (s² − Δ²)/(s v_d − U Δ). The bound on |x_e| is least at
+    # s = Δ (U + √(U² − v_d²))/v_d, where the bound is 2 U s/v_d.
     s = ahead * (top + np.sqrt(top**2 - v**2)) / v
     return float(2 * top * s / v), float(np.sqrt(s**2 - ahead**2))
 
 
 def v1_speed_cap(setting: Setting) -> Claim:
-    """The claim (12) with 0 ≤ U_h ≤ U_max; refuted, because the speed limit makes V1 grow far behind the target."""
+    """Return the refuted claim V̇1 ≤ 0 of the paper's equation (12) for a commanded speed 0 ≤ U_h ≤ U_max.
+
+    The claim is refuted because the speed limit U_max makes V1 grow far behind the target.
+    """
     loop = _loop(setting, repaired=True, capped=True)
     x, y = cap_limit(setting)
     return Claim(
@@ -194,7 +208,7 @@ def v1_speed_cap(setting: Setting) -> Claim:
 
 
 def v1_speed_cap_region(setting: Setting) -> Claim:
-    """The claim (12) on the region to which E9 limits the distance of the robot behind its target."""
+    """Return the claim V̇1 ≤ 0 of the paper's equation (12) for a robot not too far behind its target (erratum E9)."""
     loop = _loop(setting, repaired=True, capped=True)
     x, _ = cap_limit(setting)
     half = max(_LEAST_CAP_BOX, 2 * x)
@@ -221,7 +235,10 @@ def _norm_of_m(setting: Setting, loop: _Loop) -> tuple[ca.SX, ca.SX]:
 
 
 def m_norm_printed(setting: Setting) -> Claim:
-    """The claim of the last step of (12), ‖e‖²‖M‖ ≤ 0."""
+    """Return the refuted claim ‖e‖²‖M‖ ≤ 0, the last step of the paper's equation (12) (erratum E8).
+
+    e is the tracking error, and M is the diagonal matrix of equation (12).
+    """
     loop = _loop(setting, repaired=True)
     return Claim(
         name="m-norm-printed",
@@ -238,7 +255,10 @@ def m_norm_printed(setting: Setting) -> Claim:
 
 
 def m_norm_corrected(setting: Setting) -> Claim:
-    """The corrected conclusion of (12): V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0."""
+    """Return the corrected claim of the paper's equation (12): V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0.
+
+    e is the tracking error, M the diagonal matrix of equation (12), and U_h the commanded speed.
+    """
     loop = _loop(setting, repaired=False)
     return Claim(
         name="m-norm-corrected",

@@ -1,4 +1,4 @@
-"""Verdicts as data: the claim, the result of checking it, and the evidence."""
+"""Verdicts as data: a claim, the result of its check, and the evidence for the result."""
 
 from __future__ import annotations
 

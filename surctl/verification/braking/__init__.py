@@ -1,4 +1,4 @@
-"""Certificates about braking before obstacles, for the braking rule alone and for the law's own speed bound."""
+"""Certificates about braking before obstacles, for the braking rule alone and for the guarded law's speed bound."""
 
 from surctl.verification.braking.claim import BrakingClaim, LawNumbers, law_numbers
 from surctl.verification.braking.library import BRAKING_CLAIMS, BrakingEntry, braking_claim_named

@@ -1,4 +1,4 @@
-"""Claim about braking with inertia: it states vehicle, obstacle, quality of the measurements, and law."""
+"""Claim about braking with inertia: assumptions about vehicle, obstacle, accuracy of the measurements, and law."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ __all__ = ["BrakingClaim", "LawNumbers", "law_numbers"]
 
 @dataclass(frozen=True)
 class LawNumbers:
-    """The law's speed bound, and the response of its velocity loop to a speed above the bound.
+    """Numbers that define the law's speed bound, and the response of its velocity loop to a speed above the bound.
 
     Attributes:
         barrier: name of the barrier.
         own: braking capability of the law's model, at the share of the thrust limit that the law relies on.
         margin, reaction, brake, k_v, k_i: the law's gains of these names, in m, s, 1, 1/s and 1/s².
-        limit: least thrust limit of surge and sway [N].
+        limit: smaller one of the thrust limits of surge and sway [N].
         mass, linear, quadratic: mass [kg], linear drag [N s/m] and quadratic drag [N s²/m²] of surge and sway in the
             law's model.
     """
@@ -67,7 +67,7 @@ class LawNumbers:
 
 
 def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
-    """Return the numbers of the guarded law with `vehicle` as its model.
+    """Return the numbers that describe the guarded law with `vehicle` as the law's model.
 
     Raises:
         NotApplicable: surge and sway differ, or integral action is on.
@@ -104,8 +104,9 @@ class BrakingClaim:
         sideways: largest own speed perpendicular to the direction of the obstacle [m/s].
         turn: largest yaw rate while the vehicle brakes [rad/s].
         side: largest thrust perpendicular to the direction of the obstacle [N].
-        law: numbers of the law; None for the rule alone (brake unless the range needed is available).
-        speeds: own speeds for which the table has entries [m/s], at most `fastest`.
+        law: numbers of the law; None for the braking rule alone: the vehicle brakes unless the measured range is at
+            least the range needed.
+        speeds: own speeds for which the table of the certificate has entries [m/s], at most `fastest`.
         digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
     """
 
@@ -123,7 +124,7 @@ class BrakingClaim:
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
 
     def document(self, table: dict[str, Any], limit: float) -> dict[str, Any]:
-        """Return the claim as data of a certificate, with a table of distances and a limit speed of obstacles [m/s]."""
+        """Return the claim as data of a certificate, with its table and the largest obstacle speed `limit` [m/s]."""
         b, w = self.brakes, self.watch
         return {
             "system": "braking",

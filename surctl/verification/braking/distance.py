@@ -25,10 +25,13 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Encounter:
-    """One obstacle: approach speed [m/s]; own speed astern through the water at closing speed 0 [m/s]; f [N]; q [N s].
+    """The encounter of the vehicle with one obstacle.
 
-    f is the largest disturbance force towards the obstacle, and q is the impulse that the thrust still delivers because
-    of its lag.
+    Attributes:
+        obstacle: approach speed of the obstacle [m/s].
+        through: speed of the vehicle astern through the water at closing speed 0 [m/s].
+        disturbance: largest disturbance force towards the obstacle [N].
+        swing: impulse that the thrust still delivers because of its lag [N s].
     """
 
     obstacle: float
@@ -55,7 +58,7 @@ def _disturbance(claim: BrakingClaim, through: float) -> float:
 
 
 def largest_obstacle(claim: BrakingClaim) -> float:
-    """Return the largest obstacle speed [m/s] that leaves some braking force, rounded down to 0.1 mm/s; else 0."""
+    """Return the largest obstacle speed [m/s] that leaves some braking force, rounded down to 0.1 mm/s; 0 if none."""
     low, high = 0.0, 100.0
     for _ in range(60):
         middle = (low + high) / 2
@@ -70,14 +73,18 @@ def _left(claim: BrakingClaim, obstacle: float) -> float:
 
 @dataclass(frozen=True)
 class DistanceTable:
-    """The convex function G: knots z [m/s], and slopes G' at the knots; G' is linear between two knots."""
+    """The convex function G(z) [m/kg]; for a vehicle of mass m [kg], the braking distance is m G(z) [m].
+
+    z is the closing speed plus the speed that the lagging thrust still adds. The table holds knots z [m/s] and the
+    slopes G' at the knots; between two knots, G' is linear.
+    """
 
     at: Encounter
     knots: Vector
     slopes: Vector
 
     def worst(self, claim: BrakingClaim, closing: float) -> float:
-        """Return the larger of m G(s + q/m) [m] at both ends of the mass range, for the closing speed s [m/s]."""
+        """Return the braking distance [m] at a closing speed [m/s], for the worse end of the mass range."""
         return max(m * self.value(closing + self.at.swing / m) for m in claim.brakes.masses)
 
     def value(self, z: float) -> float:
@@ -94,7 +101,10 @@ class DistanceTable:
 
 
 def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
-    """Return the table for an obstacle that approaches at `obstacle` [m/s], up to the highest z in the claim."""
+    """Return the table for an obstacle that approaches at `obstacle` [m/s], up to the highest z that the claim needs.
+
+    `DistanceTable` defines z.
+    """
     b, at = claim.brakes, encounter(claim, obstacle)
     fastest = claim.fastest + claim.watch.speed_error
     gain = (b.most + at.disturbance + b.largest_drag(max(at.through, fastest))) / b.masses[0]
@@ -113,7 +123,10 @@ def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
 
 
 def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
-    """Return an upper bound on z − G'·force over a cell, by Bernstein coefficients; a cell is valid if it is ≤ 0."""
+    """Return an upper bound of z minus G'(z) times the braking force between two knots, by Bernstein coefficients.
+
+    The slopes G' at the two knots are valid if this bound is ≤ 0.
+    """
     h = float(z[1] - z[0])
     middle = np.polynomial.Polynomial.fit(z, g, 1, domain=[z[0], z[1]], window=[0.0, h])
     inner = z[0] + h * np.array([0.1, 0.5, 0.9])  # on a cell the force is a quadratic polynomial
@@ -127,7 +140,7 @@ def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
 
 
 def _force(claim: BrakingClaim, at: Encounter, z: Vector) -> Vector:
-    """Return the braking force [N] at closing speed z [m/s], with the drag that supports braking least."""
+    """Return the braking force [N] at closing speed z [m/s], with the drag that helps least to brake."""
     b, v = claim.brakes, z - at.through
     share = 1.0 if claim.drag == "along" else 1 / sqrt(2)
     ahead = b.linear[0] * v + share * b.quadratic[0] * v**2
@@ -135,7 +148,10 @@ def _force(claim: BrakingClaim, at: Encounter, z: Vector) -> Vector:
 
 
 def figures(claim: BrakingClaim, tables: list[DistanceTable]) -> dict[str, Any]:
-    """Return the claim's table: closed-form distance, braking distance and range needed [m], rounded up to 0.1 mm."""
+    """Return the claim's table for each speed: closed-form distance, braking distance and range needed [m].
+
+    The values are rounded up to 0.1 mm.
+    """
     rows: dict[str, list[list[float]]] = {"closed_m": [], "distance_m": [], "needed_m": []}
     for speed in claim.speeds:
         entries = [_figures(claim, table, speed) for table in tables]
@@ -152,10 +168,10 @@ def _figures(claim: BrakingClaim, table: DistanceTable, speed: float) -> tuple[f
 
 
 def figures_needed(claim: BrakingClaim, table: DistanceTable, speed: float, *, since: float) -> float:
-    """Return the range needed [m] at a measured own speed; `since` is the largest own speed since the echo [m/s].
+    """Return the range needed [m] at the measured own speed `speed`; `since` is the largest own speed since the echo.
 
-    `guidance.braking.range_needed` differs from this function only in that it ignores the speed gained during a
-    retreat.
+    The vehicle brakes if the measured range is less than the range needed. `guidance.braking.range_needed` returns the
+    range needed without the speed that the vehicle gains during a retreat. The speeds are in m/s.
     """
     b, at, w = claim.brakes, table.at, claim.watch
     closing, astern = speed + w.speed_error + at.obstacle, max(at.through, b.current + w.speed_error - speed)

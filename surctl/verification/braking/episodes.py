@@ -1,9 +1,9 @@
 """Simulation of many worst-case runs within a claim's assumptions; the claim requires that no run has a contact.
 
-The runs are in two dimensions. Whenever the rule allows it, the vehicle thrusts towards the obstacle with full force,
-or in any other direction; it brakes along the direction of the last decision that did not brake. In half of the runs
-the obstacle is met head-on and every uncertain quantity is at its worst limit; the others use random mass, lag, drag,
-braking force, errors and motion.
+The runs are in two dimensions. Whenever the braking rule allows it, the vehicle thrusts towards the obstacle with full
+force, or in any other direction. When the rule requires braking, the vehicle brakes along the direction to the obstacle
+at the last decision without braking. In half of the runs the obstacle is met head-on and every uncertain quantity is at
+its worst limit; the others use random mass, lag, drag, braking force, errors and motion.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ _RANGES = 4.0  # [m] largest range at which a law's bound is tabulated
 
 Vector = NDArray[np.float64]
 Rule = Callable[[Vector, Vector, Vector], NDArray[np.bool_]]
-"""(measured range [m], measured own speed along the direction [m/s], its largest value since the echo) → braking?"""
+"""A function of measured range [m], measured own speed along the direction [m/s] and largest own speed since the echo
+[m/s]; it returns for each vehicle whether the vehicle brakes."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,9 @@ class Episodes:
 def rule_of(claim: BrakingClaim, *, obstacle: float, table: DistanceTable | None = None) -> Rule:
     """Return the rule by which the claim's vehicle brakes before an obstacle that approaches at `obstacle` [m/s].
 
-    Without a law, the vehicle brakes unless the range needed is available; the rule uses the braking distance in
-    `table`, by default the table of the proof. A law brakes when the vehicle's own speed exceeds the bound so far that
-    its velocity loop commands the guaranteed braking force.
+    If the claim has no law, the vehicle brakes unless the measured range is at least the range needed; this rule uses
+    the braking distance in `table`, by default the table of the proof. If the claim has a law, the vehicle brakes when
+    its speed exceeds the law's speed bound so far that the velocity loop commands the guaranteed braking force.
     """
     if claim.law is not None:
         return _law_rule(claim, claim.law, obstacle)

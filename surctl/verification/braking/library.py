@@ -34,7 +34,10 @@ class BrakingEntry(NamedTuple):
 
 
 def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
-    """Return the braking data for all parameters ±20 %; if `wide`, for the file's ranges and linear drag ±20 %."""
+    """Return the braking data of a vehicle whose mass and drag are uncertain by ±20 %.
+
+    If `wide`, the ranges of the vehicle file replace ±20 % for all parameters but linear drag.
+    """
     near = brakes_of(vehicle, share=share, spread=_SPREAD)
     return replace(brakes_of(vehicle, share=share), linear=near.linear) if wide else near
 

@@ -1,4 +1,4 @@
-"""The claim grammar: converts between text, expression trees with exact numbers, and CasADi expressions."""
+"""The claim grammar: conversion between text, expression trees with exact numbers, and CasADi expressions."""
 
 from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
 from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse

@@ -17,7 +17,7 @@ ARITY: Mapping[str, int] = {
 """The number of operands of each operation; `select(a, b, x, y)` is x if a ≤ b, and y otherwise."""
 
 BRANCHING = frozenset({"abs", "min", "max", "select"})
-"""The operations that equal one of two expressions, depending on the operands."""
+"""The operations whose value is that of one of two expressions; a comparison of the operands selects the expression."""
 
 DEEPEST = 300
 """The largest depth to which operations may be nested."""
@@ -97,7 +97,7 @@ def power(base: Node, exponent: int) -> Node:
 
 
 def ordered(*roots: Node) -> Iterator[Node]:
-    """Yield every distinct node of the expressions once, after the operands of the node."""
+    """Yield every distinct node of the expressions once; the operands of a node come before the node."""
     visited: set[Node] = set()
     stack = [(root, False) for root in reversed(roots)]
     while stack:
@@ -111,7 +111,7 @@ def ordered(*roots: Node) -> Iterator[Node]:
 
 
 def rebuilt(root: Node, change: Callable[[Node, tuple[Node, ...]], Node]) -> Node:
-    """Rebuild an expression from its leaves upwards: every node becomes change(node, rebuilt operands)."""
+    """Rebuild an expression from its leaves upwards: change(node, rebuilt operands) replaces every node."""
     replaced: dict[Node, Node] = {}
     for node in ordered(root):
         replaced[node] = change(node, tuple(replaced[a] for a in node.args))

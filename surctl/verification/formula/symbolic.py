@@ -44,7 +44,7 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
     Args:
         symbols: column of symbols (n, 1).
         names: names of the symbols, in order.
-        expressions: scalars, dense or structurally zero.
+        expressions: scalar expressions, dense or structurally zero.
 
     Raises:
         UnsupportedOperation: an expression has an operation that the grammar lacks, such as floor or a logical

@@ -29,7 +29,7 @@ def text_of(root: Node) -> str:
 
 
 def decimal_text(value: Fraction) -> str:
-    """Return a number as a decimal if that is exact, otherwise as a fraction p/q."""
+    """Return the text of a number: a decimal if the number has an exact decimal, otherwise a fraction p/q."""
     if value.denominator == 1 and abs(value.numerator) < 10**16:
         return str(value.numerator)
     short = repr(float(value))

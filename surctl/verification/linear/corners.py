@@ -14,8 +14,9 @@ __all__ = ["Corners", "corners"]
 _GROUPS: tuple[tuple[str, ...], ...] = (
     ("m11",), ("m22",), ("m33",), ("m44",), ("Xu", "Xuu"), ("Yv",), ("Zw",), ("Nr",), ("thrust_lag",),
 )  # fmt: skip
-"""The parameters that affect the linear loop about straight cruise. Parameters of one group enter as one slope, so they
-take the same end of their ranges. Quadratic drag of sway, heave and yaw is absent, because its slope is 0 at rest."""
+"""The parameters that affect the linear loop about straight cruise. The parameters of one group affect the loop through
+one drag slope, so they take the same end of their ranges. The quadratic drag of sway, heave and yaw is omitted, because
+its slope is 0 at zero velocity."""
 
 _MASSES = ("m11", "m22")
 
@@ -51,8 +52,8 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
         vehicle: the nominal vehicle.
         uncertainty: relative uncertainty, 0 ≤ uncertainty < 1, or None for the ranges of the vehicle file.
         alike: whether to vary the masses of surge and sway together if the vehicle file gives them equal values and
-            equal ranges. False varies them independently: the Munk moment turns a body broadside if its sway mass
-            exceeds its surge mass.
+            equal ranges. False varies the two masses independently; a difference matters, because the Munk moment turns
+            a body broadside if its sway mass exceeds its surge mass.
 
     Raises:
         InputError: the uncertainty is out of range.

@@ -1,17 +1,19 @@
 """The disk margin of several loops at once: gain and phase errors that all loops tolerate in any combination.
 
-Channel k is multiplied by (2 + δ_k)/(2 − δ_k), where δ_k is any stable complex dynamics with |δ_k| < α (the balanced
-disk margin of Seiler, Packard and Gahinet 2020). The largest α is 1/sup_ω μ(M(jω)) with M = (S − T)/2, where μ is the
-structured singular value for diagonal complex perturbations (Doyle 1982). μ has two bounds:
+The signal of loop k is multiplied by (2 + δ_k)/(2 − δ_k), where δ_k is any stable complex dynamics with |δ_k| < α (the
+balanced disk margin of Seiler, Packard and Gahinet 2020). The largest α is 1/sup_ω μ(M(jω)) with M = (S − T)/2, where S
+and T are the sensitivity and the complementary sensitivity, and μ is the structured singular value for diagonal complex
+perturbations (Doyle 1982). μ has two bounds:
 
-- upper bound, min over D of σ_max(D M D⁻¹), with D diagonal and positive: no perturbation smaller than the inverse
-  of this bound destabilises the loop;
-- lower bound, max over U of ρ(U M), with U diagonal and unitary: the perturbation U/ρ destabilises the loop.
+- upper bound, the minimum over D of the largest singular value σ_max(D M D⁻¹), with D diagonal and positive: no
+  perturbation smaller than the inverse of this bound destabilises the loop;
+- lower bound, the maximum over U of the spectral radius ρ(U M), with U diagonal and unitary: the perturbation U/ρ
+  destabilises the loop.
 
-Peaks are first searched on a grid of frequencies. A second step shows without a grid that no higher peak lies between
-the grid points: for a fixed D, σ_max(D M(jω) D⁻¹) reaches the level γ only where a Hamiltonian matrix has an eigenvalue
-jω (Boyd and Balakrishnan 1990). A matrix D therefore covers all frequencies up to the next such ω; from that ω on,
-another matrix D is chosen.
+The peak of μ over frequency is first searched on a grid of frequencies. A second step shows without a grid that no
+higher peak lies between the grid points: for a fixed D, the largest singular value σ_max(D M(jω) D⁻¹) equals a given
+level only at frequencies ω at which a Hamiltonian matrix has an eigenvalue jω (Boyd and Balakrishnan 1990). One matrix
+D is therefore valid at all frequencies up to the next such ω; from that ω on, another matrix D is chosen.
 """
 
 from __future__ import annotations
@@ -53,8 +55,8 @@ class DiskMargin:
     Attributes:
         place: where the loops are opened.
         stable: whether the closed loop is stable; if it is not, `gain` is (1, 1) and every other number is 0.
-        guaranteed: α ≤ 2 for which stability is shown at all frequencies, without a grid, in floating point; NaN if it
-            could not be shown for any α.
+        guaranteed: size α ≤ 2 of perturbations under which stability is shown at all frequencies, in floating point and
+            without a grid; NaN if stability could not be shown for any α.
         reached: size α of a perturbation that was found to destabilise the loop; not less than `guaranteed`.
         frequency_rad_s: frequency [rad/s] of the destabilising perturbation.
         gain: least and largest factor that all loop gains tolerate at once, computed from `guaranteed`.
@@ -123,7 +125,7 @@ def disk_profile(loop: OpenLoop, omega: Array) -> Array:
 
 
 def screened_peaks(loops: OpenLoop) -> Array:
-    """Estimate sup_ω μ of k loops (k,) on a coarse grid, to find the worst loop; inf for an unstable loop."""
+    """Return estimates (k,) of the peak of μ over frequency for k loops, on a coarse grid; inf for an unstable loop."""
     closed = loops.complementary()
     stable = np.all(np.linalg.eigvals(closed.A).real < -1e-9, axis=-1)
     grid = np.geomspace(_SCREENED[0], _SCREENED[1], _SCREEN_POINTS)
@@ -137,7 +139,7 @@ def screened_peaks(loops: OpenLoop) -> Array:
 
 
 def structured_bounds(M: Complex) -> tuple[float, float, Complex]:
-    """Return the upper and the lower bound of μ(M), and the perturbation δ (q,) that attains the lower bound.
+    """Return upper and lower bound of the structured singular value μ(M), and the perturbation δ of the lower bound.
 
     M is (q, q), and the perturbation consists of q independent complex numbers. δ satisfies det(I − diag(δ) M) = 0 with
     all |δ_k| = 1/lower. The bounds are equal for q ≤ 3 (Packard and Doyle 1993) and mostly also for larger q. If the
@@ -165,7 +167,10 @@ def _sensitivity(closed: OpenLoop, omega: Array) -> Complex:
 
 
 def _balanced(M: Complex) -> tuple[Array, Array]:
-    """Return Osborne's scalings D (k, q) of k matrices M (k, q, q), and σ_max (k,) of D M D⁻¹, near its minimum."""
+    """Return Osborne's scalings D (k, q) of k matrices M (k, q, q), and the largest singular values (k,) of D M D⁻¹.
+
+    The scalings nearly minimise these singular values.
+    """
     size = np.abs(M) ** 2
     size[:, np.arange(M.shape[1]), np.arange(M.shape[1])] = 0.0
     d = np.ones(M.shape[:2])
@@ -181,7 +186,10 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
 
 
 def _scaling(M: Complex) -> Array:
-    """Return D (q,) that minimises σ_max(D M D⁻¹), convex in log D, by quasi-Newton steps from Osborne's scaling."""
+    """Return the diagonal matrix D (q,) that minimises the largest singular value of D M D⁻¹.
+
+    This singular value is convex in log D; quasi-Newton steps start from Osborne's scaling.
+    """
     from scipy.optimize import minimize
 
     start = np.log(_balanced(M[None])[0][0])
@@ -204,7 +212,7 @@ def _scaling(M: Complex) -> Array:
 
 
 def _ascended(M: Complex, phases: Array) -> tuple[float, Array]:
-    """Return (ρ, φ) at a local maximum of the spectral radius ρ(diag(e^{jφ}) M), searched from the given phases."""
+    """Return a local maximum of the spectral radius of diag(e^{jφ}) M and its phases φ, searched from given phases."""
     from scipy.optimize import minimize
 
     def radius(free: Array) -> float:
@@ -250,7 +258,7 @@ def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
 
 
 def _uncovered(closed: OpenLoop, level: float) -> float | None:
-    """Return a frequency at which no D gives σ_max(D M D⁻¹) < level; None if D exists at every frequency.
+    """Return a frequency at which no D gives σ_max(D M D⁻¹) < level; None if such a D exists at every frequency.
 
     The result is NaN if the steps become too short to cover all frequencies.
     """
@@ -284,10 +292,10 @@ def _candidates(closed: OpenLoop, omega: float) -> Iterator[Array]:
 
 
 def _covered(closed: OpenLoop, scale: Array, omega: float, level: float) -> float | None:
-    """Return the frequency up to which σ_max(D M D⁻¹) < level from ω on; None if σ_max exceeds the level at ω.
+    """Return the frequency up to which σ_max(D M D⁻¹) stays below `level` from `omega` on; None if not at `omega`.
 
-    Between two crossings σ_max stays on one side of the level, so one frequency between them is tested. A test at a
-    crossing would be decided by rounding errors.
+    Between two frequencies at which σ_max crosses the level, σ_max stays on one side, so one frequency between them is
+    tested. Rounding errors would decide a test at a crossing.
     """
     end = _next(closed, scale, omega, level)
     inside = _height(closed, scale, _inner(omega, end)) < level and _height(closed, scale, omega) < level * (1 + 1e-9)

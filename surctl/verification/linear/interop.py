@@ -1,8 +1,8 @@
-"""The linearised loops as python-control systems, for use with `control.bode_plot`, `control.root_locus` and others.
+"""The linearised loops as python-control systems, for functions such as `control.bode_plot` or `control.root_locus`.
 
-Their matrices are those that `surctl verify` uses, so python-control and `surctl verify` give equal results. Signal
-names include units. Root loci and margins of one loop need no further package. `control.disk_margins` of several loops
-at once needs slycot (GPL), which is not installed with surctl; use `disk_margin` of this package instead.
+The systems have the matrices that `surctl verify` uses, so python-control and `surctl verify` give equal results.
+Signal names include units. Root loci and margins of one loop need no further package. `control.disk_margins` of several
+loops at once needs slycot (GPL), which is not installed with surctl; use `disk_margin` of this package instead.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def loop_system(
 
     The feedback sign is negative; `loop_margins` computes the margins of this L. L works with `control.margin(L)`,
     `control.disk_margins(L, omega)` and `control.root_locus(L)`. Because of the Padé approximation of the delay, L is
-    not valid above the Nyquist frequency π/dt; `surctl verify` does not use it there.
+    not valid above the Nyquist frequency π/dt; `surctl verify` does not use L above this frequency.
 
     Args:
         vehicle: the plant.
@@ -61,7 +61,7 @@ def loop_system(
             decoupled from sway and yaw.
 
     Raises:
-        InputError: the name of the loop is unknown, or `build_cascade` finds an error.
+        InputError: the name of the loop is unknown, or `build_cascade` rejects its arguments.
     """
     at = _place(loop)
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
@@ -89,7 +89,7 @@ def open_system(
             channels).
 
     Raises:
-        InputError: `place` is not one of `DISK_PLACES`, or `build_cascade` finds an error.
+        InputError: `place` is not one of `DISK_PLACES`, or `build_cascade` rejects its arguments.
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=delay)
     loop = open_loop(cascade, place)
@@ -114,7 +114,7 @@ def closed_system(
     `loop_system`.
 
     Raises:
-        InputError: `build_cascade` finds an error.
+        InputError: `build_cascade` rejects its arguments.
     """
     import control  # slow to import, so only when it is needed
 
@@ -155,7 +155,8 @@ def sampled_loop_system(
         delay: delay in whole periods, at least 0.
 
     Raises:
-        InputError: the name of the loop is unknown, the delay is not a whole number, or `build_cascade` finds an error.
+        InputError: the name of the loop is unknown, the delay is not a whole number, or `build_cascade` rejects its
+            arguments.
     """
     at = _place(loop)
     check_delay(delay)

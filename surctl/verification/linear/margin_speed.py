@@ -15,7 +15,7 @@ from surctl.verification.linear.side import alike_in_states, built, can_cruise
 __all__ = ["LEAST_DISK_MARGIN", "margin_speed"]
 
 LEAST_DISK_MARGIN = 0.3
-"""Disk margin of all loops that `surctl verify` asks of every corner: gains off by 26 %, or phases by 17 deg."""
+"""Disk margin that `surctl verify` requires at every corner: all gains off by 26 %, or all phases off by 17 deg."""
 
 _STEPS, _HALVINGS = 12, 6
 
@@ -26,15 +26,15 @@ def margin_speed(
     """Return the largest cruise speed [m/s] up to which every vehicle keeps a disk margin of all loops; 0 if none.
 
     All loops are opened at the thrust commands or at the measurements. The margins are estimated on a coarse grid of
-    frequencies. Only the vehicles that are worst at the result found so far are searched over the speeds, in steps of
-    a twelfth of the range and then by bisection; all vehicles are compared at the result.
+    frequencies. The search over the speeds goes in steps of a twelfth of the range, followed by bisection. The search
+    uses only the vehicles that are worst at the last result; all vehicles are compared at the new result.
 
     Args:
         tried: the vehicles; the law's model is the first one.
         gains: the gains by name, as in `loop_margins`.
         dt: control period [s].
         highest: largest speed that is tried [m/s].
-        least: disk margin to be kept, in (0, 2]; 0 asks for stability alone.
+        least: required disk margin, in (0, 2]; 0 requires stability alone.
 
     Example:
         >>> from surctl.control import load_gains
@@ -84,7 +84,11 @@ def _peaks(
     model: Vehicle,
     least: float,
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return the peak of mu (n, k) of n vehicles at k speeds; inf without a cruise. For `least` 0, the slowest pole."""
+    """Return the peak (n, k) of the structured singular value over frequency for n vehicles at k speeds.
+
+    The value is inf if the vehicle cannot hold the speed. If `least` is 0, the value is the real part of the slowest
+    pole instead.
+    """
     peaks = np.full((len(vehicles), len(speeds)), np.inf)
     for k, speed in enumerate(speeds):
         able = [v for v, can in zip(vehicles, can_cruise(vehicles, speed), strict=True) if can]

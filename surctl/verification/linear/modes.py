@@ -99,12 +99,12 @@ class Mode:
         return lines
 
     def remedy_lines(self) -> list[str]:
-        """Describe an unstable corner: loop, pole, states, remedy and bearable speed of that vehicle."""
+        """Describe the unstable loop of a corner vehicle: loop, pole, states, remedy and largest stable speed."""
         return [f"  loop {self.loop}; {self.lines()[0]}", *self.lines()[1:]]
 
     @property
     def remedy(self) -> str:
-        """Return text about changes that stabilise an unstable loop.
+        """Return a text that names the changes that stabilise an unstable loop.
 
         An example is "with k_r = 4.5 (one gain changed, …), or at 0.2 m/s".
         """
@@ -135,8 +135,8 @@ def slowest_mode(
 ) -> Mode:
     """Return the mode of the slowest pole; for the arguments see `loop_margins`.
 
-    The participation of state k in mode i is |w_ki v_ki|, from the left and right eigenvectors, as a share of the sum
-    over k (Pérez-Arriaga, Verghese and Schweppe 1982).
+    The participation of state k in mode i is |w_ki v_ki|, the product of the entries of the left and the right
+    eigenvector, divided by the sum of these products over all k (Pérez-Arriaga, Verghese and Schweppe 1982).
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
@@ -199,9 +199,9 @@ def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, m
 
 
 def cap_above_bearable(vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float) -> str | None:
-    """Return one line if the linear loop becomes unstable below the speed cap [m/s], with both speeds; otherwise None.
+    """Return a line of text with both speeds if the loop becomes unstable below the speed cap [m/s]; otherwise None.
 
-    A cap that only the thrust limit makes unreachable gives None.
+    The result is also None if the loop is stable at all speeds that the thrust can hold, even if the cap is higher.
 
     Raises:
         InputError: a gain is missing or not positive.
@@ -254,7 +254,7 @@ def _names(cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float]) -> li
 def _without(
     cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle
 ) -> dict[str, float]:
-    """Return the real part of the slowest pole [1/s] without each physical term, by the name of the omitted term."""
+    """Return, for each physical term, the real part [1/s] of the slowest pole of the loop without this term."""
     closed, slowest = cascade.closed, {}
     munk, coriolis = closed.copy(), closed.copy()
     munk[_YAW, [_SURGE, _SWAY]] -= cascade.A[_YAW, [_SURGE, _SWAY]]

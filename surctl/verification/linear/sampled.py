@@ -1,7 +1,7 @@
-"""The sampled loop: a continuous plant with thrust that is constant over each control period and delayed whole periods.
+"""The sampled loop: a continuous plant whose thrust is constant over each control period and delayed by whole periods.
 
-The model needs no Padé approximation and is exact: x⁺ = Φ x + Γ f, where the command f = −K y acts d periods late. The
-integral state ξ is computed inside the controller and is not delayed.
+The state after one control period is x⁺ = Φ x + Γ f, where the command f = −K y acts d periods late. The model is exact
+and needs no Padé approximation. The integral state ξ is computed inside the controller and is not delayed.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def sampled_poles(
         model: the controller's model of the vehicle; default the vehicle itself.
 
     Raises:
-        InputError: `build_cascade` finds an error, or the delay is not a whole number of at least 0.
+        InputError: `build_cascade` rejects its arguments, or the delay is not a whole number of at least 0.
     """
     check_delay(delay)
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=period, model=model, delay=0.0)
@@ -108,7 +108,7 @@ def largest_period(
     loop is stable again are ignored.
 
     Raises:
-        InputError: `sampled_poles` finds an error.
+        InputError: `sampled_poles` rejects its arguments.
     """
     check_delay(delay)
     undelayed = build_cascade(vehicle, gains, cruise=cruise, dt=_SHORTEST, model=model, delay=0.0)
@@ -141,7 +141,7 @@ def _radius(undelayed: Cascade, delay: int, held: _Held) -> Array:
 
 
 def _largest(undelayed: Cascade, delay: int, held: Callable[[float], _Held]) -> float:
-    """Return the largest period up to which all cascades are stable: the first unstable step, refined by bisection."""
+    """Return the largest period up to which all cascades are stable; bisection refines the first unstable step."""
     good, bad = 0.0, _SHORTEST
     while True:
         lost = _radius(undelayed, delay, held(bad)) >= 1 - _EDGE * bad
@@ -169,7 +169,10 @@ def _transition(cascade: Cascade, delay: int, held: _Held) -> Array:
 
 
 def _held(cascade: Cascade, period: float | Array) -> _Held:
-    """Return (Φ, Γ) for one period with constant inputs; several cascades have one period each or a common period."""
+    """Return the transition matrix Φ and the input matrix Γ over one period with constant inputs.
+
+    Several cascades have one period each or a common period.
+    """
     from scipy.linalg import expm
 
     n, m = cascade.B.shape[-2:]

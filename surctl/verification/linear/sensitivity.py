@@ -20,7 +20,7 @@ _LOWEST, _POINTS = 1e-3, 200
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """The largest singular values of S and T over frequency.
+    """The largest singular values of the sensitivity S and the complementary sensitivity T over frequency.
 
     Attributes:
         place: where the loops are opened.

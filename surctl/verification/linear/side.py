@@ -50,8 +50,8 @@ class LinearSide:
         slowest_per_s: largest real part [1/s] of a pole over all corners.
         least_damping: least damping ratio of the poles, over all corners.
         sampled: limits of the sampled loop; for several corners, the least value of every limit and the largest radius.
-        corner: for several corners, the parameters of the worst corner as text: the corner with the least disk margin,
-            or of an unstable loop the corner with the fastest growing pole.
+        corner: for several corners, the parameters of the worst corner as text. The worst corner has the least disk
+            margin or, if the loop is unstable, the fastest growing pole.
         at: the vehicle of that corner.
     """
 
@@ -73,7 +73,7 @@ class LinearSide:
     def stable(self) -> bool:
         """Whether the loop is stable for all vehicles.
 
-        The loop must be stable both with approximated delay and sampled with one period of delay.
+        The loop must be stable in two models: continuous with approximated delay, and sampled with one period of delay.
         """
         return all(d.stable for d in self.disks) and self.sampled.radius < 1
 
@@ -137,7 +137,7 @@ def worst_linear_side(
     speed have no straight cruise to linearise about; they are omitted, and `of` states their number.
 
     Raises:
-        InputError: `linear_side` finds an error, or none of the vehicles can hold the cruise speed.
+        InputError: `linear_side` rejects its arguments, or none of the vehicles can hold the cruise speed.
     """
     believed = model or tried.vehicles[0]
     able = [v for v, can in zip(tried.vehicles, can_cruise(tried.vehicles, cruise), strict=True) if can]
@@ -177,7 +177,7 @@ def worst_linear_side(
 
 
 def alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
-    """Group the vehicles by whether they have thrust lag, which adds states; the first vehicle's group comes first."""
+    """Return the vehicles in two groups, with and without thrust lag; the group of the first vehicle comes first."""
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]

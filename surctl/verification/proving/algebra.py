@@ -33,7 +33,10 @@ __all__ = ["Algebra", "Ratio", "TooLarge"]
 
 @dataclass(frozen=True)
 class Ratio:
-    """The fraction over / Π factor^exponent; a factor is given by its index in `Algebra.factors`."""
+    """A fraction: the polynomial `over`, divided by a product of powers of factors.
+
+    `under` holds the pairs (index of the factor in `Algebra.factors`, exponent).
+    """
 
     over: Poly
     under: tuple[tuple[int, int], ...] = ()
@@ -110,7 +113,7 @@ class Algebra:
     # ---- arithmetic
 
     def plus(self, a: Ratio, b: Ratio, factor: int = 1) -> Ratio:
-        """Return a + factor b."""
+        """Return the sum a + factor · b."""
         under = dict(a.under)
         for at, exponent in b.under:
             under[at] = max(under.get(at, 0), exponent)
@@ -118,14 +121,14 @@ class Algebra:
         return self._lowest(over, under)
 
     def times(self, a: Ratio, b: Ratio) -> Ratio:
-        """Return a b."""
+        """Return the product a b."""
         under = dict(a.under)
         for at, exponent in b.under:
             under[at] = under.get(at, 0) + exponent
         return self._lowest(self.product(a.over, b.over), under)
 
     def inverse(self, a: Ratio, *, words: Node | None = None) -> Ratio:
-        """Return 1 / a; the numerator of a becomes a denominator.
+        """Return 1 / a; the numerator of a becomes a factor of the denominator.
 
         `words` is the original expression of a.
         """
@@ -146,11 +149,11 @@ class Algebra:
         return self._lowest(over, under)
 
     def product(self, a: Poly, b: Poly) -> Poly:
-        """Return the product a b, simplified by the relations between atoms."""
+        """Return the product a b, simplified by relations between atoms such as sin² = 1 − cos²."""
         return self._reduced(multiplied(a, b))
 
     def root(self, a: Ratio, *, words: Node | None = None) -> Ratio:
-        """Return √a, with denominators assumed positive. `words` is the original expression of a."""
+        """Return √a; the denominators of a are assumed to be positive. `words` is the original expression of a."""
         if not a.over:
             return a
         over, under = a.over, {at: (exponent + 1) // 2 for at, exponent in a.under}
@@ -179,7 +182,7 @@ class Algebra:
         return result
 
     def _over(self, a: Ratio, under: Mapping[int, int]) -> Poly:
-        """Return the numerator of a over a denominator that is a multiple of the denominator of a."""
+        """Return the numerator of the fraction a after expansion to the denominator `under`, a multiple of its own."""
         own, over = dict(a.under), a.over
         for at, exponent in under.items():
             for _ in range(exponent - own.get(at, 0)):

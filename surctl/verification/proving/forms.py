@@ -1,4 +1,4 @@
-"""Forms in which a case may be proved: as written, or as normal form minus nonnegative multiples of the constraints."""
+"""Forms in which a case may be proved: as written, or in normal form minus nonnegative multiples of constraints."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MOST_TERMS = 60
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A form of a case: margin = numerator / Π denominators + Σ multiplier · constraint.
+    """A form of the margin left − right of a case: numerator / Π denominators + Σ multiplier · constraint.
 
     All multipliers are ≥ 0 and all denominators are > 0.
 
@@ -86,7 +86,7 @@ def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
 
 
 def _signs(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> dict[int, int] | None:
-    """Return the sign of every denominator on the box; None if a sign is unknown, or negative but assumed positive."""
+    """Return the sign of every denominator on the box; None if a sign is unknown or not as a rewriting assumed."""
     signs: dict[int, int] = {}
     if not algebra.factors:
         return signs
@@ -147,7 +147,7 @@ class _Sizes:
 
 
 def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes: _Sizes) -> tuple[Poly, list[Poly]]:
-    """Subtract monomials ≥ 0 times constraints while the numerator's bound decreases.
+    """Subtract nonnegative monomials times constraints from the numerator while its upper bound decreases.
 
     Return the remaining numerator and the monomials.
     """
@@ -175,7 +175,7 @@ def _reduced(algebra: Algebra, over: Poly, guards: Sequence[Ratio | None], sizes
 
 
 def _candidates(rest: Poly, guard: Poly, sizes: _Sizes) -> Iterator[Poly]:
-    """Yield nonnegative monomials for which a term of monomial · constraint cancels a term of the numerator."""
+    """Yield nonnegative monomials whose product with the constraint cancels a term of the numerator."""
     visited: set[tuple[Monomial, object]] = set()
     for m, c in rest.items():
         powers = dict(m)

@@ -27,7 +27,7 @@ class Written:
         return tree
 
     def factor(self, at: int) -> Node:
-        """Return a denominator as an expression."""
+        """Return the denominator factor with index `at` as an expression."""
         return self._algebra.factor_words.get(at) or self.poly(self._algebra.factors[at])
 
     def poly(self, a: Poly) -> Node:
@@ -58,7 +58,7 @@ class Written:
         return tree + self.poly(outside) if outside else tree
 
     def atom(self, at: int) -> Node:
-        """Return an atom as an expression."""
+        """Return the atom with index `at` as an expression."""
         if at not in self._atoms:
             kind, args = self._algebra.atoms[at]
             if at in self._algebra.words:

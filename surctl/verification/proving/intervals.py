@@ -1,9 +1,9 @@
 """Interval arithmetic on arrays with outward rounding: each result contains all values of the operation.
 
-The ends of sums and differences are rounded outwards only if their exact rounding error requires it. Products,
-quotients and roots are widened by one unit in the last place, because IEEE 754 rounds them to the nearest number. sin,
-cos, atan2 and acos are widened by `_LIBM_STEPS` units: NumPy states an error of up to 4 units for its vector routines,
-the C libraries of 1 unit.
+The ends of sums and differences are rounded outwards only if their exact rounding error requires it. The intervals of
+products, quotients and roots are widened by one unit in the last place, because IEEE 754 rounds these operations to the
+nearest number. The intervals of sin, cos, atan2 and acos are widened by `_LIBM_STEPS` units: the stated error is up to
+4 units for NumPy's vector routines, and 1 unit for the C libraries.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def square(a: Ends) -> Ends:
 
 
 def to_power(a: Ends, exponent: int) -> Ends:
-    """Return a^exponent for exponent ≥ 0; even powers are not negative."""
+    """Return a^exponent for exponent ≥ 0; the interval of an even power has no negative part."""
     if exponent == 0:
         return np.ones_like(a[0]), np.ones_like(a[1])
     if exponent % 2:
@@ -141,7 +141,7 @@ def sine_cosine(a: Ends) -> tuple[Ends, Ends]:
 
 
 def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
-    """Return the range of a sinusoid that has maxima at (k + crest) 2π and minima π after each maximum."""
+    """Return the range of a sinusoid over a; its maxima lie at (k + crest) 2π, and its minima π after each maximum."""
     low, high = a
     wild = ~(np.maximum(np.abs(low), np.abs(high)) < _LARGEST_ANGLE)
     low, high = np.where(wild, 0.0, low), np.where(wild, 0.0, high)

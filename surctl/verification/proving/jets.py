@@ -100,7 +100,7 @@ class Jet:
         return self.through(cosine, lambda: iv.negate(sine), lambda: iv.negate(cosine))
 
     def arccosine(self) -> Jet:
-        """Return arccos x of this quantity x; its derivatives by x are −1/√(1 − x²) and −x/(1 − x²)^1.5."""
+        """Return the arccosine of this quantity."""
         x = self.value
         one = iv.point(np.ones_like(x[0]))
         rest = _not_negative(iv.subtract(one, iv.square(x)))
@@ -163,11 +163,11 @@ class Jet:
 
 
 def choose(a: Ends, b: Ends, x: Jet, y: Jet, value: Ends | None = None) -> Jet:
-    """Return x where a ≤ b and y elsewhere; on a box with points of both kinds, return the interval hull of x and y.
+    """Return x on boxes where a ≤ b, y on boxes where a > b, and the interval hull of x and y on all other boxes.
 
     If `value` is given, the selected function is continuous, so its slope lies in the hull of both slopes. Without
-    `value` the function may jump, and its slope is unbounded on a box with points of both kinds. On such a box the
-    Hessian is unbounded in either case.
+    `value` the function may jump, and its slope is unbounded on a box that contains both cases. On such a box the
+    Hessian is unbounded, with and without `value`.
     """
     first, second = a[1] <= b[0], a[0] > b[1]
     jumps = value is None

@@ -1,4 +1,4 @@
-"""Polynomials with exact rational coefficients; their indeterminates are atoms, given by index."""
+"""Polynomials with exact rational coefficients; their indeterminates are the atoms of `proving.algebra`, by index."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from fractions import Fraction
 __all__ = ["Monomial", "Poly", "TooLarge", "added", "constant", "key_of", "leading", "multiplied", "scaled", "single"]
 
 Monomial = tuple[tuple[int, int], ...]
-"""Pairs (atom, exponent ≥ 1) in the order of the atoms."""
+"""A monomial: pairs (atom, exponent ≥ 1) in the order of the atoms."""
 Poly = dict[Monomial, Fraction]
-"""The coefficient of each monomial; no coefficient is 0."""
+"""A polynomial: the coefficient of each monomial; no coefficient is 0."""
 
 _MOST = 400
 _KEY = frozenset
@@ -26,12 +26,12 @@ def constant(value: Fraction | int) -> Poly:
 
 
 def single(atom: int, exponent: int = 1) -> Poly:
-    """Return a power of one atom."""
+    """Return the polynomial atom^exponent of one atom."""
     return {((atom, exponent),): Fraction(1)}
 
 
 def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor: Fraction | int = 1) -> Poly:
-    """Return a + factor b."""
+    """Return the sum a + factor · b."""
     total = dict(a)
     for monomial, coefficient in b.items():
         value = total.get(monomial, Fraction(0)) + factor * coefficient
@@ -43,7 +43,7 @@ def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor
 
 
 def scaled(a: Mapping[Monomial, Fraction], factor: Fraction | int) -> Poly:
-    """Return factor a."""
+    """Return the product factor · a."""
     return {m: c * factor for m, c in a.items()} if factor else {}
 
 

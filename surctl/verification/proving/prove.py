@@ -22,8 +22,8 @@ from surctl.verification.proving.tape import Tape, build_tape
 __all__ = ["Proof", "certain_excess", "prove"]
 
 _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.0))
-"""The rounds of the search: the largest number of boxes and the share of the slack that each may use. The first round
-tries an exact proof; all forms are tried in short rounds before the last round uses the remaining time."""
+"""The rounds of the search: for each round, the largest number of boxes and the share of the slack that it may use. The
+first round tries an exact proof; all forms are tried in short rounds before the last round uses the remaining time."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
@@ -136,7 +136,7 @@ def _show(
 ) -> tuple[Form, SearchResult, float]:
     """Return the first form and slack that prove the case; otherwise the attempt with the least unproved volume.
 
-    The result of a failed proof counts the boxes of all attempts and gives the reason why the last one stopped.
+    The result of a failed proof counts the boxes of all attempts and gives the reason why the last attempt stopped.
     """
     began = time.process_time()
     looked = 0

@@ -1,9 +1,10 @@
-"""Rules that prove the bound on a box; every leaf of the proof's tree of boxes names the rule that proves it.
+"""Rules that prove function ≤ 0 on a box; each leaf of the tree of boxes holds the letter of the rule that proves it.
 
 `i`: a constraint is positive on the whole box, so the box lies outside the domain. `j`: the mean-value form shows that
-a constraint is positive on the whole box. `n`: the interval value of the function satisfies the bound. `m`: the
-mean-value form satisfies the bound on the face where every variable with a monotone influence is at its worse end. `c`:
-the function is concave on that face, so its tangent at one point bounds it.
+a constraint is positive on the whole box. `n`: the interval of the function's values shows the inequality. `m`: the
+mean-value form shows the inequality on one face of the box; on this face, every variable in which the function is
+monotone is at the end where the function is larger. `c`: the function is concave on that face, and its tangent at one
+point, which is an upper bound, shows the inequality.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Verdicts:
     Attributes:
         rule: (B,) letter of the rule that proves the box; "" if no rule proves it.
         points: (n, B) point of the tangent that rule `c` uses.
-        smear: (n, B) contribution of every variable to the width of the bounds that are not proved.
+        smear: (n, B) contribution of every variable to the width of the function values that are not yet proved ≤ 0.
     """
 
     rule: NDArray[np.str_]
@@ -137,7 +138,7 @@ def _weight(jet: Jet, box: Ends) -> Array:
 
 
 def _face(jet: Jet, box: Ends) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the face of the box on which every variable in which the function is monotone is at its worse end."""
+    """Return the face of the box on which the function is largest in every variable in which it is monotone."""
     assert jet.slope is not None
     up = jet.slope[0] >= 0
     down = ~up & (jet.slope[1] <= 0)
@@ -157,7 +158,7 @@ def _mean_value(jet: Jet, there: Jet, box: Ends, at: Array, *, lower: bool) -> A
 
 
 def _concave(bound: Tape, face: Ends, free: NDArray[np.bool_], limit: Array | float) -> tuple[NDArray[np.bool_], Array]:
-    """Return which faces a tangent proves, and the tangent points."""
+    """Return for each face whether a tangent proves the inequality on it, and the tangent points."""
     points = np.clip(np.zeros_like(face[0]), face[0], face[1])
     good = np.zeros(face[0].shape[1], dtype=bool)
     bend = bound.run(face, order=2).jets[0].bend
@@ -180,7 +181,8 @@ def _concave(bound: Tape, face: Ends, free: NDArray[np.bool_], limit: Array | fl
 def _bends_down(bend: Ends, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Whether the function is concave on each of B boxes, by interval elimination on the free variables.
 
-    All pivots are positive: every symmetric matrix in −bend is positive definite, except for rows that are zero.
+    If all pivots are positive, every symmetric matrix in the interval matrix −bend is positive definite, apart from
+    rows of zeros, so the function is concave.
     """
     with np.errstate(all="ignore"):
         m = iv.negate(bend)

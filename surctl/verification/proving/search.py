@@ -100,8 +100,8 @@ def search(
 ) -> SearchResult:
     """Bisect boxes until all are proved, the deadline has passed, or `most` boxes were evaluated.
 
-    If the interval of the bisected variable contains 0, it is bisected at 0, because many claims hold with equality at
-    0; otherwise it is bisected in the middle.
+    If the interval of the bisected variable contains 0, the interval is bisected at 0, because many claims hold with
+    equality there; otherwise the interval is bisected in the middle.
 
     Args:
         task: the inequality to prove.
@@ -143,7 +143,7 @@ def search(
 def _decide(
     task: Task, box: Ends, ids: NDArray[np.int_], tree: _Tree, everywhere: bool
 ) -> tuple[tuple[Array, Array, NDArray[np.int_]], Ends]:
-    """Record the proved boxes; return the unproved boxes too narrow to bisect, and the halves of the other boxes."""
+    """Record the proved boxes; return unproved boxes that are too narrow to bisect, and the halves of the others."""
     count = ids.size
     defined = np.ones(count, dtype=bool)
     if not everywhere:

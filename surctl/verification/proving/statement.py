@@ -89,7 +89,7 @@ def substituted(statement: Statement) -> tuple[Node, ...]:
 
 
 def cases_of(parts: Sequence[Node]) -> list[Case]:
-    """Return one case for each choice of branches; if there are too many branches, one case that chooses no branch."""
+    """Return one case for each choice of branches; if there are too many branches, a single case without choices."""
     branches = _branches(parts)
     left, right, *constraints = parts
     if len(branches) > MOST_BRANCHES:

@@ -163,7 +163,7 @@ def _jet(value: Ends, slope: Ends, n: int, order: int) -> Jet:
 
 
 def _enclosed(node: Node) -> tuple[float, float]:
-    """Return two doubles that enclose an exact number or π: the nearest below and the nearest above."""
+    """Return two doubles that enclose an exact number or π: the nearest double below and the nearest double above."""
     if node.op == "pi":
         return float(np.pi), float(np.nextafter(np.pi, 4.0))  # the double lies below π
     near = float(node.value)

@@ -21,26 +21,27 @@ _AXES = {"mass_kg": "m11", "linear_drag": "Xu", "quadratic_drag": "Xuu"}  # surg
 
 @dataclass(frozen=True)
 class RegionClaim:
-    """Claim about the cruise under the exported law, for a vehicle's ranges; SI units, pairs are (least, largest).
+    """Claim about the cruise of a vehicle under the exported law, for all parameters in given ranges.
+
+    All quantities are in SI units; pairs are (least, largest).
 
     Attributes:
         name: name of the claim.
         mass, linear, quadratic: true mass [kg], linear drag [N s/m] and quadratic drag [N s²/m²] of surge and sway.
-        asymmetry: largest |surge − sway| / mean, for each drag coefficient; 2 makes the coefficients of surge and sway
-            independent.
-        thrust: least thrust limit of a horizontal axis, of the plant or of the law [N].
-        lag: time constant of the thrust [s]; (0, 0) for a loop without lag.
-        yaw_rate: largest |r| [rad/s]; within this limit the heading may move arbitrarily.
-        current: largest speed of a constant current [m/s]; only for a loop without thrust lag and without held
-            commands.
+        asymmetry: largest difference of a drag coefficient between surge and sway, divided by the mean of both values;
+            2 makes the values of surge and sway independent.
+        thrust: least of the thrust limits of the horizontal axes, of the plant and of the law [N].
+        lag: time constant of the thrust lag [s]; (0, 0) for a loop without lag.
+        yaw_rate: largest yaw rate |r| [rad/s]; within this limit the heading may change arbitrarily.
+        current: largest speed of a constant current [m/s]; only for a loop without thrust lag and in continuous time.
         force: largest horizontal disturbance force, varying arbitrarily [N].
         place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s]; the
             errors vary arbitrarily.
         model: mass, linear and quadratic drag in the law's model.
         gains: the gains k1, lookahead, k_v, k_i and wait.
-        cruise, cap: speed of the path's target and largest commanded speed [m/s].
-        period: control period [s]; 0 for a loop without held commands.
-        rate: decay rate a of V̇ ≤ −a V [1/s].
+        cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
+        period: control period [s], during which the command is constant; 0 for a loop in continuous time.
+        rate: decay rate a [1/s] of the Lyapunov function V: V̇ ≤ −a V.
         digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
     """
 
@@ -93,7 +94,7 @@ class RegionClaim:
         return 6 if self.lag[1] > 0 else 4
 
     def document(self, *, offset: float, ultimate_bound: tuple[float, float]) -> dict[str, Any]:
-        """Return the claim as data of a certificate, with a given offset [m] and a given ultimate bound [m]."""
+        """Return the claim as data of a certificate, with the offset [m] and the ultimate bound [m] to be stated."""
         mass, linear, quadratic = self.model
         return {
             "system": "cruise",
@@ -152,19 +153,19 @@ def region_claim(
         vehicle: the vehicle that the law's model describes; its parameters of surge and sway must be equal.
         gains: gains of the law.
         share: relative error of mass and drag; None takes the ranges of the vehicle file.
-        thrust_share: share by which the thrust limit may be lower.
-        asymmetry: largest |surge − sway| / mean of the true drag coefficients.
+        thrust_share: largest relative reduction of the thrust limits.
+        asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean.
         sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
-        yaw_rate: largest |r| [rad/s].
-        cruise, cap: speed of the path's target and largest commanded speed [m/s].
-        rate: decay rate of V [1/s].
+        yaw_rate: largest yaw rate |r| [rad/s].
+        cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
+        rate: decay rate of the Lyapunov function V [1/s].
         current: largest speed of a constant current [m/s].
         force: largest force of waves and thrust errors [N].
         place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s].
 
     Raises:
         NotApplicable: surge and sway differ, integral action is on, or the cruise speed is not below the cap.
-        InputError: a number is out of bounds, or a current is combined with lag or held commands.
+        InputError: a number is out of bounds, or a current is combined with thrust lag or with a control period.
     """
     check_alike(vehicle, ranges=share is None)
     check_no_integral(gains)

@@ -12,11 +12,11 @@ __all__ = ["Inequality", "minimise", "symmetric_basis"]
 
 Array = NDArray[np.float64]
 Inequality = tuple[Array, Array]
-"""F0 (k, n, n) and F (k, m, n, n): k inequalities in m unknowns."""
+"""The matrices F0 (k, n, n) and F (k, m, n, n) of k inequalities in m unknowns."""
 
 
 def symmetric_basis(size: int) -> Array:
-    """Return the basis of symmetric matrices (size (size + 1)/2, size, size), ordered row by row."""
+    """Return a basis of the symmetric matrices as an array (size (size + 1)/2, size, size), ordered row by row."""
     rows, columns = np.tril_indices(size)
     basis = np.zeros((len(rows), size, size))
     basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1

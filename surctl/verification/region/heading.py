@@ -1,7 +1,8 @@
 """The heading-steered loop of eight states: the claim about it, and its matrices in floating point for the synthesis.
 
-The checker does not use these matrices: `surctl.certcheck.heading_loop` computes them independently. In the path frame
-ξ = (x − x*, y, ψ, U_x − v, U_y, r); heave (z, w) is decoupled.
+The checker does not use these matrices: `surctl.certcheck.heading_loop` computes them independently. In the path frame,
+the state is ξ = (x − x*, y, ψ, U_x − v, U_y, r), where x* is the steady along-track error and v the cruise speed; the
+heave states (z, w) are decoupled.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ Range = tuple[float, float]
 HEADING_GAINS: Mapping[str, float] = {
     "k1": 0.15, "k_z": 0.15, "lookahead": 1.2, "k": 0.35, "k_psi": 0.8, "k_r": 1.5, "cruise": 0.15,
 }  # fmt: skip
-"""Gains of the heading-steered loop, softer than those of the exported law [1/s, 1/s, m, 1/s, 1/s, 1/s, m/s]."""
+"""Gains of the heading-steered loop, which is softer than the exported law [1/s, 1/s, m, 1/s, 1/s, 1/s, m/s]."""
 
 _NUMBERS = {
     "mass_kg": "m11", "heave_mass_kg": "m33", "yaw_inertia_kg_m2": "m44", "surge_linear": "Xu",
@@ -38,14 +39,16 @@ _THRUST = {"surge_n": "Fu_max", "sway_n": "Fv_max", "heave_n": "Fw_max", "yaw_nm
 
 @dataclass(frozen=True)
 class HeadingClaim:
-    """Claim about the heading-steered loop, over a vehicle's parameter ranges; SI units, pairs are (least, largest).
+    """Claim about the heading-steered loop, for all vehicle parameters in given ranges.
+
+    All quantities are in SI units; pairs are (least, largest).
 
     Attributes:
         name: name of the claim.
         ranges: range of each true vehicle parameter, by its name in the certificate.
         limits: least thrust limit of each axis.
         law: mass and drag in the law's model, and the law's gains.
-        rate: decay rate a of V̇ ≤ −a V [1/s].
+        rate: decay rate a [1/s] of the Lyapunov function V: V̇ ≤ −a V.
         digest: SHA-256 of the vehicle's parameters.
     """
 
@@ -58,7 +61,7 @@ class HeadingClaim:
 
     @property
     def velocity_gain(self) -> float:
-        """Return the velocity gain m k of the law [N s/m]."""
+        """Return the product of mass and velocity gain k in the law's model [N s/m]."""
         return self.law["mass_kg"] * self.law["k"]
 
     @property
@@ -108,8 +111,8 @@ def heading_claim(
         name: name of the claim.
         vehicle: the vehicle that the law's model describes; its masses in surge and sway must be equal.
         share: relative error of every parameter; None takes the ranges of the vehicle file.
-        thrust_share: share by which the thrust limits may be lower.
-        rate: decay rate of V [1/s].
+        thrust_share: largest relative reduction of the thrust limits.
+        rate: decay rate of the Lyapunov function V [1/s].
         gains: gains of the loop.
 
     Raises:
@@ -138,7 +141,11 @@ def heading_claim(
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds at n points: largest |u − v|, largest |v|, largest |r|; least thrust share φ of surge, sway and yaw."""
+    """Bounds at n points: on surge speed minus cruise speed, sway speed and yaw rate, and on the thrust shares.
+
+    The thrust share φ of an axis is the share of the deviation of the commanded thrust that remains under the thrust
+    limit; `shares` holds the least values of φ for surge, sway and yaw.
+    """
 
     surge: Array
     sway: Array
@@ -147,7 +154,10 @@ class Limits:
 
 
 def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[Array, Array, Array, Array]:
-    """Return the coefficients of ξ (n, 6) in u − v, v, surge force f_u [N], yaw moment f_r [N m] at points (ψ, y)."""
+    """Return four rows (n, 6) that map the state ξ to speeds, surge force and yaw moment at n points (ψ, y).
+
+    The rows give surge speed minus cruise speed, sway speed, surge force [N] and yaw moment [N m].
+    """
     law, n = claim.law, len(psi)
     v, ahead = law["cruise"], law["lookahead"]
     c, s = np.cos(psi), np.sin(psi)
@@ -166,7 +176,10 @@ def rows_at(claim: HeadingClaim, psi: Array, y: Array, command: float) -> tuple[
 
 
 def loops_at(claim: HeadingClaim, psi: Array, y: Array, limits: Limits) -> Array:
-    """Return the state matrices A (k, 6, 6) of all vertices at all (ψ, y), in a fixed order; some may be equal."""
+    """Return the state matrices A (k, 6, 6) at all vertices of the parameter ranges and all points (ψ, y).
+
+    The order is fixed, and some matrices may be equal.
+    """
     ranges, v, velocity_gain = claim.ranges, claim.law["cruise"], claim.velocity_gain
     one = np.ones(len(psi))
     drag = (

@@ -1,4 +1,4 @@
-"""Proof of a claim about the heading-steered loop: search a region, round its numbers, let the checker decide."""
+"""Proof of a claim about the heading-steered loop: search for a region, round its numbers, let the checker decide."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _SHARES = (1.0, 0.985, 0.97, 0.94, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5)  # factors on 
 
 
 def prove_heading(claim: HeadingClaim, *, rounds: int, cells: int) -> RegionProof:
-    """Search a large region for the claim and let the checker decide.
+    """Search for a large region in which the claim holds, and let the checker decide.
 
     Args:
         claim: the claim.
         rounds: number of enlargements of the region.
-        cells: largest number of cells in the check, which processes about 400 cells a second.
+        cells: largest number of cells of (ψ, y) in the check, which processes about 400 cells a second.
     """
     began = time.perf_counter()
     heave, last, reason = heave_shape(claim), None, "the search found no quadratic V with this decay rate"

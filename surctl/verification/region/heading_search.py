@@ -1,7 +1,7 @@
-"""Search for V of the heading-steered loop by linear matrix inequalities on a grid of (ψ, y).
+"""Search for the Lyapunov function V of the heading-steered loop by linear matrix inequalities on a grid of (ψ, y).
 
-The search uses cutting planes: of the many vertices, only those where the last V violates its inequality are added to
-the next semidefinite program.
+The search uses cutting planes: only the vertices of the parameter ranges at which the last V violates its inequality
+are added to the next semidefinite program.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _limits(claim: HeadingClaim, covariance: Array, psi: Array, y: Array) -> Lim
 
 
 def _improve(claim: HeadingClaim, within: Array, active: set[int]) -> Array | None:
-    """Return P ⪰ `within` with the least P_yy, so that its region lies in the region of `within`; None if none exists.
+    """Return P ⪰ `within` with the least P_yy (its region lies in that of `within`); None if no such P exists.
 
     The bounds and thrust shares are computed for the region of `within`; they hold on the smaller region too. `active`
     holds the indices of the vertices whose inequalities the last call used; this call updates `active`.
@@ -103,7 +103,10 @@ def _improve(claim: HeadingClaim, within: Array, active: set[int]) -> Array | No
 
 
 def shapes(claim: HeadingClaim, *, rounds: int) -> Iterator[Array]:
-    """Yield unchecked P (6, 6) whose regions V ≤ 1 grow in y; each lies in an enlarged copy of the previous region."""
+    """Yield matrices P (6, 6) whose regions V ≤ 1 grow in y; the checker has not checked them yet.
+
+    Each region lies in an enlarged copy of the previous region.
+    """
     growth, P, active = 1.4, None, set[int]()
     for size in (0.5, 0.3, 0.2, 0.1):
         active.clear()
@@ -126,7 +129,10 @@ def shapes(claim: HeadingClaim, *, rounds: int) -> Iterator[Array]:
 
 
 def heave_shape(claim: HeadingClaim) -> Array | None:
-    """Return P_z (2, 2) such that the heave thrust is within its limit on V_z ≤ 1; None if no such P_z exists."""
+    """Return P_z (2, 2) with which the heave thrust is within its limit on V_z ≤ 1; None if no such P_z exists.
+
+    V_z is the Lyapunov function of heave with the matrix P_z.
+    """
     law, ranges = claim.law, claim.ranges
     velocity_gain, k_z = law["heave_mass_kg"] * law["k"], law["k_z"]
     basis = symmetric_basis(2)

@@ -1,4 +1,4 @@
-"""The library of region claims: for the ideal loop, and for lag, current, disturbances and measurement errors."""
+"""The library of region claims: for an ideal loop, and for thrust lag, current, disturbances and measurement errors."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def prove_statement(
     """Prove a region claim for a vehicle and gains, with the search effort that the statement sets.
 
     Raises:
-        InputError, NotApplicable: `RegionStatement.claim` raises the error.
+        InputError, NotApplicable: `RegionStatement.claim` raises this error.
     """
     claim: RegionClaim | HeadingClaim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
     if isinstance(claim, HeadingClaim):

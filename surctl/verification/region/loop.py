@@ -1,8 +1,9 @@
-"""The cruise as a linear inclusion in floating point, for the synthesis; the checker computes its own inclusion.
+"""The cruise as a linear differential inclusion in floating point, for the synthesis; the checker computes its own.
 
-Deviations from the steady cruise in the path frame: ξ = (x, y, U_x, U_y[, F_x, F_y]). Each shell ℓ_low ≤ V ≤ ℓ_high has
-its own bounds: thrust saturation matters only in the outer shells, and forces that change with the heading matter only
-in the inner shells.
+The state ξ = (x, y, U_x, U_y[, F_x, F_y]) holds the deviations of position, velocity and, with thrust lag, thrust from
+the steady cruise, in the path frame. Each shell ℓ_low ≤ V ≤ ℓ_high of the Lyapunov function V = ξᵀPξ has its own
+bounds: thrust saturation matters only in the outer shells, and forces that change with the heading matter only in the
+inner shells.
 """
 
 from __future__ import annotations
@@ -30,10 +31,12 @@ _DIRECTIONS = np.linspace(0, np.pi, 33)[:-1]
 
 @dataclass(frozen=True)
 class Steady:
-    """Bounds of the steady cruise: range of ω, largest error of the trim force [N], trim force linear c + quadratic c².
+    """Bounds of the steady cruise: range of ω [m/s], largest error and coefficients of the trim force.
 
-    c is the direction cosine of an axis. In a current, `drift` is the largest |ω_y|, `aside` the largest |y*|, and
-    `across` the force that they add.
+    ω is the difference of commanded speed and cruise speed, `total` the largest error of the trim force [N]. On an axis
+    with direction cosine c, the trim force is at most `linear` c + `quadratic` c² [N]. In a current, `drift` is the
+    largest |ω_y|, `aside` the largest cross-track error |y*| of the steady cruise, and `across` the force that these
+    two add.
     """
 
     omega: tuple[float, float]
@@ -47,7 +50,7 @@ class Steady:
     tilt: float = 0.0
 
     def along(self, c: Array, s: Array) -> Array:
-        """Return the largest trim force [N] on an axis with direction cosine c to the path and s to its normal."""
+        """Return the largest trim force [N] on an axis with direction cosine c to the path and s to the normal."""
         return np.maximum(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
 
@@ -96,7 +99,10 @@ def steady_cruise(claim: RegionClaim) -> Steady:
 
 @dataclass(frozen=True)
 class Gains:
-    """Largest norms on V ≤ 1 of position, velocity, commanded velocity, commanded force, delivered force; least φ."""
+    """Largest norms of deviations in the region V ≤ 1, and the least thrust share φ in this region.
+
+    The deviations are those of position (x, y), velocity, commanded velocity, commanded force and delivered force.
+    """
 
     x: float
     y: float
@@ -123,7 +129,7 @@ class Bounds:
 
 
 def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: float) -> Bounds | None:
-    """Return the bounds in the shell low ≤ V ≤ high; None if the law takes another form in the shell."""
+    """Return the bounds in the shell low ≤ V ≤ high; None if the law has another form in a part of the shell."""
     mass, linear, quadratic = claim.model
     k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
     radius, floor = _SLACK * np.sqrt(high), np.sqrt(low)
@@ -164,7 +170,7 @@ def bounds(claim: RegionClaim, steady: Steady, gains: Gains, low: float, high: f
 
 
 def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float, aside: float = 0.0) -> tuple[Array, Array]:
-    """Return two matrices (2, n): one maps ξ to δW, the other maps ξ to the deviation of the commanded force."""
+    """Return two matrices (2, n) that map ξ to the deviations of the commanded velocity and of the commanded force."""
     desired, velocity_gain = np.zeros((2, claim.size)), claim.model[0] * claim.gains["k_v"]
     desired[0, 0], desired[1, 1] = -catch, -steer / claim.gains["lookahead"]
     desired[1, 0] = catch * aside / claim.gains["lookahead"]
@@ -172,7 +178,7 @@ def force_gain(claim: RegionClaim, slope: float, steer: float, catch: float, asi
 
 
 def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
-    """Return the largest norms on the region V ≤ 1 of P, with the secant slopes of its outermost shell."""
+    """Return the largest norms in the region V ≤ 1 of P; `at` holds the bounds of its outermost shell."""
     covariance, eye = np.linalg.inv(P), np.eye(claim.size)
 
     def largest(rows: Array) -> float:
@@ -202,10 +208,11 @@ def gains_of(claim: RegionClaim, steady: Steady, P: Array, at: Bounds) -> Gains:
 class Loop:
     """The loop at one vertex of the parameters: state matrix A, input matrices B, and output matrices.
 
-    A (n, n) is the state matrix. B (n, q k) holds the input matrices side by side, in the order of `wind`. Three
-    matrices (q, n) map ξ to δW, to the deviation of the commanded force, and to δU; a further matrix gives U̇. If P has
-    no entry between x and y, the two axes decouple and each loop holds one axis (q = 1), except if the thrust lags and
-    the vehicle turns, or if a current displaces the vehicle (q = 2).
+    A (n, n) is the state matrix. B (n, q k) holds the matrices of the k uncertain inputs side by side, in the order of
+    `wind`. The matrices `desired`, `force` and `speed` (q, n) map ξ to the deviations of commanded velocity, commanded
+    force and velocity; `braking` gives the acceleration U̇. If P has no entry between x and y, the two axes decouple
+    and each loop holds one axis (q = 1), except if the thrust lags and the vehicle turns, or if a current displaces the
+    vehicle (q = 2).
     """
 
     A: Array
@@ -219,7 +226,7 @@ class Loop:
 
 
 def loops(claim: RegionClaim, at: Bounds) -> Iterator[Loop]:
-    """Yield the vertices of a shell's linear inclusion."""
+    """Yield the loop at every vertex of the linear inclusion of a shell."""
     size, lag, eye = claim.size, claim.lag[1] > 0, np.eye(claim.size)
     share, quarter = (1 + at.share) / 2, np.array([[0.0, -1.0], [1.0, 0.0]])
     visited: set[tuple[float, ...]] = set()

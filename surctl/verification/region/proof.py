@@ -1,4 +1,4 @@
-"""Proof of a region claim: search a region, round its numbers, and let the independent checker decide."""
+"""Proof of a region claim: search for a region, round its numbers, and let the independent checker decide."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class RegionProof(Certified):
 
     Attributes:
         claim: the claim.
-        offset: largest |y_e| [m] in the certified region at x_e = 0 and the target's velocity; 0 if the verdict is
-            unknown.
+        offset: largest |y_e| [m] in the certified region for x_e = 0 and a vehicle with the target's velocity; 0 if the
+            verdict is unknown.
         ultimate_bound: |x_e|, |y_e| [m] within which every motion from the region ends.
         seconds: total time of the attempt [s].
         check_seconds: duration of the check by the independent checker [s].
@@ -81,7 +81,7 @@ class RegionProof(Certified):
 
 
 def prove_region(claim: RegionClaim, *, attempts: int = 80, seed: int = 0) -> RegionProof:
-    """Search the largest region for the claim and let the checker decide.
+    """Search for the largest region in which the claim holds, and let the checker decide.
 
     The search result is stored in the cache of laws, with a key computed from the claim and the source code. The
     checker checks a stored result again in each call.
@@ -158,7 +158,7 @@ def _document(claim: RegionClaim, result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def certificate_of(claim: RegionClaim, steady: Steady, candidate: Candidate) -> dict[str, Any]:
-    """Return the certificate of a candidate: few decimals, and the stated numbers rounded to the safe side."""
+    """Return the certificate of a candidate, with few decimals; its stated numbers are rounded to the safe side."""
     scale = np.max(np.abs(candidate.P))
     P = np.round(candidate.P / scale, _DIGITS + 2) * scale
     P = np.array([[_short(entry) for entry in row] for row in P])
@@ -187,7 +187,10 @@ def _short(value: float, digits: int = _DIGITS + 1) -> float:
 
 
 def _offset(P: NDArray[np.float64], steady: Steady, claim: RegionClaim) -> float:
-    """Return the largest y such that V ≤ 1 at x_e = 0 and the target's velocity for every ω; it is rounded down."""
+    """Return the largest cross-track error, rounded down, with V ≤ 1 at x_e = 0 and the target's velocity.
+
+    V ≤ 1 holds for every steady cruise in `steady`.
+    """
     offsets = []
     for omega in steady.omega:
         x = omega / claim.gains["k1"]

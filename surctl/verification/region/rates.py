@@ -1,8 +1,8 @@
 """State derivatives of the true loops of region claims in floating point, for the falsifier; no proof uses them.
 
-Each loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which choose the
-true vehicle, the heading and the other uncertain quantities. It returns ξ̇ (n, k) and the largest ratio of a commanded
-thrust to its limit (n,).
+The function of a loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which
+choose the true vehicle, the heading and the other uncertain quantities. The function of a loop returns ξ̇ (n, k) and
+the largest ratio of a commanded thrust to its limit (n,).
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def heading_loop(claim: HeadingClaim) -> Loop:
 
 
 def cruise_loop(claim: RegionClaim) -> Loop:
-    """Return the function that computes ξ̇ of the cruise loop with thrust limits, without lag and held commands."""
+    """Return the function that computes ξ̇ of the cruise loop with thrust limits, without thrust lag or sampling."""
     mass, hat, hat2 = claim.model
     gains, v = claim.gains, claim.cruise
     ratio = np.inf if claim.asymmetry >= 2 else (2 + claim.asymmetry) / (2 - claim.asymmetry)

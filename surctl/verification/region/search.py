@@ -1,4 +1,4 @@
-"""Search over start values of the synthesis: limits of the region, floor, share of the decay rate for disturbances."""
+"""Search over the start values of the synthesis, which `Start` describes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ _INVARIANT_FLOOR = 0.95  # floor of a region that is invariant but has almost no
 def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> Iterator[Candidate]:
     """Yield candidates from `attempts` start values, the largest region first; equal seeds give equal candidates.
 
-    In a current, the candidate that ends closest to the path comes first; `attempts` and `seed` have no effect then.
+    In a current, the candidate that keeps the vehicle closest to the path comes first; `attempts` and `seed` then have
+    no effect.
     """
     if claim.current:
         yield from _holding(claim, steady)
@@ -97,8 +98,8 @@ def _largest(claim: RegionClaim, steady: Steady, candidates: list[Candidate | Pr
 def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:
     """Yield regions that keep the vehicle close to the path in a current, in order of rising distance.
 
-    P is that of the smallest invariant region, which is a few times as large as the static deflection by the force
-    error. Then the function tries larger levels with this P.
+    The function first computes the matrix P of the smallest invariant region, which is a few times as large as the
+    static deflection by the force error. Then the function tries larger regions with this P.
     """
     velocity_gain = claim.model[0] * claim.gains["k_v"]
     x, y = (

@@ -33,18 +33,18 @@ class RegionStatement(Strict):
         share: relative error of mass and drag (`heading`: of every parameter).
         ranges: whether the ranges of the vehicle file replace `share`.
         thrust_share: largest relative reduction of the thrust limits.
-        asymmetry: largest |surge − sway| / mean of the true drag coefficients.
+        asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean.
         sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
         yaw_rate_rad_per_s: largest yaw rate.
         spinning: whether the value of the gain `spin` replaces `yaw_rate_rad_per_s`.
-        cruise_m_per_s, cap_m_per_s: speed of the path's target, and largest commanded speed.
-        rate_per_s: decay rate a of V̇ ≤ −a V.
+        cruise_m_per_s, cap_m_per_s: speed of the target point on the path, and largest commanded speed.
+        rate_per_s: decay rate a of the Lyapunov function V: V̇ ≤ −a V.
         current_m_per_s: largest constant current.
         force_n: largest force of waves and thrust errors, varying arbitrarily.
         place_error_m, velocity_error_m_per_s: largest errors of measured position and velocity, varying arbitrarily.
         gains: gains that replace those of the gain file.
-        attempts: number of start values of the search (`heading`: number of enlargements).
-        cells: largest number of cells of a proof (`heading` only).
+        attempts: number of start values of the search; for `heading`, number of enlargements of the region.
+        cells: largest number of cells of (ψ, y) in a proof (`heading` only).
     """
 
     kind: Literal["region"] = "region"

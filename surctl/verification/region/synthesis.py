@@ -1,4 +1,9 @@
-"""Search for V = ξᵀPξ, alternating between linear matrix inequalities for P and for the multipliers at fixed P."""
+"""Search for V = ξᵀPξ, alternating between linear matrix inequalities for P and for the multipliers at fixed P.
+
+M is the matrix of the inequality M ⪯ 0 that shows the decay of V in one shell. λ_j is the multiplier of the uncertain
+input w_j (defined in `surctl.certcheck.region_inclusion`), and ρ the weight of the terms for commands that are held
+constant over a control period.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +49,12 @@ _FREE = 3  # number of free multipliers, those of w_1, w_2, w_3; those of w_5, w
 
 @dataclass(frozen=True)
 class Start:
-    """Start values: largest |x|, |y| on V ≤ 1 [m]; least φ; floor; share of the decay rate that w_5 uses up."""
+    """Start values of the synthesis for the region V ≤ 1.
+
+    `x` and `y` are the largest |x| and |y| [m], `share` is the least thrust share φ, `floor` the level of the innermost
+    shell, `growth` the part of the decay rate that the uncertain input w_5 uses up, and `velocity` the largest velocity
+    deviation [m/s].
+    """
 
     x: float
     y: float
@@ -56,7 +66,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Unchecked proof: P (n, n); levels (k + 1,) from floor to 1; multipliers (k, 5); weight ρ of held commands."""
+    """A proof before its check: P (n, n), levels (k + 1,) of V from floor to 1, multipliers (k, 5), weight ρ."""
 
     P: Array
     levels: tuple[float, ...]
@@ -65,13 +75,13 @@ class Candidate:
 
     @property
     def offset(self) -> float:
-        """Return the largest |y_e| [m] on V ≤ 1 with every other deviation 0."""
+        """Return the largest |y_e| [m] in the region V ≤ 1 if all other deviations are 0."""
         return float(1 / np.sqrt(self.P[1, 1]))
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """P (n, n) and ρ that satisfy the first matrix inequalities; the multipliers of the shells are not yet known."""
+    """P (n, n) and ρ that satisfy the first matrix inequalities; the multipliers of the shells are not yet computed."""
 
     P: Array
     hold: float
@@ -80,7 +90,7 @@ class Proposal:
 
     @property
     def offset(self) -> float:
-        """Return the largest |y_e| [m] on V ≤ 1 with every other deviation 0, as `Candidate` does."""
+        """Return the largest |y_e| [m] in the region V ≤ 1 if all other deviations are 0, as `Candidate` does."""
         return float(1 / np.sqrt(self.P[1, 1]))
 
 
@@ -90,7 +100,7 @@ def levels_of(floor: float, count: int) -> tuple[float, ...]:
 
 
 def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
-    """Return ∂M/∂λ_j (N, N) for w_1, w_2 and w_3, and for w_5 and w_6 without the term in P."""
+    """Return the derivatives ∂M/∂λ_j (N, N) for j = 1, 2, 3, 5 and 6; for j = 5 and 6 the term in P is omitted."""
     size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.desired)
     start = {j: size + q * k for k, j in enumerate(loop.wind)}
     derivatives = {}
@@ -112,7 +122,11 @@ def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
 
 
 def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
-    """Return ∂M/∂ρ (N, N), the terms of a held command: h |ḟ|², and the bound on |w_4|²."""
+    """Return the derivative ∂M/∂ρ (N, N) with respect to the weight ρ of held commands.
+
+    M contains ρ in two terms: h |ḟ|², where h is the control period and ḟ the rate of the commanded force, and the
+    bound on |w_4|².
+    """
     size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.desired)
     slope = np.zeros((total, total))
     if 4 not in loop.wind:
@@ -131,7 +145,7 @@ def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
 
 
 def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
-    """Return [[AᵀP + PA + growth P, PB], [BᵀP, 0]] (…, N, N) of P (…, n, n)."""
+    """Return the matrix [[AᵀP + PA + growth P, PB], [BᵀP, 0]] (…, N, N) for P (…, n, n)."""
     P = P[..., loop.states[:, None], loop.states]
     half, side = P @ loop.A, P @ loop.B
     size, total = len(loop.A), len(loop.A) + loop.B.shape[1]
@@ -169,7 +183,10 @@ def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tup
 def shape(
     claim: RegionClaim, steady: Steady, gains: Gains, shells: list[Bounds], growth: Array, *, spread: float
 ) -> tuple[Array, float] | None:
-    """Return P with the least P_yy, and ρ; growth (k, 2): decay rates that w_5 and w_6 use up in each shell."""
+    """Return P with the least entry P_yy, and the weight ρ; None if the inequalities have no solution.
+
+    `growth` (k, 2) holds the parts of the decay rate that the inputs w_5 and w_6 use up in each shell.
+    """
     basis = symmetric_basis(claim.size)
     # averaging P with its mirror image loses nothing, so entries between x and y are not needed
     basis = basis[[not np.any(one[::2, 1::2]) for one in basis]]
@@ -209,7 +226,7 @@ def shape(
 
 
 def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[Array]:
-    """Return row vectors c with |c ξ| ≤ 1 on V ≤ 1, which bound the position and the thrust in every direction."""
+    """Return row vectors c; the conditions |c ξ| ≤ 1 on V ≤ 1 bound the position and the thrust in every direction."""
     eye, rows = np.eye(claim.size), []
     rows += [eye[0] / gains.x, eye[1] / gains.y]
     for angle in np.linspace(0, np.pi / 2, 9):
@@ -223,7 +240,7 @@ def _rows(claim: RegionClaim, steady: Steady, gains: Gains, at: Bounds) -> list[
 
 
 def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
-    """Return matrices C (2, n) with |C ξ| ≤ 1 on V ≤ 1, which bound velocity, commanded velocity and force."""
+    """Return matrices C (2, n); the conditions |C ξ| ≤ 1 on V ≤ 1 bound velocity, commanded velocity and force."""
     eye, middle = np.eye(claim.size), sum(at.model_drag) / 2
     rows = [eye[2:4] / gains.velocity]
     for s in at.steer:
@@ -260,7 +277,7 @@ def synthesise(
 
 
 def proposed(claim: RegionClaim, steady: Steady, start: Start, *, shells: int) -> Proposal | None:
-    """Return P and ρ from the first half of a `synthesise` round; this gives the offset at a third of the cost."""
+    """Return P and ρ after the first half of a `synthesise` round: they give the offset at a third of the time."""
     levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
     shaped = _shaped(claim, steady, gains, levels, np.full((shells, 2), start.growth), _SPREAD)
     return None if shaped is None else Proposal(*shaped, gains, levels)
@@ -287,7 +304,7 @@ def _shaped(
 
 
 def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:
-    """Return the candidate for P and levels without held commands; None if a shell has no valid multipliers."""
+    """Return the candidate for P and levels in continuous time; None if a shell has no valid multipliers."""
     extent = np.sqrt(np.diag(np.linalg.inv(P)))
     velocity_gain = claim.model[0] * claim.gains["k_v"]
     gains = Gains(
@@ -301,7 +318,10 @@ def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, .
 def _finished(
     claim: RegionClaim, steady: Steady, P: Array, hold: float, gains: Gains, levels: tuple[float, ...]
 ) -> tuple[Candidate | None, Gains, Array | None]:
-    """Return the candidate (None without multipliers), its largest norms, and the decay rates that w_5, w_6 use up."""
+    """Return the candidate, its largest norms, and the parts of the decay rate that the inputs w_5 and w_6 use up.
+
+    The candidate is None if a shell has no valid multipliers.
+    """
     outer = bounds(claim, steady, gains, levels[-2], levels[-1])
     assert outer is not None
     fitted = gains_of(claim, steady, P, outer)

@@ -1,25 +1,27 @@
-"""Conditions under which every task of a stack converges under the null-space law (16), for targets at rest.
+"""Conditions under which every task of a stack converges under equation (16) of the paper, for targets at rest.
 
-With σ̃ the stacked errors, the law gives dσ̃/dt = −M K σ̃, M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ (successive projection, as
-printed). The conditions extend those on orthogonality and independence by Antonelli (2009, Stability analysis for
-prioritized closed-loop inverse kinematic algorithms):
+Let σ̃ contain the errors of all tasks. Equation (16) is the null-space law; it gives dσ̃/dt = −M K σ̃ with the gain
+matrix K and the blocks M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ (successive projection, as printed), where J_i is the Jacobian of
+task i, J_i⁺ its pseudoinverse, and N_i the projector onto the null space of J_i. The conditions extend those on
+orthogonality and independence by Antonelli (2009, Stability analysis for prioritized closed-loop inverse kinematic
+algorithms):
 
 - M_ij with j > i is the disturbance of a higher task by a lower one. M_ij with j > i is zero if the projectors of the
   levels commute, as those of orthogonal tasks do. Then M is lower block triangular: a cascade, which is stable for any
   positive gains.
-- M_ii = J_i N_1 ⋯ N_{i−1} J_i⁺ is the share of its own motion that a task keeps. If the projectors commute, the
+- M_ii = J_i N_1 ⋯ N_{i−1} J_i⁺ is the share of its own motion that task i keeps. If the projectors commute, the
   eigenvalues of M_ii are sin² of the angles between the task's Jacobian rows and those of the tasks above. The
   eigenvalues are positive if the task is independent of all tasks above it together (rank [J_1; …; J_i] is the sum of
   the ranks), and 1 if the task is orthogonal to all tasks above.
-- If lower tasks do disturb higher ones, the comparison matrix decides. The diagonal of this matrix holds the least
-  eigenvalues of the symmetric parts of M_ii; its other entries are −max‖M_ij‖. If the comparison matrix is a
+- If lower tasks disturb higher ones, the comparison matrix decides about convergence. The diagonal of this matrix holds
+  the least eigenvalues of the symmetric parts of M_ii; its other entries are −max‖M_ij‖. If the comparison matrix is a
   non-singular M-matrix, all errors converge for all scalar gains (vector Lyapunov function Σ p_i‖σ̃_i‖; a gain scales
   one column, and the scaled matrix is still an M-matrix).
 
-Orthogonality is decided by an identity of the expressions. Independence is proved by interval branch and bound on
-det[J_a; J_b][J_a; J_b]ᵀ ≥ s² det(J_aJ_aᵀ) det(J_bJ_bᵀ), where s is a lower bound on the product of the sines. The
-independent checker checks this proof. If the proof fails, the verdict relies on samples and local searches, and its
-text says so.
+Orthogonality is decided by an identity between the expressions of the tasks. Independence is proved by interval branch
+and bound on det[J_a; J_b][J_a; J_b]ᵀ ≥ s² det(J_aJ_aᵀ) det(J_bJ_bᵀ), where J_a and J_b are the Jacobians of two tasks,
+and s is a lower bound on the product of the sines of the angles between them. The independent checker checks this
+proof. If the proof fails, the verdict relies on samples and local searches, and its text says so.
 """
 
 from __future__ import annotations
@@ -91,9 +93,10 @@ class LevelCondition:
         outcome: whether the task converges for a target at rest, while the state stays in the region.
         shown: the weakest kind of evidence that the outcome depends on.
         tracks: whether the task also tracks a moving target exactly, because no other task disturbs it.
-        keeps: lower bound on the share of its own gain that the task keeps; 0 if higher tasks may remove one of its
-            directions.
-        disturbed_by: largest sampled ‖M_ij‖ of each lower task that disturbs this task, by name.
+        keeps: lower bound on the share of the task's own gain that higher tasks leave to the task; 0 if higher tasks
+            may remove one of its directions.
+        disturbed_by: mapping from the name of each lower task that disturbs this task to the size of the disturbance,
+            the largest sampled ‖M_ij‖.
         reason: reason for the outcome, in words.
         where: a state in which higher tasks remove one of the task's directions; empty if no such state is known.
     """
@@ -124,7 +127,7 @@ class StackConditions:
         pairs: one condition for each pair of tasks.
         levels: one condition for each task.
         triangular: whether no lower task disturbs a higher one, so that any positive gains are allowed.
-        small_gain: whether the comparison matrix of the samples is a non-singular M-matrix.
+        small_gain: whether the comparison matrix, computed from the samples, is a non-singular M-matrix.
         samples: number of samples from which the sampled numbers come.
     """
 
@@ -165,14 +168,14 @@ def stack_conditions(
 
     Args:
         stack: tasks with one reference each.
-        region: lower corner and upper corner of η, two vectors (4,) [m, m, m, rad] in {E}.
+        region: lower corner and upper corner of the pose η, two vectors (4,) [m, m, m, rad] in {E}.
         parameters: (symbol, lower, upper) of every other symbol in the tasks.
         samples: number of samples.
         seed: seed of the samples.
         time_limit: time limit of each proof of independence [s].
 
     Raises:
-        InputError: `surctl.priority.diagnosis.diagnose` raises the error.
+        InputError: `surctl.priority.diagnosis.diagnose` raises this error.
     """
     diagnosis = diagnose(stack, region, parameters=parameters, samples=samples, seed=seed)
     box = build_region(stack, region, parameters)

@@ -1,4 +1,7 @@
-"""The submatrices M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ of a stack's error dynamics, computed at samples of a region."""
+"""The blocks M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ of the error dynamics of a stack, computed at samples of a region.
+
+M_ij is the effect of task j on the error of task i; `conditions` explains the symbols.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,8 @@ class Coupling:
         sine: (n,) least product of the sines of the angles between a task and the joint space of all tasks above it.
         worst: for each task, the state with the least product of sines.
         most: (n, n) largest ‖M_ij‖ for i ≠ j.
-        commuting: whether the projectors of all levels commute, as an identity of the expressions.
+        commuting: for each task, whether its projector commutes with those of the tasks above, by an identity of the
+            expressions.
         orthogonal: pairs (i, j), i < j, of tasks that are orthogonal by an identity of the expressions.
     """
 
@@ -43,7 +47,7 @@ class Coupling:
 
     @property
     def exact(self) -> bool:
-        """Return whether it follows from an identity that no lower task disturbs a higher task."""
+        """Return whether an identity of the expressions shows that no lower task disturbs a higher task."""
         return all(self.commuting)
 
     @property
@@ -63,21 +67,27 @@ class Coupling:
         return {j: float(self.most[i, j]) for j in range(i + 1, len(self.own)) if self.most[i, j] > _ZERO}
 
     def untouched_below(self, i: int) -> bool:
-        """Return whether it follows from an identity that no lower task disturbs task i.
+        """Return whether an identity of the expressions shows that no lower task disturbs task i.
 
-        The result is true for the first task, for any task if all projectors commute, and for a task below which each
-        task is orthogonal to all tasks before it.
+        The result is true for the first task, and for every task if all projectors commute. It is also true if each
+        task after task i is orthogonal to all tasks that precede that later task.
         """
         apart = ((a, b) in self.orthogonal for b in range(i + 1, len(self.own)) for a in range(b))
         return self.exact or i == 0 or all(apart)
 
     def commuting_above(self, i: int) -> bool:
-        """Return whether N_1 ⋯ N_{i−1} is a projector by identity; then the eigenvalues of M_ii are squared sines."""
+        """Return whether an identity of the expressions shows that N_1 ⋯ N_{i−1} is a projector.
+
+        The eigenvalues of M_ii are then squared sines of angles between task i and the tasks above.
+        """
         return all(self.commuting[:i])
 
 
 def comparison_converges(own: Array, most: Array) -> bool:
-    """Return whether diag(own) − most (off-diagonal part) is a non-singular M-matrix (all leading minors > 0)."""
+    """Return whether the comparison matrix is a non-singular M-matrix, that is, all its leading minors are positive.
+
+    The comparison matrix is diag(own) minus the off-diagonal part of `most`.
+    """
     matrix = np.diag(own) - most * (1 - np.eye(len(own)))
     return all(np.linalg.det(matrix[:k, :k]) > 1e-12 for k in range(1, len(own) + 1))
 

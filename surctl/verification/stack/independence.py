@@ -20,7 +20,7 @@ _LEAST_STRENGTH = 1e-6  # least det J Jᵀ of a task whose Jacobian counts as re
 
 
 def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float, time_limit: float) -> float:
-    """Return `sine` if it is a proved lower bound on the product of sines between task i and tasks above, else 0.
+    """Return `sine` if the product of sines between task i and the tasks above is proved to be ≥ `sine`, else 0.
 
     The proof is by interval branch and bound, and the independent checker must accept it.
     """
@@ -32,7 +32,7 @@ def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, si
 
 
 def prove_strength(stack: Stack, region: Region, i: int, *, time_limit: float) -> bool:
-    """Return whether a proof shows that task i has a regular Jacobian on the whole region (det J Jᵀ ≥ 1e-6)."""
+    """Return whether the Jacobian J of task i is proved to be regular on the whole region (det J Jᵀ ≥ 1e-6)."""
     strength = _gram(_jacobian(stack, region, i))
     if strength.is_constant():
         return bool(float(strength) >= _LEAST_STRENGTH)
@@ -43,7 +43,7 @@ def prove_strength(stack: Stack, region: Region, i: int, *, time_limit: float) -
 def independence_claims(
     stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float
 ) -> tuple[Claim, ...]:
-    """Return the claims det[A; B][A; B]ᵀ ≥ s² det(AAᵀ) det(BBᵀ), det AAᵀ > 0 and det BBᵀ > 0.
+    """Return three claims: det[A; B][A; B]ᵀ ≥ s² det(AAᵀ) det(BBᵀ), det AAᵀ > 0 and det BBᵀ > 0, where s = `sine`.
 
     A holds the Jacobians of the tasks above, and B is the Jacobian of task i. Both are expressed in {E}, where they do
     not depend on ψ.
@@ -61,7 +61,10 @@ def independence_claims(
 
 
 def _jacobian(stack: Stack, region: Region, k: int) -> ca.SX:
-    """Return ∂σ/∂η of task k, without the branches (min, max, abs, select) that intervals decide on the region."""
+    """Return the Jacobian of task k by the pose, without the branches that interval arithmetic decides on the region.
+
+    Branches are min, max, abs and select.
+    """
     sigma = stack.tasks[k].sigma
     try:
         smooth = simplified(sigma, region, tuple(map(_name, region.names)))

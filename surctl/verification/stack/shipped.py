@@ -25,12 +25,12 @@ _ECHOES = {
     "behind": ([-3.0, -1.0], [-1.0, 1.0]),
     "right": ([-1.0, -3.0], [1.0, -1.0]),
 }
-"""Lower and upper corner of the echo position in each quadrant [m]: on its own side of the robot, up to 3 m away."""
+"""Lower and upper corner of the echo position in each quadrant [m]: on that side of the robot, up to 3 m away."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShippedStack:
-    """A stack, and the region of η and of the parameters over which the convergence conditions are decided."""
+    """A stack, and the region of the pose η and of the parameters for which the convergence conditions are decided."""
 
     stack: Stack
     region: Bounds
@@ -41,8 +41,8 @@ def shipped_stack(name: str) -> ShippedStack:
     """Return the stack of a shipped law, by the law's name.
 
     Gains and targets do not affect the Jacobians; all gains are 1, and the targets lie in the region. The robot is near
-    the origin, with one echo in each quadrant. Urgency may put the sensor sub-tasks in any order; the conditions of
-    pairs do not depend on the order.
+    the origin, with one sonar echo in each quadrant. The law sorts the sensor sub-tasks by urgency; the conditions of
+    pairs of tasks do not depend on this order.
 
     Raises:
         InputError: the name is unknown.

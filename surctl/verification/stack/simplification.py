@@ -12,7 +12,7 @@ __all__ = ["simplified"]
 
 
 def simplified(expression: ca.SX, region: Region, names: tuple[str, ...]) -> ca.SX:
-    """Return a column that is equal to `expression` on the region, without the branches that intervals decide there.
+    """Return a column that is equal to `expression` on the region, without branches that interval arithmetic decides.
 
     Branches are min, max, abs and select. Without them, derivatives of the column contain no comparisons.
 

@@ -1,4 +1,4 @@
-"""Properties of a task that follow from its expressions, without numbers."""
+"""Properties of a task that follow from its expressions, without evaluation at numbers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ __all__ = ["gains_are_equal", "gram_is_constant", "names_in"]
 
 
 def names_in(region: Region, task: Task | SetTask) -> set[str]:
-    """Return the variables of the region on which the task's σ depends."""
+    """Return the variables of the region on which the task function σ of the task depends."""
     return {name for k, name in enumerate(region.names) if ca.depends_on(task.sigma, region.symbols[k])}
 
 
 def gram_is_constant(stack: Stack, i: int) -> bool:
-    """Return whether J_i J_iᵀ is constant or 1 × 1; then V = σ̃ᵀ(JJᵀ)⁻¹σ̃ falls if M_ii has positive eigenvalues."""
+    """Return whether the matrix J_i J_iᵀ of the Jacobian J_i of task i is constant or 1 × 1.
+
+    Then V = σ̃ᵀ(J_i J_iᵀ)⁻¹σ̃, with the error σ̃ of the task, decreases if M_ii (see `conditions`) has positive
+    eigenvalues.
+    """
     A = world_jacobians(stack)[i]
     return bool(A.shape[0] == 1 or ca.simplify(A @ A.T).is_constant())
 
