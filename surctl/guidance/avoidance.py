@@ -84,12 +84,18 @@ def avoidance_course(
 
 
 def printed_side(phi: ca.SX) -> ca.SX:
-    """Return λ2 as printed below equation (20): +1 if the clockwise angle −φ is in [0°, 180°], otherwise −1."""
+    """Return the sign λ2 of the passing side as printed below equation (20) of the paper.
+
+    λ2 is +1 if the clockwise angle −φ to the obstacle is in [0°, 180°], otherwise −1.
+    """
     return ca.if_else(ca.sin(-phi) >= 0, 1, -1)
 
 
 def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float = 0.02) -> ca.SX:
-    """Return λ2 by erratum E10: +1 if the relative velocity points left of the obstacle, −1 if it points right.
+    """Return the sign λ2 of the side on which the robot passes an obstacle, by erratum E10.
+
+    λ2 is +1 (obstacle on the robot's right) if the velocity relative to the obstacle points left of the obstacle, and
+    −1 (obstacle on the left) if this velocity points right of the obstacle.
 
     Args:
         relative_velocity: velocity of the robot minus that of the obstacle (2, 1) in {E} [m/s].

@@ -80,7 +80,7 @@ __all__ = [
 ]
 
 LEAST_THRUST = 0.85
-"""Share of the stated thrust that braking may assume."""
+"""Share of the vehicle's stated thrust that counts as guaranteed for braking."""
 
 _SUMMANDS = 4000  # terms of the upper sum, which is then less than 0.2 % too long
 

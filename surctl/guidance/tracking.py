@@ -15,7 +15,9 @@ __all__ = ["along_command", "path_error", "progress_rate", "tracking_rate", "tra
 
 
 def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return along-track error x_e and cross-track error y_e [m] of equation (8); y_e is positive left of the path.
+    """Return the along-track error x_e and the cross-track error y_e [m]; y_e is positive left of the path.
+
+    Equation (8) of the paper defines these errors.
 
     All vector arguments are (2, 1) in {E}.
 

@@ -51,10 +51,11 @@ class Shape(ABC):
 
     @abstractmethod
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """Return the unit vectors from a point (x, y) outside the shape along which a scene's nearest echo may lie.
+        """Return unit vectors from the point (x, y): the directions in which the nearest echo of a scene may lie.
 
-        The vectors include, for each face, the direction of its nearest reflecting point, and directions 1e-9 rad past
-        the rims of the shape, where other shapes behind it become visible.
+        The point (x, y) must lie outside the shape. The vectors include, for each face, the direction of its nearest
+        reflecting point, and directions 1e-9 rad past the rims of the shape, where other shapes behind it become
+        visible.
         """
 
     @abstractmethod

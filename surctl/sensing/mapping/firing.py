@@ -45,8 +45,7 @@ MIDDLE = 1.0 - _OF_THE_UNKNOWN
 """Share of a narrow beam's width in which the beam clears unknown cells."""
 
 LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular")
-"""Names of the limits of a firing: squared ranges [m²], `whole` and `outside` [m], and at the end three numbers 0 or
-1."""
+"""Names of the limits of a firing: squared ranges [m²], `whole` and `outside` [m], the last three numbers 0 or 1."""
 
 
 def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:

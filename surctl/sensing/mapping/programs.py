@@ -183,8 +183,10 @@ class MapPrograms:
         return lower_named("blank_arc", inputs, outputs)
 
     def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return whether all cells of a block lie beside the cone, their least squared range, and whether all miss the
-        arc.
+        """Return three results for a block of cells, from bounds on its cells.
+
+        The results are: whether all cells lie beside the cone; the least squared range of the cells; and whether no
+        cell lies on the arc.
 
         The test uses the extreme values of a block's columns and rows, with the same sums and products as for a single
         cell, and rounding preserves the order of values. So a condition that holds for the extreme values also holds

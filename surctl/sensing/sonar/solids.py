@@ -58,7 +58,7 @@ class Solid(ABC):
 
     @abstractmethod
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
-        """Return the unit vectors (2, 1) from the apex along which the nearest echo of a scene may lie."""
+        """Return unit vectors (2, 1) from the apex: the directions in which the nearest echo of a scene may lie."""
 
 
 @dataclass(frozen=True, eq=False)
