@@ -100,7 +100,7 @@ class Brakes:
         current: c ≥ 0, speed of the water towards the obstacle [m/s].
 
     Raises:
-        InputError: a number violates these bounds.
+        InputError: if a number violates one of the bounds above.
     """
 
     masses: tuple[float, float]
@@ -156,7 +156,7 @@ class Watch:
         speed_error: e_v ≥ 0, largest error of the robot's measured speed [m/s].
 
     Raises:
-        InputError: a number violates these bounds.
+        InputError: if a number violates one of the bounds above.
     """
 
     period: float = 0.05
@@ -188,7 +188,7 @@ def brakes_of(
         share: share of the vehicle's largest thrust that is guaranteed for braking, in (0, 1].
         spread: relative error of mass and drag; the thrust in the vehicle's file then counts as the largest thrust.
             None: use the ranges in the vehicle's file; a parameter without a range counts as exact.
-        disturbance, current: the attributes of the same names of `Brakes`.
+        disturbance, current: values of the attributes `disturbance` and `current` of the result.
     """
     if not 0 < share <= 1:
         raise InputError("must be in (0, 1]", key="share", value=share, remedy="give a share of the thrust")
@@ -276,12 +276,12 @@ def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float 
 
 
 def _swing(brakes: Brakes, thrust: float | None) -> float:
-    """Return τ(F + F_b) [N s]: the impulse of the lagging thrust F beyond −F_b after the command to brake."""
+    """Return the impulse [N s] towards the obstacle that the thrust lag adds after the command to brake, τ(F + F_b)."""
     return brakes.lag * max((brakes.most if thrust is None else thrust) + brakes.least, 0.0)
 
 
 class _Above(NamedTuple):
-    """Upper bound of the derivative B' of the stopping distance on each interval of a grid of speeds."""
+    """Upper bound on the derivative of the stopping distance with drag, on each interval of a grid of speeds."""
 
     step: float
     places: NDArray[np.float64]  # ends of the steps, starting with 0
@@ -317,7 +317,7 @@ def range_needed(
     """Return the smallest measured range [m] at which another period without braking is safe (step 4 of the module).
 
     Args:
-        brakes, obstacle: same meaning as for `stopping_distance`.
+        brakes, obstacle: see `stopping_distance`.
         watch: delay and accuracy of the measurements.
         speed: measured speed v of the robot [m/s].
         thrust: thrust F⁺ at the end of the period [N]; default: the largest thrust.

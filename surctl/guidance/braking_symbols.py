@@ -33,7 +33,7 @@ class BrakeSymbols:
     period: ca.SX
 
     def left(self, obstacle: ca.SX) -> ca.SX:
-        """Return the net braking force F' [N], limited to at least 2 % of F_b."""
+        """Return the net braking force F' [N], limited to at least 2 % of the guaranteed thrust F_b."""
         return ca.fmax(self.least - self._drag(obstacle), _LEAST_LEFT * self.least)
 
     def acceleration(self, obstacle: ca.SX) -> ca.SX:
@@ -47,7 +47,7 @@ class BrakeSymbols:
 def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
     """Return the stopping distance [m] for the largest present thrust, as `stopping_distance` does.
 
-    The net braking force is limited to at least 2 % of F_b.
+    The net braking force is limited to at least 2 % of the guaranteed thrust.
     """
     closing, swing, longest = ca.fmax(speed + obstacle, 0), brakes.lag * (brakes.most + brakes.least), ca.SX(0)
     for m in (brakes.lightest, brakes.heaviest):

@@ -60,7 +60,7 @@ def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every
 
 
 def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: float) -> Matrix:
-    """Return the steady Kalman gains (2, 2) from measured yaw and yaw rate (columns) to their estimates (rows).
+    """Return the steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate.
 
     Args:
         dt: time between two measurements [s].

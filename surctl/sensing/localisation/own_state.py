@@ -141,7 +141,7 @@ class OwnStateFilter:
 
     @cached_property
     def yaw_gains(self) -> NDArray[np.float64]:
-        """Kalman gains (2, 2) from the innovations of yaw and yaw rate (columns) to their estimates (rows)."""
+        """Steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate."""
         return yaw_gains(
             self.dt, yaw_sd=self.yaw_sd, rate_sd=self.rate_sd, acceleration_noise=self.yaw_acceleration_noise
         )

@@ -90,7 +90,7 @@ def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
 
 
 def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
-    """Update the track or the candidate with the reading, and return whether the reading updated the track."""
+    """Update the track (the estimate) or the candidate by the reading; return whether the reading updated the track."""
     op, rules, _, state, _, scene = step
     new = _compared(step, late, fine, reading)
     # a known wall enters the beam
@@ -117,7 +117,8 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
 
 
 def _candidate(step: Step, new: _Compared, other: Value) -> Value:
-    """Store a reading that is not near the track as a candidate, and return whether the candidate becomes the track."""
+    """Store a reading that is not near the track as a candidate for a new track; return whether it becomes the
+    track."""
     op, rules, _, state, _, scene = step
     corrected, outward = new.corrected, new.innovation > 0.0
     x, top = state["range"], rules.maximum - 2.0 * rules.resolution

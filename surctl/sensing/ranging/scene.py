@@ -1,4 +1,4 @@
-"""The first part of a `RangeTracker` step: it computes expected ranges, moves the track, and checks the new reading."""
+"""The first part of a `RangeTracker` step: prediction of the range estimates, and a check of the new reading."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _REPEAT = 0.01  # if a working sensor repeats a sample set more rarely than this
 
 
 class Ranging(NamedTuple):
-    """The result of a step, (n,) each: SX expressions from `RangeTracker.update`, arrays from `RangeTracker.step`."""
+    """The result of a tracker step for n sensors: SX expressions from `RangeTracker.update`, arrays from `step`."""
 
     state: dict[str, Any]
     """Next state: value of each entry, by name."""
