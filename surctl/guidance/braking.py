@@ -221,7 +221,7 @@ def _ends(vehicle: Vehicle, name: str, spread: float | None) -> tuple[float, flo
 
 
 def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None) -> float:
-    """Return the stopping distance S [m] in closed form; S neglects that drag helps to brake.
+    """Return the stopping distance S [m] in closed form; S ignores that drag helps to brake.
 
     S is infinite if the obstacle is so fast that braking cannot prevent a collision.
 
@@ -314,7 +314,7 @@ def range_needed(
     fastest: float | None = None,
     stopping: Callable[..., float] = stopping_distance,
 ) -> float:
-    """Return the smallest measured range [m] at which another period without braking is safe (step 4 of the module).
+    """Return the smallest measured range [m] at which another period without braking is safe (step 4 in this module).
 
     Args:
         brakes, obstacle: see `stopping_distance`.

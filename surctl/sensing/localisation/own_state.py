@@ -8,9 +8,9 @@ last command, with thrust limit and lag, and with drag at the estimated ground v
 {E}. The filter also estimates a disturbance acceleration in {E}, which represents all model errors (mass, drag, waves,
 current).
 
-x, y and z share one covariance. The covariance ignores the damping by drag. So in a gap between fixes, the covariance
-is too large rather than too small. Yaw and yaw rate are measured in every step, so the Kalman gains for yaw and yaw
-rate are constant.
+The coordinates x, y and z share one covariance. The covariance ignores that drag damps the motion. So in a gap between
+fixes, the covariance is too large rather than too small. Yaw and yaw rate are measured in every step, so the Kalman
+gains for yaw and yaw rate are constant.
 
 The filter builds CasADi expressions for the exported law; its state is an explicit input and output.
 """

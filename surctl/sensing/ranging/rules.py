@@ -117,8 +117,7 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
 
 
 def _candidate(step: Step, new: _Compared, other: Value) -> Value:
-    """Store a reading that is not near the track as a candidate for a new track; return whether it becomes the
-    track."""
+    """Store a reading that is not near the track as a candidate; return whether the candidate becomes the track."""
     op, rules, _, state, _, scene = step
     corrected, outward = new.corrected, new.innovation > 0.0
     x, top = state["range"], rules.maximum - 2.0 * rules.resolution
