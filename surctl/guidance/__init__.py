@@ -1,4 +1,4 @@
-"""Guidance: path, tracking law (8)–(12), avoidance law (17)–(20), and the choice of a course among many contacts."""
+"""Guidance of the robot: path tracking, obstacle avoidance, and the choice of a course past several obstacles."""
 
 from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_speed, avoidance_course, encounter_side
 from surctl.guidance.cones import Cone, collision_cone, inside

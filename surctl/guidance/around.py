@@ -1,4 +1,4 @@
-"""Arrays of the contacts around the robot, for loops: sectors of blocked courses, cones of moving contacts."""
+"""The contacts (nearby objects) as arrays: sectors of blocked courses, and collision cones of moving contacts."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ _AWAITED = 12.0  # [s] time in which a moving contact must come near, for the ro
 
 
 class Sector(NamedTuple):
-    """The sector of courses that one contact blocks: all velocities v with n·v > bound.
+    """The sector of courses that one contact (nearby object) blocks: all velocities v with n·v > bound.
 
     Attributes:
         normal: (2, 1) unit vector n from robot to contact, in {E}.
         bound: largest allowed n·v [m/s]; a negative bound requires that the robot retreats.
-        point: (2, 1) [m] in {E}, position of the contact; the law distinguishes encounters by it.
+        point: (2, 1) [m] in {E}, position of the contact; if this position jumps between two steps, the law assumes
+            that another contact blocks the course.
     """
 
     normal: ca.SX
@@ -36,16 +37,18 @@ class Sector(NamedTuple):
 
     @staticmethod
     def of(row: ca.SX) -> Sector:
-        """Return the sector that one line of the array `sectors` holds."""
+        """Return the sector whose numbers form one row of the array `Around.sectors`."""
         return Sector(row[:2], row[2], row[3:5])
 
 
 @dataclass(frozen=True)
 class Around:
-    """All contacts as arrays: sectors (n, 5), cones (m, 17) and sides (m, 3).
+    """The contacts (nearby objects) as arrays: `sectors` (n, 5), `cones` (m, 17) and `sides` (m, 3).
 
-    For each cone, `sides` holds three numbers: the cost of passing the contact on its left, the cost of passing it on
-    its right, and 1 if the contact crosses the robot's course.
+    Each row of `sectors` is a `Sector`, and each row of `cones` is a `Cone`.
+
+    For each cone, a row of `sides` holds three numbers: the cost of passing the contact on its left, the cost of
+    passing it on its right, and 1 if the contact crosses the robot's course.
     """
 
     sectors: ca.SX
@@ -54,13 +57,13 @@ class Around:
 
     @staticmethod
     def of(sectors: Sequence[Sector], cones: Sequence[Cone]) -> Around:
-        """Return the arrays of the given sectors and cones, without `sides`."""
+        """Return the arrays of the given sectors and collision cones; the array `sides` is None."""
         return Around(tabulated(sectors, 5), tabulated(cones, 17))
 
     def with_sides(
         self, desired: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
     ) -> Around:
-        """Return a copy with the array `sides`."""
+        """Return a copy with the array `sides`: costs of passing each moving contact on its left and right."""
 
         def sides(row: ca.SX) -> tuple[ca.SX]:
             cone = Cone.of(row)
@@ -72,7 +75,7 @@ class Around:
         return replace(self, sides=each("sides", sides, self.cones)[0]) if self.cones.shape[0] else self
 
     def excess(self, velocity: ca.SX) -> ca.SX:
-        """Return the largest violation of a bound by a velocity (2, 1) [m/s]; negative if no bound is violated."""
+        """Return how deep [m/s] a velocity (2, 1) lies in any sector or cone; negative if it lies in none."""
 
         def missed(worst: ca.SX, row: ca.SX) -> ca.SX:
             return ca.fmax(worst, ca.dot(velocity, row[:2]) - row[2])
@@ -81,7 +84,10 @@ class Around:
         return fold("depth", lambda worst, row: ca.fmax(worst, inside(velocity, Cone.of(row))), worst, self.cones)
 
     def free_speed(self, course: ca.SX, speed: ca.SX) -> ca.SX:
-        """Return the largest speed [m/s], at most `speed`, that a course allows; negative bounds count as 0."""
+        """Return the largest speed [m/s], at most `speed`, at which a course violates no bound of a sector.
+
+        The course is a unit vector (2, 1). A negative bound counts as 0.
+        """
 
         def limited(free: ca.SX, row: ca.SX) -> ca.SX:
             along = ca.dot(course, row[:2])
@@ -91,7 +97,7 @@ class Around:
         return fold("free_speed", limited, speed, self.sectors)
 
     def passing(self, velocity: ca.SX, cost: ca.SX) -> ca.SX:
-        """Return the given cost plus the costs of the sides on which a velocity passes the moving contacts."""
+        """Return `cost` plus, for each moving contact, the cost of the side on which `velocity` passes the contact."""
 
         def passed(cost: ca.SX, row: ca.SX, sides: ca.SX) -> ca.SX:
             return cost + ca.if_else(passes_left(velocity, Cone.of(row)), sides[0], sides[1])
@@ -99,7 +105,7 @@ class Around:
         return cost if self.sides is None else fold("passing", passed, cost, self.cones, self.sides)
 
     def waits(self) -> ca.SX:
-        """Return whether a moving contact approaches so soon that the robot should wait until it has passed."""
+        """Return whether a moving contact will reach the robot so soon that the robot should wait for it to pass."""
 
         def soon(any_other: ca.SX, row: ca.SX) -> ca.SX:
             cone = Cone.of(row)
@@ -132,7 +138,7 @@ class Around:
 
 
 def edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: ca.SX) -> ca.SX:
-    """Return the unit vector n turned by ± arccos(bound/speed); a sign of +1 turns n to the left."""
+    """Return the left edge (`sign` +1) or the right edge (−1) of a sector: n turned by arccos(bound/speed)."""
     cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
     return turned(n, cosine, sign * ca.sqrt(1 - cosine * cosine))
 

@@ -1,7 +1,7 @@
-"""Avoidance law (17)–(20) in three forms, and the closing speed that the braking distance allows.
+"""Avoidance law (equations (17)–(20) of the paper) in three forms; closing speed that the braking distance allows.
 
-φ is the bearing from the robot to the obstacle, positive counter-clockwise (E1). With λ2 = +1 the robot passes with the
-obstacle on its right; with λ2 = −1 it passes with the obstacle on its left (E10).
+φ is the bearing from the robot to the obstacle, positive counter-clockwise (erratum E1). The sign λ2 selects the side:
+with λ2 = +1 the robot passes with the obstacle on its right, with λ2 = −1 on its left (erratum E10).
 """
 
 from __future__ import annotations
@@ -44,19 +44,21 @@ def avoidance_course(
     """Return the commanded course ψ_dm [rad], positive counter-clockwise.
 
     Args:
-        form: `printed`: (20) as printed, with the clockwise angle of (17) and (22) inserted into (2);
-            `consistent`: (20) with every angle counter-clockwise (E1) and with λ2 by E10;
-            `corrected`: ψ_dm = φ + λ2 arccos(sat[(v_o·n + κ(l − R_OB − d_s))/u]), so that l̇ = −κ(l − R_OB − d_s): the
-            clearance is a barrier function whose rate includes the obstacle's velocity.
+        form: `printed`: equation (20) of the paper as printed, with the clockwise angle of (17) and (22) inserted into
+            (2); `consistent`: equation (20) with every angle counter-clockwise (erratum E1) and with λ2 by erratum E10;
+            `corrected`: ψ_dm = φ + λ2 arccos(sat[(v_o·n + κ(l − R_OB − d_s))/u]), where sat limits its argument to [−1,
+            1], so that the distance l to the obstacle changes at the rate l̇ = −κ(l − R_OB − d_s), whatever the
+            obstacle's velocity.
         phi: bearing from robot to obstacle [rad], positive counter-clockwise.
-        clearance: l_dm = l − R_OB [m].
+        clearance: l_dm = l − R_OB [m], where l is the distance between robot and obstacle.
         radius: anti-collision radius R_OB [m].
-        side: λ2, +1 or −1; the form `printed` ignores this argument and uses the sign of the angle.
-        delta: offset δ of (20) [m].
-        k3: convergence coefficient of (20).
-        speed: avoidance speed u_dm > 0 [m/s].
-        closing: v_o·n, the obstacle's velocity along n (from robot to obstacle) [m/s]; only the form `corrected` uses
-            it.
+        side: λ2, +1 (obstacle on the robot's right) or −1 (on its left); the form `printed` uses `printed_side`
+            instead.
+        delta: offset δ of equation (20) [m].
+        k3: convergence coefficient k3 of equation (20).
+        speed: speed u > 0 of the robot while it avoids the obstacle [m/s].
+        closing: v_o·n, component of the obstacle's velocity along the unit vector n from robot to obstacle [m/s]; only
+            the form `corrected` uses `closing`, `kappa` and `standoff`.
         kappa: gain κ [1/s].
         standoff: stand-off distance d_s ≥ 0 [m].
 
@@ -82,12 +84,18 @@ def avoidance_course(
 
 
 def printed_side(phi: ca.SX) -> ca.SX:
-    """Return λ2 as printed below (20): +1 for a clockwise angle (E1) in [0°, 180°], −1 for an angle in [−180°, 0°]."""
+    """Return the sign λ2 of the passing side as printed below equation (20) of the paper.
+
+    λ2 is +1 if the clockwise angle −φ to the obstacle is in [0°, 180°], otherwise −1.
+    """
     return ca.if_else(ca.sin(-phi) >= 0, 1, -1)
 
 
 def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float = 0.02) -> ca.SX:
-    """Return λ2 by E10: +1 if the velocity relative to the obstacle points left of the bearing, −1 if it points right.
+    """Return the sign λ2 of the side on which the robot passes an obstacle, by erratum E10.
+
+    λ2 is +1 (obstacle on the robot's right) if the velocity relative to the obstacle points left of the obstacle, and
+    −1 (obstacle on the left) if this velocity points right of the obstacle.
 
     Args:
         relative_velocity: velocity of the robot minus that of the obstacle (2, 1) in {E} [m/s].
@@ -106,20 +114,25 @@ def encounter_side(relative_velocity: ca.SX, normal: ca.SX, *, deadband: float =
 
 
 def clearance_rate(course: ca.SX, phi: ca.SX, *, speed: ca.SX, closing: ca.SX) -> ca.SX:
-    """Return the rate l̇ = v_o·n − u cos(ψ_dm − φ) [m/s] of the clearance at a speed u on a course ψ_dm, cf. (23)."""
+    """Return the rate [m/s] at which the clearance changes, cf. equation (23) of the paper.
+
+    The rate is l̇ = v_o·n − u cos(ψ_dm − φ) for the robot's speed u and course ψ_dm, the bearing φ of the obstacle, and
+    the component v_o·n (`closing`) of the obstacle's velocity along the direction from robot to obstacle.
+    """
     return closing - speed * ca.cos(course - phi)
 
 
 def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX, reaction: ca.SX) -> ca.SX:
-    """Return the largest closing speed [m/s] from which the robot still stops within `distance` d [m].
+    """Return the largest closing speed [m/s] from which the robot can still stop within a distance d [m].
 
-    The result is the inverse of the braking distance s²/(2a) + s t of a speed s: −a t + √((a t)² + 2 a d) for d ≥ 0.
-    For d < 0 the result continues with the slope 1/t, so a robot inside the stand-off distance must retreat.
+    At a closing speed s, the braking distance is s²/(2a) + s t. For d ≥ 0, the function returns the s whose braking
+    distance is d: −a t + √((a t)² + 2 a d). For d < 0, the robot is inside the stand-off distance, and the function
+    returns the negative speed d/t, so the robot must retreat.
 
     Args:
         distance: d, clearance minus stand-off distance [m], of any sign.
         deceleration: a > 0 [m/s²], with the thrust available for braking and the largest mass.
-        reaction: t > 0 [s], sum of thrust lag, control period and delay of the velocity loop.
+        reaction: reaction time t > 0 [s], the sum of thrust lag, control period and delay of the velocity loop.
 
     Example:
         >>> import casadi as ca

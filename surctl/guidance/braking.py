@@ -1,47 +1,53 @@
 """The barrier with inertia: at which distance from an obstacle must a vehicle with thrust lag start to brake?
 
-Consider the motion along the latched direction n (robot → obstacle). For m11 = m22 = m no Coriolis force acts along n,
-so m v̇ = F + f − D(v − c) and Ḟ = (u − F)/τ. Here v is the speed of the robot along n, F the thrust, u ≤ −F_b the
-thrust command while the robot brakes, D the drag, c the current, and f any other force. Let v_o be the largest speed
-of the obstacle towards the robot, s = v + v_o the closing speed, and z = s + τ max(F + F_b, 0)/m.
+Let n be the unit vector from robot to obstacle, which does not change while the robot brakes. If the masses in surge
+and sway are equal, m11 = m22 = m, no Coriolis force acts along n, so m v̇ = F + f − D(v − c) and Ḟ = (u − F)/τ. Here v
+is the speed of the robot along n, F the thrust, τ the time constant of the thrust, u the thrust command, D the drag, c
+the speed of the water, all along n, and f any other force. While the robot brakes, u ≤ −F_b, where F_b is the
+guaranteed braking force. Let v_o be the largest speed of the obstacle towards the robot, s = v + v_o the closing speed,
+and z = s + τ max(F + F_b, 0)/m.
 
-1. Then z ≥ s. While s ≥ 0, ż ≤ −(F_b − f + D(v − c))/m ≤ −F'/m with F' = F_b − f − D(v_o + c) for the largest drag,
-   because D is odd and increasing. (If the robot brakes with more than F_b, then F < −F_b and z = s, and ż has the
-   same upper bound −F'/m.)
-2. The stopping distance S = m z²/(2F') satisfies Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance l satisfies l̇ ≥ −s, so
-   l − S does not decrease. While s < 0, the clearance l increases, and S, evaluated at s = 0, decreases with F. So
-   braking keeps l ≥ S ≥ 0. `stopping_distance` is S = m s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m). S is convex
-   in m, so one of the two ends of the mass range is the worst case; S increases with s and F. (S may also be evaluated
-   at s = −r < 0 < z: the drag of the retreat then acts towards the obstacle with D(v_o + c + r), and l − S does not
-   decrease as long as z (D(v_o + c + r) + f − F_b) ≤ r F'. For z ≤ 0, S is 0. With a shorter thrust lag, z decreases
-   faster, so steps 1 and 2 still hold.)
-3. Drag shortens the stopping distance. The distance B with B'(z) = max over v ≤ z of m(v + v_o)/(F_b − f + D(v − c)),
-   with the least drag in motion ahead and the largest drag in motion astern, satisfies Ḃ ≤ −(v + v_o), so braking also
-   keeps l ≥ B. B = m G(v_0 + τ(F + F_b)/m) with a convex function G is a perspective function, so B is convex in m.
+1. By definition, z ≥ s. Let F' = F_b − f − D(v_o + c) be the net braking force for the largest drag. While s ≥ 0, ż ≤
+   −(F_b − f + D(v − c))/m ≤ −F'/m, because D is odd and increasing. (If the robot brakes with more than F_b, then F <
+   −F_b and z = s, and ż has the same upper bound −F'/m.)
+2. The stopping distance S = m z²/(2F') satisfies Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance l satisfies l̇ ≥ −s, so l −
+   S does not decrease. While s < 0, the clearance l increases, and S, evaluated at s = 0, decreases with F. So if l ≥ S
+   when braking begins, then l ≥ S ≥ 0 as long as the robot brakes. The function `stopping_distance` computes S = m
+   s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m). S increases with s and F, and S is convex in m, so the worst mass
+   is one of the two ends of the mass range. (S may also be evaluated while the robot retreats, at s = −r < 0 < z. The
+   drag D(v_o + c + r) then acts towards the obstacle, and l − S does not decrease as long as z (D(v_o + c + r) + f −
+   F_b) ≤ r F'. For z ≤ 0, S is 0. If the thrust lag is shorter than τ, z decreases faster, so steps 1 and 2 still
+   hold.)
+3. Drag shortens the stopping distance. Let B be the distance whose derivative B'(z) is the maximum over v ≤ z of m(v +
+   v_o)/(F_b − f + D(v − c)), with the least drag for v > c and the largest drag for v < c. Then Ḃ ≤ −(v + v_o), so if l
+   ≥ B when braking begins, l ≥ B as long as the robot brakes. For a present speed v_0, B has the form m G(v_0 + τ(F +
+   F_b)/m) with a convex function G; such a perspective function is convex in m. The function
    `stopping_distance_with_drag` computes B by an upper sum; S is 1.1 to 2.2 times B.
-4. Sampling: the measured range d is `age` old and wrong by up to ε, the measured speed v is wrong by up to e_v, and
-   during a control period T any thrust may act. Let V be the largest speed of the robot since the echo, and
-   a⁺ = (F⁺ + f + D(v_o + c))/m_min. If d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), then
-   l ≥ S at the next decision too. If this inequality fails, the robot brakes fully along n until it holds again, and
-   step 2 keeps l ≥ S meanwhile. So the robot never hits an obstacle if the inequality of this step has held once.
-5. The distance to a convex body is a convex function of the position. So a lower bound on the distance along the
-   direction n of the last decision without braking is also a lower bound on the clearance.
-6. A law may use its own speed bound b(d) and brake as soon as v exceeds b by x(b), the excess at which its velocity
-   loop commands F_b. Such a law keeps l ≥ S (or l ≥ B) if, wherever it does not brake, d − ε is at least the range
-   that step 4 requires at v = b + x, down to d = 0.
+4. The law decides once per control period T whether to brake. The measured range d is `age` old and has an error of up
+   to ε, the measured speed v has an error of up to e_v, and during a period without braking any thrust up to F⁺ may
+   act. Let V be the largest speed of the robot since the echo, and a⁺ = (F⁺ + f + D(v_o + c))/m_min the largest
+   acceleration. If d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), then l ≥ S at the next
+   decision too. If this inequality fails, the robot brakes fully along n until the inequality holds again; meanwhile l
+   ≥ S by step 2. So the robot never hits an obstacle if the inequality of this step has held at one decision.
+5. The distance to a convex body is a convex function of the robot's position. So the distance that remains along n is
+   never larger than the clearance, where n is the direction to the obstacle at the last decision without braking.
+6. Instead of the inequality of step 4, a law may use its own speed bound b(d). Let x(b) be the excess of v over b at
+   which the law's velocity loop commands the braking force F_b. Such a law ensures l ≥ S (or l ≥ B) if, for every d ≥ 0
+   at which the law does not brake, d − ε is at least the range that step 4 requires at the speed v = b + x.
 
-Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead it into another obstacle);
-|v_o| is always bounded; m11 = m22. A sideways speed w at the start of braking adds the force `sideways_force`, because
-drag acts on each axis separately and not along the velocity. At a speed a ahead, drag helps to brake at any heading
-with at least (X a + X2 a²/√2) minus `sideways_force`, where X and X2 are the linear and quadratic drag coefficients.
-If drag acted along the velocity, the sideways speed would add at most X2 w min(v_o + c, w/2). If the hull turns at r
-rad/s while it brakes without a sideways command, the lagging thrust turns with the hull: z = s + (τ max(F + F_b, 0) +
-rτ²|F_across|)/m satisfies step 1 with the additional force (rτ)²F. The thrust limit acts on each axis separately, so
-the largest thrust on a diagonal is √2 times the largest thrust of one axis.
+Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead the robot into another
+obstacle); the bound v_o on the obstacle's speed holds at all times; m11 = m22. Drag acts on each axis of the vehicle
+separately and not along the velocity. So a sideways speed w at the start of braking adds the force `sideways_force`
+towards the obstacle. At a speed a along n and any heading, drag contributes at least (X a + X2 a²/√2) minus
+`sideways_force` to braking, where X and X2 are the linear and quadratic drag coefficients. If drag acted along the
+velocity, the sideways speed would add a force of at most X2 w min(v_o + c, w/2). If the hull turns at r rad/s while the
+robot brakes without a sideways command, the lagging thrust turns with the hull. Then z = s + (τ max(F + F_b, 0) +
+rτ²|F_across|)/m satisfies step 1 with the additional force (rτ)²F, where F_across is the thrust across n. The thrust
+limit acts on each axis separately, so the largest thrust on a diagonal is √2 times the largest thrust of one axis.
 
-`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. A check of a
-tabulated distance, cell by cell, proves step 3. Certificates (`surctl.verification.braking`) prove steps 4 to 6 for one
-vehicle, one `Watch` (delay and accuracy of the measurements) and one law.
+`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. For step 3, a
+table of the distance B is checked cell by cell. Certificates (`surctl.verification.braking`) prove steps 4 to 6 for one
+vehicle, one law, and one `Watch` (delay and accuracy of the measurements).
 """
 
 from __future__ import annotations
@@ -74,7 +80,7 @@ __all__ = [
 ]
 
 LEAST_THRUST = 0.85
-"""Share of the stated thrust that braking may assume."""
+"""Share of the vehicle's stated thrust that counts as guaranteed for braking."""
 
 _SUMMANDS = 4000  # terms of the upper sum, which is then less than 0.2 % too long
 
@@ -94,7 +100,7 @@ class Brakes:
         current: c ≥ 0, speed of the water towards the obstacle [m/s].
 
     Raises:
-        InputError: a number violates these bounds.
+        InputError: if a number violates one of the bounds above.
     """
 
     masses: tuple[float, float]
@@ -107,7 +113,7 @@ class Brakes:
     current: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check the values; raise an InputError that names an invalid value."""
         for name in ("masses", "linear", "quadratic"):
             low, high = getattr(self, name)
             positive = low > 0 if name == "masses" else low >= 0
@@ -127,11 +133,11 @@ class Brakes:
                 raise InputError(bound, key=name, value=value, remedy="correct the number")
 
     def largest_drag(self, speed: float) -> float:
-        """Return the drag D(v) ≥ 0 [N] for the largest drag coefficients."""
+        """Return the drag force D(v) ≥ 0 [N] at a speed v ≥ 0 [m/s], for the largest drag coefficients."""
         return self.linear[1] * speed + self.quadratic[1] * speed**2
 
     def left(self, obstacle: float) -> float:
-        """Return the net braking force F' [N] for an obstacle that approaches at v_o [m/s]; F' may be negative."""
+        """Return the net braking force F' = F_b − f − D(v_o + c) [N] for an obstacle's speed v_o; may be negative."""
         return self.least - self.disturbance - self.largest_drag(obstacle + self.current)
 
     def acceleration(self, obstacle: float) -> float:
@@ -150,7 +156,7 @@ class Watch:
         speed_error: e_v ≥ 0, largest error of the robot's measured speed [m/s].
 
     Raises:
-        InputError: a number violates these bounds.
+        InputError: if a number violates one of the bounds above.
     """
 
     period: float = 0.05
@@ -159,7 +165,7 @@ class Watch:
     speed_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Check the values; raise an InputError that names an invalid value."""
         for name in ("period", "age", "range_error", "speed_error"):
             value = getattr(self, name)
             if not isfinite(value) or value < 0 or (name == "period" and value == 0):
@@ -179,10 +185,10 @@ def brakes_of(
 
     Args:
         vehicle: the vehicle.
-        share: guaranteed share of the stated thrust, in (0, 1].
-        spread: relative error of mass and drag; the stated thrust is then the largest thrust. With None, the function
-            uses the ranges in the vehicle's file, where a parameter without a range is exact.
-        disturbance, current: see `Brakes`.
+        share: share of the vehicle's largest thrust that is guaranteed for braking, in (0, 1].
+        spread: relative error of mass and drag; the thrust in the vehicle's file then counts as the largest thrust.
+            None: use the ranges in the vehicle's file; a parameter without a range counts as exact.
+        disturbance, current: values of the attributes `disturbance` and `current` of the result.
     """
     if not 0 < share <= 1:
         raise InputError("must be in (0, 1]", key="share", value=share, remedy="give a share of the thrust")
@@ -215,7 +221,7 @@ def _ends(vehicle: Vehicle, name: str, spread: float | None) -> tuple[float, flo
 
 
 def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None) -> float:
-    """Return the stopping distance S [m] in closed form, without the help of drag.
+    """Return the stopping distance S [m] in closed form; S ignores that drag helps to brake.
 
     S is infinite if the obstacle is so fast that braking cannot prevent a collision.
 
@@ -235,7 +241,7 @@ def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, th
 def stopping_distance_with_drag(
     brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None
 ) -> float:
-    """Return the stopping distance B ≤ S [m], which counts on the least help of drag; see `stopping_distance`."""
+    """Return the stopping distance B ≤ S [m] if the least drag helps to brake; see `stopping_distance`."""
     if brakes.left(obstacle) <= 0:
         return inf
     own, swing = max(speed, -obstacle), _swing(brakes, thrust)
@@ -248,7 +254,7 @@ def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float 
     The tabulated distance is up to 1 % longer than the exact distance, and never shorter.
 
     Args:
-        brakes: braking data of the vehicle; the present thrust is taken as the largest thrust.
+        brakes: braking data of the vehicle; the table assumes that the present thrust is the largest thrust.
         fastest: largest speed of the robot for which the table holds a distance [m/s].
         obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
     """
@@ -270,12 +276,12 @@ def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float 
 
 
 def _swing(brakes: Brakes, thrust: float | None) -> float:
-    """Return τ(F + F_b) [N s], the impulse that the lagging thrust still delivers after the command to brake."""
+    """Return the impulse [N s] towards the obstacle that the thrust lag adds after the command to brake, τ(F + F_b)."""
     return brakes.lag * max((brakes.most if thrust is None else thrust) + brakes.least, 0.0)
 
 
 class _Above(NamedTuple):
-    """Upper bound of B' on each step of the speed."""
+    """Upper bound on the derivative of the stopping distance with drag, on each interval of a grid of speeds."""
 
     step: float
     places: NDArray[np.float64]  # ends of the steps, starting with 0
@@ -308,14 +314,14 @@ def range_needed(
     fastest: float | None = None,
     stopping: Callable[..., float] = stopping_distance,
 ) -> float:
-    """Return the smallest measured range [m] at which another period without braking is safe (step 4 above).
+    """Return the smallest measured range [m] at which another period without braking is safe (step 4 in this module).
 
     Args:
-        brakes, obstacle: same meaning as for `stopping_distance`.
+        brakes, obstacle: see `stopping_distance`.
         watch: delay and accuracy of the measurements.
         speed: measured speed v of the robot [m/s].
         thrust: thrust F⁺ at the end of the period [N]; default: the largest thrust.
-        fastest: V, largest measured speed of the robot since the echo [m/s]; default: `speed`.
+        fastest: largest measured speed V of the robot since the echo that gave the range [m/s]; default: `speed`.
         stopping: function for the stopping distance, `stopping_distance` or `stopping_distance_with_drag`.
     """
     v, period, gain = speed + watch.speed_error, watch.period, brakes.acceleration(obstacle)
@@ -342,10 +348,11 @@ def admissible(
 
 
 def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: float = 0.0) -> float:
-    """Return the largest speed of the robot [m/s] for which `admissible` is at least 0, where V is this speed.
+    """Return the largest speed of the robot [m/s] at which another period without braking is safe.
 
-    If the robot is too near even at rest relative to the obstacle, the speed bound continues with its slope at this
-    point, so the robot must retreat. The result is −inf if the obstacle is too fast for braking.
+    The function assumes that the robot was not faster since the echo. If the robot is too near to the obstacle even at
+    a closing speed of 0, the function continues linearly below this speed, so the robot must retreat. The result is
+    −inf if the obstacle is too fast for braking.
     """
     left = brakes.left(obstacle)
     if left <= 0:
@@ -377,9 +384,10 @@ def fastest_obstacle(brakes: Brakes) -> float:
 def sideways_force(brakes: Brakes, sideways: float, *, obstacle: float = 0.0) -> float:
     """Return the largest additional drag force towards an obstacle [N] at a sideways speed w [m/s], for any heading.
 
-    This force is the excess over D(v_o) that arises because drag acts on each axis separately. For the velocity −v_o n
-    + w t (t perpendicular to n), any angle between n and the axes, and coefficients in their ranges [low, high], the
-    drag along n is at most (high v_o + (high − low) w/2) + high v_o² + √2 high v_o w + (2 high − low) w²/(3√3).
+    Drag acts on each axis of the vehicle separately, so the sideways speed increases the drag along n beyond D(v_o).
+    For the velocity −v_o n + w t (n towards the obstacle, t perpendicular to n), at any angle between n and the axes,
+    and for drag coefficients in their ranges [low, high], the drag along n is at most (high v_o + (high − low) w/2) +
+    high v_o² + √2 high v_o w + (2 high − low) w²/(3√3).
     """
     (low, high), (low2, high2) = brakes.linear, brakes.quadratic
     square = (2 * high2 - low2) * sideways**2 / (3 * sqrt(3))

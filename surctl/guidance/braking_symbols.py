@@ -13,7 +13,7 @@ _LEAST_LEFT = 0.02  # lower bound of F' as a share of F_b; for an obstacle too f
 
 @dataclass(frozen=True, eq=False)
 class BrakeSymbols:
-    """The data of `Brakes` (without disturbance and current) and the period of `Watch`, as scalar CasADi expressions.
+    """The vehicle's braking data, as in `Brakes` but without disturbance and current, as scalar CasADi expressions.
 
     Attributes:
         lightest, heaviest: least and largest mass [kg], > 0.
@@ -33,7 +33,7 @@ class BrakeSymbols:
     period: ca.SX
 
     def left(self, obstacle: ca.SX) -> ca.SX:
-        """Return the net braking force F' [N], at least 2 % of F_b."""
+        """Return the net braking force F' [N], limited to at least 2 % of the guaranteed thrust F_b."""
         return ca.fmax(self.least - self._drag(obstacle), _LEAST_LEFT * self.least)
 
     def acceleration(self, obstacle: ca.SX) -> ca.SX:
@@ -45,7 +45,10 @@ class BrakeSymbols:
 
 
 def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """Return the distance `stopping_distance` [m] for the largest present thrust, with F' of at least 2 % of F_b."""
+    """Return the stopping distance [m] for the largest present thrust, as `stopping_distance` does.
+
+    The net braking force is limited to at least 2 % of the guaranteed thrust.
+    """
     closing, swing, longest = ca.fmax(speed + obstacle, 0), brakes.lag * (brakes.most + brakes.least), ca.SX(0)
     for m in (brakes.lightest, brakes.heaviest):
         longest = ca.fmax(longest, m * (closing + swing / m) ** 2 / (2 * brakes.left(obstacle)))
@@ -53,14 +56,16 @@ def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> c
 
 
 def range_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """Return the range `range_needed` [m] for range measurements without delay and error."""
+    """Return the smallest range [m] at which not braking is safe, as `range_needed`, for exact and timely ranges."""
     gain, period = brakes.acceleration(obstacle), brakes.period
     distance = stopping_symbol(brakes, speed + gain * period, obstacle=obstacle)
     return (speed + obstacle) * period + gain * period * period / 2 + distance
 
 
 def closing_bound(brakes: BrakeSymbols, distance: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """Return the speed bound `allowed_speed` [m/s], of either sign, for range measurements without delay and error.
+    """Return the largest safe speed towards the obstacle [m/s]; a negative speed requires a retreat.
+
+    The function corresponds to `allowed_speed` for range measurements without delay and error.
 
     Args:
         brakes: braking data of the vehicle.

@@ -1,4 +1,4 @@
-"""Collision cones: the velocities that lead to a collision with a moving contact within a given time.
+"""Collision cones: the velocities that lead to a collision with a moving contact (object) within a given time.
 
 The method follows Fiorini and Shiller (1998). A barrier on the distance would make the robot retreat from an
 approaching contact. A collision cone forbids only the velocities that lead to a collision, so the robot can also
@@ -19,21 +19,21 @@ _NEVER = -10.0  # [m/s] depth of every velocity if there is no contact: far outs
 
 
 class Cone(NamedTuple):
-    """A collision cone: velocities v (2, 1) [m/s] in {E} for which three bounds are exceeded lead to a collision.
+    """A collision cone: velocities v (2, 1) [m/s] in {E} at which the robot collides with a moving contact.
 
-    The three bounds limit left·v, right·v and ahead·v; v lies in the cone if all three products exceed their bounds.
+    A velocity v lies in the cone if left·v, right·v and ahead·v exceed `left_bound`, `right_bound` and `ahead_bound`.
 
     Attributes:
         left, right: (2, 1) unit normals of the two sides of the cone, which point into the cone.
         ahead: (2, 1) unit vector from robot to contact.
         left_bound, right_bound: bounds on left·v and right·v [m/s].
         ahead_bound: value of ahead·v [m/s] above which the robot meets the contact within the prediction time.
-        closing: velocity of the contact along `ahead` [m/s], negative if the contact approaches.
+        closing: component of the contact's velocity along `ahead` [m/s], negative if the contact approaches.
         clearance: clearance minus the stand-off distance [m], not negative.
         distance: distance between the centres of robot and contact [m].
         offset: distance between the centres of robot and contact when the robot passes the contact [m].
-        crossing: velocity of the contact perpendicular to `ahead`, positive to the left [m/s].
-        there: 1 if there is a contact.
+        crossing: component of the contact's velocity perpendicular to `ahead` [m/s], positive to the left.
+        there: 1 if a contact exists; 0 if the cone is empty.
         point: (2, 1) [m] in {E}, position of the contact.
     """
 
@@ -53,7 +53,7 @@ class Cone(NamedTuple):
 
     @staticmethod
     def of(row: ca.SX) -> Cone:
-        """Return the collision cone that one line of an array of cones holds."""
+        """Return the collision cone whose numbers form one row of an array of cones."""
         left, right, ahead, point = (row[k : k + 2] for k in (0, 2, 4, 15))
         bounds, met = (row[6], row[7], row[8]), (row[9], row[10], row[11], row[12], row[13], row[14])
         return Cone(left, right, ahead, *bounds, *met, point)
@@ -66,10 +66,10 @@ def collision_cone(
 
     Args:
         contact: the moving contact.
-        apart: clearance with which the robot may pass the contact [m].
-        standoff: clearance at which the robot counts as having met the contact [m].
-        horizon: prediction time [s].
-        there: 1 if the law must consider the contact.
+        apart: least clearance with which the robot may pass the contact [m].
+        standoff: clearance at or below which the robot and the contact count as having collided [m].
+        horizon: prediction time; only collisions within this time count [s].
+        there: 1 if the contact must be avoided; with 0, the cone is empty.
         point: (2, 1) [m] in {E}, position of the contact.
 
     Example:
@@ -107,7 +107,7 @@ def collision_cone(
 
 
 def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
-    """Return the depth [m/s] at which a velocity (2, 1) lies inside the cone; the depth is negative outside the cone.
+    """Return how deep [m/s] inside the cone a velocity (2, 1) lies; the result is negative outside the cone.
 
     Example:
         >>> import casadi as ca

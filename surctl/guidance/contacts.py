@@ -22,8 +22,8 @@ class Contact:
         normal: (2, 1) unit vector from robot to contact, in {E}.
         clearance: distance from the hull to the object's surface [m]; `FAR` if there is no object.
         velocity: (2, 1) velocity of the object in {E} [m/s].
-        combined_radius: distance between the centres of robot and contact minus the clearance [m], that is, R_OB minus
-            the margin.
+        combined_radius: distance between the centres of robot and contact minus the clearance [m], that is, the sum of
+            their radii (R_OB without its margin).
     """
 
     normal: ca.SX
@@ -33,24 +33,24 @@ class Contact:
 
     @property
     def closing(self) -> ca.SX:
-        """Velocity v_o·n of the contact along the normal [m/s]; negative if the contact approaches."""
+        """Component of the contact's velocity along `normal` [m/s]; negative if the contact approaches."""
         return ca.dot(self.velocity, self.normal)
 
     @staticmethod
     def of(row: ca.SX) -> Contact:
-        """Return the contact that one line of an array of contacts holds; see `row`."""
+        """Return the contact whose numbers form one row of an array of contacts; see `row`."""
         return Contact(row[:2], row[2], row[3:5], row[5])
 
     @property
     def row(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """The attributes of the contact, as one line of an array of contacts."""
+        """The attributes of the contact, as one row of an array of contacts."""
         return self.normal, self.clearance, self.velocity, self.combined_radius
 
 
 def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, velocity: ca.SX, valid: ca.SX) -> Contact:
-    """Return the contact with a disc of the given radius [m] that moves at `velocity` (2, 1) [m/s].
+    """Return the direction, clearance and velocity of a disc with a given radius [m] and velocity (2, 1) [m/s].
 
-    A point has radius 0.
+    The radius is 0 for a point.
 
     Example:
         >>> import casadi as ca
@@ -69,7 +69,7 @@ def disc_contact(position: ca.SX, hull: ca.SX, centre: ca.SX, radius: ca.SX, vel
 
 
 def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
-    """Return the contact `disc_contact` for each disc (x, y, radius, vx, vy, valid) in an array (n, 6).
+    """Return the result of `disc_contact` for each disc (x, y, radius, vx, vy, valid) in an array (n, 6).
 
     Example:
         >>> import casadi as ca
@@ -89,7 +89,7 @@ def disc_contacts(position: ca.SX, hull: ca.SX, discs: ca.SX) -> list[Contact]:
 
 
 def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> Contact:
-    """Return the contact with a point at rest, for example with the origin of an echo.
+    """Return the direction and clearance of a point at rest, for example of the point that caused an echo.
 
     Example:
         >>> import casadi as ca
@@ -102,7 +102,7 @@ def point_contact(position: ca.SX, hull: ca.SX, point: ca.SX, valid: ca.SX) -> C
 
 
 def wall_contacts(position: ca.SX, hull: ca.SX, walls: ca.SX) -> list[Contact]:
-    """Return the four contacts with the walls x_min, x_max, y_min, y_max [m] of a rectangular site.
+    """Return the direction and clearance of the four walls x_min, x_max, y_min, y_max [m] of a rectangular site.
 
     Example:
         >>> import casadi as ca

@@ -1,14 +1,17 @@
-"""Integral (`ilos`) and adaptive (`alos`) line-of-sight guidance, which removes the path error of a steady disturbance.
+"""Integral (`ilos`) and adaptive (`alos`) line-of-sight guidance, against the path error from a steady disturbance.
 
-LOS guidance commands the slope −y_e/Δ. If a steady disturbance causes a steady crosswise velocity error d, the
-cross-track error y_e under law (10) converges to y_e = Δ d/U. Both laws add a learnt `shift` [m] to y_e, so that the
-command still needs no trigonometric function:
+Line-of-sight guidance commands a velocity with the slope −y_e/Δ against the path, where y_e is the cross-track error
+and Δ is the look-ahead distance. If a steady disturbance causes a steady crosswise velocity error d at the speed U,
+then y_e under equation (10) of the paper converges to Δ d/U instead of 0. Both methods remove this error: they add a
+shift [m], which they adapt to y_e over time, to y_e. A prime denotes a time derivative.
 
-`ilos` (Børhaug, Pavlov, Pettersen 2008) uses the shift σ y_int with y_int' = Δ y_e/(Δ² + (y_e + σ y_int)²).
-`alos` (Fossen, Pettersen, Galeazzi 2015) uses the shift Δ b with b' = γ U Δ y_e/√(Δ² + (y_e + Δ b)²), where b is the
-slope of the drift. With U = U_∥ √(Δ² + (y_e + Δ b)²)/Δ, where U_∥ is the speed along the path, the adaptation law
-becomes b' = γ U_∥ y_e. Then the Lyapunov function V = y_e²/2 + (b − b*)²/(2 γ) of the kinematic loop y_e' = −U_∥ (y_e/Δ
-+ b − b*) decreases at the rate U_∥ y_e²/Δ.
+`ilos` (Børhaug, Pavlov, Pettersen 2008) uses the shift σ y_int with the gain σ and the integral y_int of y_int' = Δ
+y_e/(Δ² + (y_e + σ y_int)²).
+
+`alos` (Fossen, Pettersen, Galeazzi 2015) uses the shift Δ b, where b estimates the slope b* of the drift against the
+path. The adaptation law is b' = γ U Δ y_e/√(Δ² + (y_e + Δ b)²) with the gain γ. With the speed U_∥ along the path, U =
+U_∥ √(Δ² + (y_e + Δ b)²)/Δ, so the adaptation law becomes b' = γ U_∥ y_e. Then the Lyapunov function V = y_e²/2 + (b −
+b*)²/(2 γ) of the kinematic loop y_e' = −U_∥ (y_e/Δ + b − b*) decreases at the rate U_∥ y_e²/Δ.
 """
 
 from __future__ import annotations
@@ -44,7 +47,7 @@ def check_guidance(name: str) -> None:
 
 
 def crosstrack_shift(method: Guidance, memory: ca.SX, *, lookahead: ca.SX, sigma: ca.SX) -> ca.SX:
-    """Return the shift [m] that the law adds to y_e: σ y_int for `ilos`, Δ b for `alos`, 0 for `los`.
+    """Return the shift [m] added to the cross-track error: σ y_int for `ilos`, Δ b for `alos`, 0 for `los`.
 
     Args:
         method: guidance method, one of `GUIDANCE`.
@@ -83,7 +86,7 @@ def crosstrack_next(
         lookahead: look-ahead distance Δ_h > 0 [m].
         sigma: integral gain σ of `ilos` [m/s].
         gamma: adaptation gain γ of `alos` [1/m²].
-        held: 1 while the path error has another cause than a steady disturbance; the state then does not change.
+        held: 1 to leave the state unchanged, because the path error has another cause than a steady disturbance.
         dt: control period [s].
 
     Example:
@@ -119,7 +122,7 @@ def numeric_crosstrack_next(
     held: bool,
     dt: float,
 ) -> tuple[float, float]:
-    """Return the next state [s or 1] and the present shift [m], as `crosstrack_next` does, in plain numbers."""
+    """Return the method's next state, y_int [s] or b [1], and the present shift [m], in plain numbers."""
     shift = {"los": 0.0, "ilos": sigma * memory, "alos": lookahead * memory}[method]
     if method == "los":
         return 0.0, shift

@@ -1,12 +1,12 @@
-"""Decide on which segment of its path a robot is.
+"""Decide which segment of its path a robot is on.
 
-The segment nearest to the robot is not always right, because a path may close, cross or fold back.
+The segment nearest to the robot is not always the right one, because a path may close, cross itself or fold back.
 
-The robot starts on the first path segment and only ever advances to the next segment. The robot advances if it is
-nearer to the next segment than to the rest of its present segment, and if the part of the path that it would leave out
-at the corner is at most `_SHORT_CUT` times its distance to the present segment. So a robot that cuts the corner on a
-detour advances, but a robot that comes near the next segment far from the corner does not. If corners must be visited,
-the robot advances only within the arrival distance of a corner.
+The robot starts on the first path segment, and it can only advance to the next segment. The robot advances if two
+conditions hold: it is nearer to the next segment than to the rest of its present segment, and the part of the path that
+it would leave out at the corner is at most three times its distance to the present segment. So a robot that cuts the
+corner on a detour advances, but a robot that comes near the next segment far from the corner does not. If corners must
+be visited, the robot advances only if it is within the given distance of the corner.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FOLLOWING = (
     Port("corner_behind", (1,), "m^2", "least squared distance to the start of the present leg; 0 on the first leg"),
     Port("missed", (1,), "m^2", "largest squared distance at which an earlier corner was passed"),
 )
-"""State of `follow`."""
+"""Entries (name, shape, initial value) of the state of `follow`."""
 
 _SHORT_CUT = 3.0  # chosen: cutting a right-angled corner on the diagonal leaves out twice the distance to the leg
 
@@ -107,11 +107,11 @@ class Follower:
             self._missed, self._before, self._nearest = max(self._missed, self._before), self._nearest, inf
 
     def track(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Move the robot to the positions (n, 2) [m] in turn, and return its distances to the path (n,) [m]."""
+        """Move the robot to each position (n, 2) [m] in turn; return the distances (n,) [m] to the path."""
         return self._over(places, self.distance)
 
     def directions(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Move the robot to the positions (n, 2) [m] in turn, and return the directions of its path segments [rad]."""
+        """Move the robot to each position (n, 2) [m] in turn; return the directions (n,) [rad] of its path segments."""
         return self._over(places, self._direction)
 
     def _over(self, places: ArrayLike, figure: Callable[[float, float], float]) -> NDArray[np.float64]:
@@ -126,7 +126,7 @@ class Follower:
         return atan2(by - ay, bx - ax)
 
     def distance(self, x: float, y: float) -> float:
-        """Return the distance [m] from (x, y) to the nearest of three path segments: previous, present and next."""
+        """Return the distance [m] from (x, y) to the nearest of the previous, the present and the next path segment."""
         return min(
             _apart(self._points[k], self._points[k + 1], x, y)
             for k in range(max(self.leg - 1, 0), min(self.leg + 2, len(self._points) - 1))
@@ -143,14 +143,14 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
     """Return the state of `Follower` after one move of the robot, as CasADi expressions.
 
     Args:
-        old: values of the state `FOLLOWING` before the move.
+        old: value of each entry of `FOLLOWING` before the move, by name.
         waypoints: (n, 2) positions [m]; repetitions of the last waypoint are ignored.
         legs: number of path segments.
         place: new position of the robot (2, 1) [m] in {E}.
-        visit: as for `Follower`; 0 or less means that the robot may cut corners.
+        visit: distance [m] to a corner within which the corner counts as visited; 0 or less: the robot may cut corners.
 
     Returns:
-        Values of the state `FOLLOWING` after the move.
+        Value of each entry of `FOLLOWING` after the move, by name.
 
     Example:
         >>> import casadi as ca

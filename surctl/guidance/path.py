@@ -1,4 +1,4 @@
-"""The reference path: a polyline with arc length, as numbers (`Path`) and as expressions in the law (`path_target`)."""
+"""The reference path: a polyline with arc length, as numbers (`Path`) and as CasADi expressions (`path_target`)."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Path:
 
     @property
     def slots(self) -> NDArray[np.float64]:
-        """The waypoints in the law's shape (`MAX_WAYPOINTS`, 2) [m], filled up with the last waypoint."""
+        """The waypoints as an array (`MAX_WAYPOINTS`, 2) [m] in which the last waypoint fills the remaining rows."""
         spare = MAX_WAYPOINTS - len(self.waypoints)
         return np.vstack([self.waypoints, np.repeat(self.waypoints[-1:], spare, axis=0)])
 
@@ -128,12 +128,10 @@ def leg_end(waypoints: ca.SX, s: ca.SX) -> ca.SX:
 
 
 def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
-    """Return the arc length [m] of the target point, advanced to the next path segment after a detour.
+    """Return the arc length [m] of the target point, which advances to the next path segment after a detour.
 
-    The target advances if the detour led the robot nearer to the next segment.
-
-    If the target did not advance, such a robot would return to the corner, approach the next segment crosswise at full
-    speed, and overshoot it.
+    The target advances if the detour led the robot nearer to the next segment. If the target did not advance, the robot
+    would return to the corner, approach the next segment crosswise at full speed, and overshoot it.
 
     Args:
         waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
@@ -143,9 +141,10 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
             segment.
 
     Returns:
-        Arc length of the robot's projection on the next path segment. The result is `s` if the robot is nearer to the
-        target's segment (prolonged backwards) than to the next segment or within 0.1 m of the target's segment, if the
-        corner is further away than `near`, or if there is no next segment.
+        Arc length [m] of the point of the next path segment nearest to the robot. The target does not advance, and the
+        result is `s`, in four cases: the robot is nearer to the target's segment (prolonged backwards) than to the next
+        segment; the robot is within 0.1 m of the target's segment; the corner is further away than `near`; or there is
+        no next segment.
 
     Example:
         >>> import casadi as ca

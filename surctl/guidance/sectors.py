@@ -1,8 +1,9 @@
-"""Choice of a course among many contacts: each contact blocks a sector of courses, and the law chooses a free course.
+"""Choice of a course past several contacts (nearby objects), each of which blocks a sector of courses.
 
-The law takes the free course nearest to the desired velocity. For one contact, the edges of the sector are exactly the
-courses φ ± arccos(·) of the form `corrected` in `avoidance`, with the braking distance in place of κ(l − R_OB − d_s),
-that is, n·v ≤ a(l) + v_o·n. No trigonometric function is needed.
+The law chooses the free course nearest to the desired velocity. Let n be the unit vector from robot to contact, v_o the
+contact's velocity, and a(l) the closing speed from which the robot can still stop at the distance l. A velocity v is
+free if n·v ≤ a(l) + v_o·n. For one contact, the edges of the blocked sector are the courses of the form `corrected` of
+`avoidance_course`, with a(l) in place of κ(l − R_OB − d_s).
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ class Choice:
 
     Attributes:
         velocity: chosen velocity (2, 1) [m/s] in {E}.
-        side: latched side of the chosen course (0: no encounter; +1: left of the desired velocity, obstacle on the
-            right; −1: right of the desired velocity).
+        side: side of the chosen course, which stays the same during an encounter (0: no encounter; +1: left of the
+            desired velocity, obstacle on the right; −1: right of the desired velocity).
         blocked: 1 if the desired velocity is not free.
         violation: largest violation of a bound by the chosen course [m/s]; 0 if the chosen course is free.
         blocker: (2, 1) [m] in {E}, position of the contact that blocks the desired velocity most.
@@ -75,32 +76,33 @@ def choose_velocity(
     """Return the velocity on the free course nearest to the desired velocity.
 
     The candidates are the desired course and both edges of every sector and of every cone. While a moving contact
-    approaches, the desired course at reduced speed and zero velocity are also candidates. Courses on either side of the
-    desired course at reduced speed are candidates if four conditions hold: all other candidates lead back or leave the
-    latched side, `slower` is 1, no contact moves, and no bound requires a retreat. (Between two contacts that both
-    limit the speed, often no course is free at full speed.) If no candidate is free, the function chooses the candidate
-    with the smallest violation of a bound.
+    approaches, there are two more candidates: the desired course at reduced speed, and zero velocity. Courses on either
+    side of the desired course at reduced speed are further candidates if four conditions hold: all other candidates
+    lead back or change the side of the previous step; `slower` is 1; no contact moves; and no bound requires a retreat.
+    (Between two contacts that both limit the speed, often no course is free at full speed.) If no candidate is free,
+    the function chooses the candidate with the smallest violation of a bound.
 
     The speed of the result is normally the desired speed. The speed is at most `cruise` while the desired velocity is
     blocked, so that the robot does not speed up between obstacles to catch up. While a bound requires a retreat, the
-    speed is higher, up to `cap`, and the other bounds reduce it. If zero velocity violates the bounds less than every
-    course, the robot stops.
+    speed may be higher, up to `cap`, as far as the other bounds allow. If zero velocity violates the bounds less than
+    every course, the robot stops.
 
     Args:
         desired: desired velocity (2, 1) [m/s] in {E}.
         sectors: sectors of all contacts.
-        side: latched side of the previous step (−1, 0 or +1); it does not change while the same contact blocks the
-            course.
+        side: `Choice.side` of the previous step (−1, 0 or +1); the side does not change while the same contact blocks
+            the course.
         blocker: `Choice.blocker` of the previous step.
         cruise: largest speed while the desired velocity is blocked [m/s].
         cap: largest speed [m/s].
-        same: distance [m] that the position of the blocking contact may move between two steps of one encounter.
+        same: if the position of the blocking contact moves further than this between two steps [m], the law assumes
+            that another contact blocks the course.
         cones: collision cones of moving contacts.
         walls: walls of the site; they influence on which side the robot passes a head-on contact, see `sides`.
-        now: velocity over ground (2, 1) [m/s] in {E}; it shows on which side the robot is passing a contact; default:
-            0.
+        now: velocity over ground (2, 1) [m/s] in {E}; it determines the side on which the robot is already passing a
+            contact; default: 0.
         acceleration: available acceleration [m/s²] to turn the velocity; default: unlimited.
-        slower: 1 if slower courses between contacts at rest are allowed; default: not allowed.
+        slower: 1 if courses at reduced speed between contacts at rest are allowed; default: not allowed.
 
     Example:
         >>> import casadi as ca
@@ -232,7 +234,7 @@ class _Search:
 def slowed(velocity: ca.SX, bounds: Sequence[tuple[ca.SX, ca.SX]]) -> ca.SX:
     """Return a velocity (2, 1) [m/s] on the given velocity's course, slowed down to satisfy the bounds.
 
-    A bound consists of a normal and the largest speed along this normal, which is not negative.
+    Each bound consists of a unit vector and the largest speed [m/s], at least 0, along this vector.
 
     Example:
         >>> import casadi as ca
@@ -257,15 +259,16 @@ def round_unknown(
     *,
     cones: Sequence[Cone] = (),
 ) -> ca.SX:
-    """Return the chosen velocity, or a free course around unknown water on which the robot advances faster.
+    """Return the given velocity, or a velocity around unknown water with which the robot advances faster.
 
-    The robot need not wait for a sonar scan of unknown water if it can go around this water. The candidates are the
-    edges of the sectors that unknown areas block, at the chosen speed. The function takes the candidate with the
-    largest remaining speed along the chosen course, if the candidate is free and is sufficiently faster.
+    The robot need not wait for a sonar scan of unknown water if it can go around this water. The candidates have the
+    given speed on the edges of the sectors that the unknown areas block. Each candidate is slowed down to satisfy all
+    bounds. Of the candidates on free courses, the function returns the one that then advances fastest along the given
+    course, if it is sufficiently faster than the given velocity.
 
     Args:
         velocity: chosen velocity (2, 1) [m/s] in {E}.
-        bounds: for each unknown area, a normal and the largest speed along this normal, which is not negative.
+        bounds: for each unknown area, a unit vector towards the area and the largest speed [m/s], at least 0, along it.
         sectors: sectors of all contacts.
         cones: collision cones of moving contacts.
 

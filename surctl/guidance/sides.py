@@ -1,8 +1,8 @@
-"""Costs that decide on which side the robot passes a moving contact.
+"""Costs that decide on which side the robot passes a moving contact (nearby object).
 
 In a head-on encounter, the course left of the contact and the course right of it are equally near to the desired
-course. Without these costs, the noise of the first message about the contact would choose the side, and the robot would
-keep it.
+course. Without these costs, the noise of the first measurement of the contact would choose the side, and the robot
+would keep to this side.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _SLOW = 0.05  # [m/s] least assumed speed of a contact towards the robot
 def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca.SX, ca.SX]:
     """Return the additional costs of passing a moving contact on its left and on its right in a head-on encounter.
 
-    In any other encounter both costs are 0. The robot keeps a head-on contact on its right (E10), unless the path left
-    of the contact is too close to a wall: near a wall the sonars detect little and the robot is slow.
+    In any other encounter both costs are 0. The robot keeps a head-on contact on its right (erratum E10), unless the
+    path left of the contact is too close to a wall: near a wall the sonars detect little and the robot is slow.
 
     Args:
         cone: collision cone of the moving contact.
@@ -51,12 +51,13 @@ def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca
 
 
 def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the costs of passing a moving contact on its left and on its right if the robot must reverse its motion.
+    """Return the costs of passing a moving contact on its left and on its right that a reversal of motion causes.
 
-    The costs grow with the crosswise velocity relative to the contact that the robot must reverse. So the robot
-    completes a manoeuvre that it has begun, and from rest it passes behind a crossing contact and not in front of it.
-    If the thrust cannot reverse the crosswise velocity in half the time until the meeting, the remaining velocity
-    counts as a violation of a bound. In a head-on encounter both costs are 0, so that noise does not choose the side.
+    To pass on one of the two sides, the robot may have to reverse its crosswise velocity relative to the contact. The
+    cost of this side grows with the velocity to be reversed. So the robot completes a manoeuvre that it has begun, and
+    from rest it passes behind a crossing contact and not in front of it. If the thrust cannot reverse this velocity in
+    half the time until the robot meets the contact, the remaining velocity counts as a violation of a bound. In a
+    head-on encounter both costs are 0, so that noise does not choose the side.
 
     Args:
         cone: collision cone of the moving contact.
@@ -84,7 +85,7 @@ def _left_of(n: ca.SX) -> ca.SX:
 
 
 def _cramped(path: ca.SX, walls: Sequence[Contact]) -> ca.SX:
-    """Return the cost of a straight path (2, 1) [m] from the robot's position; it is positive too close to walls."""
+    """Return the cost of a straight path (2, 1) [m] from the robot's position, positive if too close to a wall."""
     cost = ca.SX(0)
     for share, ample in _AMPLE_CLEARANCE:
         clearance = ca.SX(FAR)

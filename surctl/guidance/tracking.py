@@ -1,8 +1,10 @@
-"""Tracking law (8)–(12) with the course in place of the heading (E7), saturation, and the correction U ≥ 0 (E9).
+"""Tracking law (equations (8)–(12) of the paper) with errata E7 and E9 corrected, and with a limit on the speed.
 
-With χ_d = γ_d − atan(y_e/Δ_h) and U_h = (U_d − k1 x_e) √(y_e² + Δ_h²)/Δ_h, the horizontal velocity command has the
-component U_d − k1 x_e along the path and the component −(U_d − k1 x_e) y_e/Δ_h across it, so no trigonometric function
-is needed.
+The law commands the course χ_d = γ_d − atan(y_e/Δ_h), in place of the heading (E7), and the horizontal speed U_h = (U_d
+− k1 x_e) √(y_e² + Δ_h²)/Δ_h, at least 0 (E9). Here γ_d is the direction of the path, x_e the along-track error, y_e the
+cross-track error, Δ_h the look-ahead distance, U_d the speed of the target point, and k1 a gain. So the velocity
+command has the component U_d − k1 x_e along the path and the component −(U_d − k1 x_e) y_e/Δ_h across the path, and the
+code needs no trigonometric function.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ __all__ = ["along_command", "path_error", "progress_rate", "tracking_rate", "tra
 
 
 def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the along-track error x_e and the cross-track error y_e of (8) [m]; y_e is positive left of the path.
+    """Return the along-track error x_e and the cross-track error y_e [m]; y_e is positive left of the path.
+
+    Equation (8) of the paper defines these errors.
 
     All vector arguments are (2, 1) in {E}.
 
@@ -33,7 +37,7 @@ def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, c
 def along_command(
     x_e: ca.SX, y_e: ca.SX, *, speed: ca.SX, k1: ca.SX, lookahead: ca.SX, maximum: ca.SX | None, repaired: bool = True
 ) -> ca.SX:
-    """Return the commanded speed U_h Δ_h/√(y_e² + Δ_h²) along the path [m/s].
+    """Return the component U_h Δ_h/√(y_e² + Δ_h²) of the commanded horizontal speed U_h along the path [m/s].
 
     Args:
         x_e: along-track error [m].
@@ -42,8 +46,8 @@ def along_command(
         k1: along-track gain [1/s].
         lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
         maximum: largest horizontal speed U_h [m/s]; None: no limit, as in the paper.
-        repaired: whether to limit U_h to at least 0; in the printed law, a negative U_h reverses the sign of the y_e
-            term (E9).
+        repaired: whether to limit U_h to at least 0; in the law as printed, a negative U_h reverses the sign of the y_e
+            term (erratum E9).
 
     Example:
         >>> import casadi as ca
@@ -77,15 +81,17 @@ def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX
 
 
 def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX, k2: ca.SX, turn: ca.SX) -> ca.SX:
-    """Return the error rates d/dt (x_e, y_e, z_e) [m/s] of the ideal kinematic loop: (9) with the commanded velocities.
+    """Return the time derivatives of x_e, y_e, z_e [m/s] if the robot follows its commanded velocity exactly.
+
+    The derivatives are those of equation (9) of the paper with the commanded velocities.
 
     Args:
-        error: (3, 1): x_e, y_e, z_e [m].
+        error: (3, 1) along-track, cross-track and depth error x_e, y_e, z_e [m].
         along: commanded speed along the path [m/s].
         speed: speed U_d of the target point along the path [m/s].
         lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
         k2: depth gain [1/s].
-        turn: turn rate γ̇_d of the path direction [rad/s]; it cancels in V̇1.
+        turn: turn rate γ̇_d of the path direction [rad/s]; it cancels in the derivative of the Lyapunov function V1.
     """
     x_e, y_e, z_e = error[0], error[1], error[2]
     return ca.vertcat(along - speed + y_e * turn, -along * y_e / lookahead - x_e * turn, -k2 * z_e)

@@ -1,4 +1,4 @@
-"""Perception: the sonar array, its range filters, contacts, the local map, and localisation by the base station."""
+"""Perception: the sonar array, its range filters, obstacle points, a local map, localisation by a base station."""
 
 from surctl.sensing.calibration.estimation import OUTLIER_RULE, Calibration, Estimate, calibrate
 from surctl.sensing.calibration.file import (

@@ -1,4 +1,4 @@
-"""The sensing equipment of the robot, with its true properties or with those that the control law assumes."""
+"""The sensing equipment of the robot, with its true properties or with the properties that the control law assumes."""
 
 from __future__ import annotations
 

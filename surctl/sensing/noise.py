@@ -20,7 +20,7 @@ from surctl.errors import InputError
 __all__ = ["NOISE_STATE", "NoiseStream", "draw_normals", "draw_uniforms", "noise_states"]
 
 NOISE_STATE = 6
-"""Size of a generator's state: six whole numbers below 2^32, three for each component, oldest first."""
+"""Number of values in a generator's state: six whole numbers below 2^32, three for each component, oldest first."""
 
 _M1, _M2 = 4294967087, 4294944443
 _A1 = ((0, 1, 0), (0, 0, 1), (-810728, 1403580, 0))
@@ -114,7 +114,7 @@ class NoiseStream:
 
 
 def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
-    """Return standard normal numbers (count, 1) and the next state (6, 1): `NoiseStream.normals` in CasADi symbols.
+    """Return standard normal numbers (count, 1) and the next state (6, 1), as `NoiseStream.normals`, in CasADi symbols.
 
     Args:
         state: (6, 1) state of the generator.
@@ -143,7 +143,7 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
 
 def draw_uniforms(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
-    """Return uniform numbers (count, 1) and the next state (6, 1): `NoiseStream.uniforms` in CasADi symbols.
+    """Return uniform numbers (count, 1) and the next state (6, 1), as `NoiseStream.uniforms`, in CasADi symbols.
 
     Example:
         >>> import casadi as ca
@@ -168,16 +168,19 @@ def _uniform(one: list[ca.SX], two: list[ca.SX]) -> tuple[ca.SX, list[ca.SX], li
 
 
 def _remainder(x: ca.SX, modulus: float) -> ca.SX:
-    """Return x mod modulus for whole |x| < 2^53.
+    """Return x mod modulus for a whole number x with |x| < 2^53.
 
-    The quotient lies at least 1/modulus below the next whole number. The rounding error of the quotient is smaller than
-    1/modulus (|quotient| < 2^21), so floor gives the exact result.
+    Unless it is whole, the quotient x/modulus lies at least 1/modulus below the next whole number. The rounding error
+    of the quotient is smaller than 1/modulus (|quotient| < 2^21), so floor gives the exact result.
     """
     return x - ca.floor(x / modulus) * modulus
 
 
 def _log_of_uniform(u: ca.SX) -> ca.SX:
-    """Return ln u for 2^-33 < u < 1 without a logarithm: scale u by powers of 2 to [1/2, 1), then sum a series."""
+    """Return ln u for 2^-33 < u < 1 without a logarithm function.
+
+    The number u is scaled by powers of 2 to [1/2, 1); a series then gives the logarithm.
+    """
     mantissa, exponent = u, ca.SX(0)
     for step in (32, 16, 8, 4, 2, 1):
         small = mantissa < 2.0**-step

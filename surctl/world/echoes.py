@@ -1,16 +1,16 @@
-"""The nearest echo of a whole scene, in which every surface reflects, or only surfaces that face the sonar.
+"""The nearest echo of a scene in which every surface reflects, or in which only surfaces that face the sonar reflect.
 
-With an incidence limit, an oblique surface reflects the sound away from the sonar, but still hides the shapes behind
-the surface. So `nearest_echo` cannot treat the shapes one by one; it examines a few directions, one of which contains
-the nearest echo. On each face, range and incidence both increase with the distance from the foot point, the point of
-the face nearest to the apex. So the nearest reflecting point of a face is its foot point if the foot point is visible;
-otherwise it lies where the visible part of the face ends: at a corner of the face, on an edge ray of the cone, or at
-the shadow of another shape's rim. `Shape.outlook` lists the directions to these points, and `nearest_echo` evaluates
-the first hit in each direction.
+If the incidence angle at a surface exceeds a limit, the surface reflects the sound away from the sonar, but still hides
+the shapes behind it. So `nearest_echo` cannot treat the shapes one by one. Instead, the function examines a few
+directions, one of which contains the nearest echo. On each face, range and incidence both increase with the distance
+from the foot point, the point of the face nearest to the apex. So the nearest reflecting point of a face is its foot
+point if the foot point is visible; otherwise it lies where the visible part of the face ends: at a corner of the face,
+on an edge ray of the cone, or at the shadow of another shape's rim. `Shape.outlook` lists the directions to these
+points, and `nearest_echo` evaluates the first hit in each direction.
 
-The rays pass corners and rims at an angle of 1e-9 rad, which changes a range r by less than 1e-9·r·tan(limit). Shapes
-may touch. If two shapes overlap, the directions do not include the intersection of their surfaces; if the smallest
-range is exactly at this intersection, the result is the next larger range.
+The directions to corners and rims are turned by 1e-9 rad past the corner or rim, which changes a range r by less than
+1e-9·r·tan(limit). Shapes may touch each other. If two shapes overlap, the directions do not include the intersection of
+their surfaces; if the smallest range is exactly at this intersection, the result is the next larger range.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _IN_CONE = 1e-12  # tolerance of `Shape.nearest_in_cone`
 def nearest_echo(
     shapes: Iterable[Shape], apex: Vector2, axis: float, *, half_angle: float, incidence_limit: float | None = None
 ) -> float:
-    """Return the distance [m] from `apex` to the nearest reflecting point with |bearing − axis| ≤ half_angle.
+    """Return the distance [m] from `apex` to the nearest reflecting point in the cone |bearing − axis| ≤ half_angle.
 
     Args:
         shapes: all shapes of the scene.

@@ -1,8 +1,8 @@
-"""Upright solids, each a planar shape between two depths, and their exact distances to a point in space.
+"""Upright solids, each with the same horizontal section between two depths, and their exact distances to a point.
 
-z points up, so z is negative below the surface. A prism is the product of a planar set and an interval of z. So the
-squared distance of a point to a prism is the sum of the squared distances to the planar set and to the interval. The
-clearance of a sphere is the distance of its centre minus its radius.
+The z axis points up, so z is negative below the water surface. A prism is the product of a planar set and an interval
+of z. So the squared distance of a point to a prism is the sum of the squared distances to the planar set and to the
+interval. The clearance of a sphere is the distance of its centre minus its radius.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["WHOLE", "Heights", "Prism"]
 
 @dataclass(frozen=True)
 class Heights:
-    """The interval of z [m] that a body occupies; an infinite end means beyond the floor or the surface.
+    """The interval of z [m] that a body occupies; an infinite end lies beyond the floor or the water surface.
 
     Attributes:
         bottom, top: z of the lower and the upper end [m], bottom < top.
@@ -51,7 +51,7 @@ class Heights:
         return self.gap(z) < distance
 
     def shares(self, other: Heights) -> bool:
-        """Return whether the two intervals have a depth in common."""
+        """Return whether the intervals of two bodies have a depth in common."""
         return self.bottom < other.top and other.bottom < self.top
 
 
@@ -67,7 +67,7 @@ class Prism:
     heights: Heights = WHOLE
 
     def distance(self, x: float, y: float, z: float) -> float:
-        """Return the signed distance [m] of a point in {E} to the prism; inside, minus the distance to a face."""
+        """Return the signed distance [m] of a point in {E} to the prism; negative if the point lies inside."""
         across = self.base.foot(x, y)[0]
         if self.heights.whole:
             return across

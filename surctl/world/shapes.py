@@ -3,10 +3,11 @@
 All geometry here is planar: a shape is the section of a body at the robot's depth, and `prism.Heights` defines the
 depths that the body occupies. Coordinates are in {E}, with x along the tank and y to the left, in metres and radians.
 
-Every cone query uses one property of a convex set K. Let p be the point of K nearest to the apex. If p lies in the
-cone, the echo comes from p. Otherwise, the nearest point of K in the cone lies on one of the cone's two edge rays: from
-any point of K strictly inside the cone, a small move towards p stays in K and in the cone, and reduces the distance. So
-the foot point p and the hits of the two edge rays give the echo in closed form, and K does not hide it.
+Every cone query uses one property of a convex set K. Let p be the foot point, the point of K nearest to the apex of the
+cone. If p lies in the cone, the echo comes from p. Otherwise, the nearest point of K in the cone lies on one of the
+cone's two edge rays: from any point of K strictly inside the cone, a small move towards p stays in K and in the cone,
+and reduces the distance. So the foot point p and the hits of the two edge rays give the echo in closed form, and no
+other part of K hides this echo.
 
 If only surfaces that face the apex reflect, `echoes.nearest_echo` casts rays along the `outlook` of every shape.
 """
@@ -42,7 +43,7 @@ class Shape(ABC):
 
     @abstractmethod
     def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """Return the distance [m] from (x, y) along the unit vector (ex, ey) to the first hit; cosine of the incidence.
+        """Return distance [m] from (x, y) along the unit vector (ex, ey) to the first hit, and the cosine of incidence.
 
         The distance is inf if there is no hit. The incidence angle is the angle between the outward normal at the hit
         and the direction back to (x, y). The point (x, y) must lie outside the shape.
@@ -50,10 +51,11 @@ class Shape(ABC):
 
     @abstractmethod
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """Return the unit vectors from a point (x, y) outside the shape along which a scene's nearest echo may lie.
+        """Return unit vectors from the point (x, y): the directions in which the nearest echo of a scene may lie.
 
-        The vectors include, for each face, the direction of its nearest reflecting point, and directions 1e-9 rad past
-        the rims of the shape, where other shapes behind it become visible.
+        The point (x, y) must lie outside the shape. The vectors include, for each face, the direction of its nearest
+        reflecting point, and directions 1e-9 rad past the rims of the shape, where other shapes behind it become
+        visible.
         """
 
     @abstractmethod
@@ -61,7 +63,7 @@ class Shape(ABC):
         """Return a copy of the shape, displaced by `offset` (2,) [m] in {E}."""
 
     def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
-        """Return only the distance [m] of `hit`, without the incidence."""
+        """Return the distance [m] that `hit` returns, without the cosine of incidence."""
         return self.hit(x, y, ex=ex, ey=ey)[0]
 
     def nearest(self, point: Vector2) -> tuple[float, NDArray[np.float64]]:
@@ -70,7 +72,7 @@ class Shape(ABC):
         return distance, np.array((x, y))
 
     def nearest_in_cone(self, apex: Vector2, axis: float, *, half_angle: float) -> float:
-        """Return the distance [m] from `apex` to the nearest point of the shape with |bearing − axis| ≤ half_angle.
+        """Return the distance [m] from `apex` to the shape's nearest point in the cone |bearing − axis| ≤ half_angle.
 
         Args:
             apex: (2,) [m] in {E}.
@@ -199,7 +201,7 @@ class Box(Shape):
         return distance, cx + c * qx - s * qy, cy + s * qx + c * qy
 
     def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """See `Shape.hit`; by the slab method in the box's frame, the hit is the entry into the last slab."""
+        """See `Shape.hit`; the ray enters the box where it has entered both strips between opposite faces."""
         px, py = self._local(x, y)
         c, s = self._axis
         hx, hy = self._half
@@ -212,12 +214,12 @@ class Box(Shape):
         return near, abs(lx) if near_x >= near_y else abs(ly)
 
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: the foot point, both sides of the nearest corner, and past the two adjacent corners.
+        """See `Shape.outlook`: directions to the foot point, beside the nearest corner, and past both adjacent corners.
 
-        Range and incidence of a face increase with the distance from its foot point, so the best point is the foot
-        point; if the apex is not in front of the face, the best point is the end of the face at the nearest corner. A
-        corner has no normal. So a corner reflects only as the end of a face that faces the apex (an edge alone only
-        scatters sound).
+        On a face, range and incidence angle increase with the distance from the foot point. So the point of a face that
+        reflects first is the foot point or, if the apex is not in front of the face, the end of the face at the nearest
+        corner. A corner itself has no normal, so a corner reflects only as the end of a face that faces the apex (an
+        edge alone only scatters sound).
         """
         px, py = self._local(x, y)
         hx, hy = self._half
@@ -276,7 +278,7 @@ class Wall(Shape):
         return (self.foot(x, y)[0] / approach, approach) if approach > 0.0 else (inf, 0.0)
 
     def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: only the foot point, because a half-plane has no rim at a finite distance."""
+        """See `Shape.outlook`: only towards the foot point, because a half-plane has no rim at a finite distance."""
         return [(-self.normal[0], -self.normal[1])]
 
     def moved(self, offset: Vector2) -> Wall:
@@ -306,12 +308,12 @@ def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
 
 
 def _beside(ux: float, uy: float, side: float) -> tuple[float, float]:
-    """Return the unit vector turned by 1e-9 rad, to the left for `side` = 1 and to the right for `side` = −1."""
+    """Return the unit vector (ux, uy) turned by 1e-9 rad, to the left for `side` = 1, to the right for `side` = −1."""
     return ux - side * _BESIDE * uy, uy + side * _BESIDE * ux
 
 
 def _slab(position: float, direction: float, *, half: float) -> tuple[float, float]:
-    """Return the parameters where a line enters and leaves the slab |coordinate| ≤ half; (inf, −inf) if it misses."""
+    """Return the line parameters at entry to and exit from the strip |coordinate| ≤ half; (inf, −inf) if none."""
     if direction == 0.0:
         return (-inf, inf) if abs(position) <= half else (inf, -inf)
     one, other = (-half - position) / direction, (half - position) / direction

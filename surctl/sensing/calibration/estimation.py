@@ -1,16 +1,17 @@
 """Calibration of a range sensor: measured = scale·true + bias + noise(range), with 95 % confidence intervals.
 
-`calibrate` fits the line by least squares; Student's t gives the intervals of bias and scale. The restricted likelihood
-ratio of `noise_shape` tests at the 5 % level whether the noise depends on range (sd = s0 + s1·range). If the noise does
-not depend on range, the intervals are exact for normal noise: t for the line, χ² for the sd. If the noise depends on
-range, each reading is weighted by the inverse of its variance sd². The result also gives mean and sd of the errors
-measured − true, because range tests are usually reported without a scale.
+`calibrate` fits the line by least squares; Student's t gives the intervals of bias and scale. A test of the restricted
+likelihood ratio (`noise_shape`) at the 5 % level decides whether the standard deviation (sd) of the noise depends on
+range, sd = s0 + s1·range. If the noise does not depend on range, the intervals are exact for normally distributed
+noise: Student's t gives the intervals of the line, χ² the interval of the sd. If the noise depends on range, each
+reading is weighted by the inverse of its variance sd². The result also gives mean and sd of the errors measured − true,
+because range tests are usually reported without a scale.
 
-The coverage of the intervals was computed from simulated data. The coverage is 94 to 97 % if the noise is the same at
-all ranges, and also if the noise depends on range and there are at least about 50 readings. With fewer readings, the
-test often does not detect that the noise depends on range. If the sd of the noise falls to one fifth over 12 to 18
-readings, the interval of the bias has a coverage of only 88 to 91 %; if the sd rises fivefold, the coverage exceeds 93
-%.
+The coverage of the intervals (how often they contain the true value) was computed from simulated data. The coverage is
+94 to 97 % if the noise is the same at all ranges, and also if the noise depends on range and there are at least about
+50 readings. With fewer readings, the test often does not detect that the noise depends on range. If the sd of the noise
+falls to one fifth over 12 to 18 readings, the interval of the bias has a coverage of only 88 to 91 %; if the sd rises
+fivefold, the coverage exceeds 93 %.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Estimate:
     high: float
 
     def __post_init__(self) -> None:
-        """Check the values."""
+        """Check that the three numbers are finite."""
         if not all(isfinite(v) for v in (self.value, self.low, self.high)):
             raise InputError("estimate is not finite", key="calibration", value=(self.value, self.low, self.high))
 
@@ -79,12 +80,12 @@ class Calibration:
         true: (n,) true distances.
         measured: (n,) readings of the sensor.
         order: (n,) position of each sorted reading in the input data.
-        bias: value of the fitted line at the true distance 0.
+        bias: measured distance on the fitted line at the true distance 0.
         scale: slope of the fitted line [1].
         noise_sd: sd of the readings about the line; if the noise depends on range, the root of the mean of sd² over the
             readings.
-        noise_at_zero: sd extrapolated to range 0, s0 in sd = s0 + s1·range; None if one sd fits all ranges, or if there
-            are too few readings.
+        noise_at_zero: sd of the noise extrapolated to range 0, s0 in sd = s0 + s1·range; None if the noise has the same
+            sd at all ranges, or if there are too few readings.
         noise_slope: slope s1 [m/m] in sd = s0 + s1·range; None if there are too few readings or no noise.
         noise_slope_p: p-value of the test that the noise slope is 0; None if `noise_slope` is None.
         mean_error: mean of the errors measured − true.
@@ -124,7 +125,7 @@ class Calibration:
 
     @property
     def other_medium(self) -> bool:
-        """Whether the scale shows that a converter with the speed of sound of air was used in water, or the reverse."""
+        """Whether the scale shows that the sensor assumed sound in air but measured in water, or the reverse."""
         return self.scale.value > 0 and _other_medium(self.scale.value)
 
     @property
@@ -144,7 +145,7 @@ class Calibration:
 
     @property
     def varies(self) -> bool:
-        """Whether the noise depends on range at the 5 % level; only in this case, the fit is weighted."""
+        """Whether the noise depends on range at the 5 % level; only then are the readings weighted."""
         return self.noise_at_zero is not None
 
     def to_dict(self) -> dict[str, Any]:
@@ -171,7 +172,7 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     Raises:
         InputError: if there are fewer readings than `LEAST_ROWS` or fewer distinct distances than `LEAST_DISTANCES`, or
             if a number is negative or not finite. InputError is also raised if the median ratio of measured to true
-            distance lies outside 1/3 to 3, because then the units may differ; a ratio that suggests a converter for air
+            distance lies outside 1/3 to 3, because then the units may differ; a ratio that suggests a sensor for air
             used in water, or the reverse, is accepted.
 
     Example:

@@ -1,4 +1,4 @@
-"""Calibration from a CSV file or from built-in Table II; the result as CSV text, or as `[sonar]` of a scenario file."""
+"""Calibration from a CSV file or from built-in Table II; output as CSV text or as `[sonar]` table of a scenario."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ class SensorCalibration:
         medium: medium in the file, "" if the file has no such column.
         source: origin of the data, as one printable line.
         calibration: the calibration.
-        lines: (n,) line number in the file of each reading in `calibration`; 0 for built-in data.
+        lines: (n,) line number in the file for each reading of `calibration`; 0 for built-in data.
         skipped: number of file lines skipped because a number was missing, NaN or infinite.
-        unsorted: number of file lines whose true distance was below that of the previous line; all readings were
-            sorted.
+        unsorted: number of file lines whose true distance was below the true distance of the previous line; the
+            readings were then sorted.
     """
 
     sensor: str

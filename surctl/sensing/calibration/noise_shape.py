@@ -1,10 +1,10 @@
 """Fit of range-dependent noise, sd(x) = s0 + s1·x, to the residuals of a straight line by restricted likelihood.
 
-The residuals of n readings about a line are e ~ N(0, sd(x)²). The shape of the noise is λ = ln(sd at the largest range
-/ sd at the smallest range), limited to |λ| ≤ ln 50. For a given λ, the maximum-likelihood level of the noise has a
-closed form, and one weighted regression gives the restricted likelihood of Patterson and Thompson (1971). The 95 %
-interval of a parameter contains the values that a likelihood-ratio test does not reject, with t²(0.975; n − 3) instead
-of χ²(1).
+The residuals e of n readings about a line are normally distributed, e ~ N(0, sd(x)²), at the range x. The shape
+parameter of the noise is λ = ln(sd at the largest range / sd at the smallest range), limited to |λ| ≤ ln 50. For a
+given λ, the maximum-likelihood level of the noise (the root of the mean of sd²) has a closed form, and one weighted
+regression gives the restricted likelihood of Patterson and Thompson (1971). The 95 % interval of a parameter contains
+the values that a likelihood-ratio test does not reject, with t²(0.975; n − 3) instead of χ²(1).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class NoiseShape:
         level: root of the mean of sd² over the readings [m]: estimate, low, high (95 %).
         relative: (n,) sd of each reading divided by `level`; the weights of the line fit follow from it.
         line: (2, 3) weighted line, with rows for intercept at x = 0 and slope, and columns estimate, low, high (95 %).
-            Each interval comes from Student's t given λ, averaged over λ with a flat prior, so the interval accounts
-            for the estimated weights.
+            Each interval comes from Student's t for a given λ, averaged over λ with a flat prior, so the interval
+            accounts for the error of the estimated weights.
     """
 
     p: float
@@ -93,7 +93,7 @@ def noise_shape(x: NDArray[np.float64], residuals: NDArray[np.float64]) -> Noise
 
 @dataclass(frozen=True, kw_only=True)
 class _Cells:
-    """Sums of 1, x, x², r, x r and r² over the readings that share a weight, with x minus its mean."""
+    """Sums of 1, x, x², r, x r and r² over groups of readings at nearly equal ranges x, with residuals r."""
 
     sums: NDArray[np.float64]
     at: NDArray[np.float64]
@@ -117,7 +117,7 @@ class _Cells:
 
 @dataclass(frozen=True, kw_only=True)
 class _Profile:
-    """For each λ: largest restricted likelihood, its noise level, the sd at the near end over it, and the line."""
+    """For each λ: largest restricted likelihood, noise level, sd at the smallest range / level, and line."""
 
     shape: NDArray[np.float64]
     likelihood: NDArray[np.float64]
@@ -144,7 +144,10 @@ def _profile(cells: _Cells, shape: NDArray[np.float64]) -> _Profile:
 
 
 def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the factors t < 1 < t' on the level that lower ln L by `drop`, from ln t + (1/t² − 1)/2 = drop/dof."""
+    """Return the factors t < 1 and t > 1 on the noise level that lower the log-likelihood by `drop`.
+
+    Each factor solves ln t + (1/t² − 1)/2 = drop/dof.
+    """
 
     def lost(t: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.log(t) + 0.5 * (t**-2 - 1.0) - drop / dof
@@ -161,7 +164,10 @@ def _level_limits(dof: int, drop: NDArray[np.float64]) -> tuple[NDArray[np.float
 
 
 def _marginal_line(profile: _Profile, centre: float, dof: int, best: int) -> NDArray[np.float64]:
-    """Return (2, 3): intercept at 0 and slope, each with the 2.5 % and 97.5 % points of Student's t averaged over λ."""
+    """Return (2, 3): intercept and slope, each with the ends of its 95 % interval.
+
+    The ends are the 2.5 % and 97.5 % points of Student's t distribution, averaged over λ.
+    """
     from scipy.special import stdtr  # Student's distribution function, without the overhead of scipy.stats
 
     some = slice(best % _THIN, None, _THIN)  # sufficient for the integral

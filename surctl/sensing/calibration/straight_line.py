@@ -33,7 +33,10 @@ class StraightLine:
 
 
 def fit_line(x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[np.float64]) -> StraightLine:
-    """Fit y (n,) on x (n,) by least squares, each point divided by its relative sd (n,) > 0; n > 2, x not all equal."""
+    """Fit a line to n > 2 points (x, y) by weighted least squares; not all x are equal.
+
+    The residual of each point is divided by the point's relative standard deviation `relative` (n,) > 0.
+    """
     columns = np.column_stack([np.ones_like(x), x]) / relative[:, None]
     q, r = np.linalg.qr(columns)
     error = (y - x) / relative  # from slope 1, which is typical of sensors: avoids loss of digits
@@ -52,7 +55,9 @@ def fit_line(x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[n
 
 
 def studentised_residuals(line: StraightLine) -> NDArray[np.float64]:
-    """Return externally studentised residuals (n,): divided by the sd from the other points (Cook and Weisberg 1982).
+    """Return the residuals (n,), each divided by its sd as estimated from the other points.
+
+    These are the externally studentised residuals (Cook and Weisberg 1982).
 
     If the other points have no noise, a studentised residual is very large but finite. The function requires n > 3.
     """

@@ -1,10 +1,10 @@
 """Measurements by the base station: moving obstacles, and the robot's own position.
 
 `observe` and `measure` return measurements without delay or loss. `message` and `fix` return periodic measurements that
-arrive late or are lost. The caller passes the state at the time of measurement. This earlier state comes from a buffer
-(`delayed`) or from the known motion of an obstacle. The noise is white and Gaussian; the caller draws the standard
-normal numbers. A method whose name ends in `_symbols` returns the result of the method without this suffix, in CasADi
-symbols for a compiled loop.
+arrive late or are lost. For these two methods, the caller passes the true state at the earlier time of measurement,
+which comes from a buffer (`delayed`) or from the known motion of an obstacle. The noise is white and Gaussian; the
+caller draws the standard normal numbers. A method whose name ends in `_symbols` returns the result of the method
+without this suffix, in CasADi symbols for a compiled loop.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class BaseStation:
     def observe(
         self, positions: NDArray[np.float64], velocities: NDArray[np.float64], *, noise: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return measured positions (K, 2) [m] and velocities (K, 2) [m/s] in {E} of K obstacles; K may be 0.
+        """Return the measured positions (K, 2) [m] and velocities (K, 2) [m/s] of K ≥ 0 obstacles in {E}.
 
         Args:
             positions: (K, 2) true positions [m] in {E}.
@@ -66,18 +66,20 @@ class BaseStation:
     def message(
         self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], chance: float, dt: float
     ) -> tuple[NDArray[np.float64], bool]:
-        """Return the message (K, 6) that arrives at a control period (zeros without a message), and whether it arrives.
+        """Return the message (K, 6) about K obstacles that arrives at a control period, and whether one arrives.
+
+        Without a message, all numbers are 0.
 
         Args:
-            then: (K, 6) true states of the obstacles in {E} at the time `messages.latency` before: x, y, radius, vx,
-                vy, valid.
+            then: (K, 6) true states of the obstacles in {E} at the time of measurement, `messages.latency` earlier: x,
+                y, radius, vx, vy, valid.
             step: number of the control period, from 0.
             noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
-            chance: a standard normal number that decides the loss of the whole message.
+            chance: a standard normal number that decides whether the whole message is lost.
             dt: control period [s].
 
         Raises:
-            InputError: if a shape does not fit, or period or latency is not a multiple of dt.
+            InputError: if an argument has a wrong shape, or period or latency is not a multiple of dt.
         """
         rows = np.array(then, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != 6:
@@ -90,7 +92,7 @@ class BaseStation:
     def message_symbols(
         self, then: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
     ) -> tuple[ca.SX, ca.SX]:
-        """Return the message (K, 6), and 1 if it arrives, else 0, as `message` does, in CasADi symbols."""
+        """Return the message (K, 6), and 1 if a message arrives, else 0, as `message` does, in CasADi symbols."""
         arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
         place, speed = then[:, :2] + self.position_sd * noise[:, :2], then[:, 3:5] + self.velocity_sd * noise[:, 2:]
         rows = ca.horzcat(place, then[:, 2], speed, then[:, 5])
@@ -104,8 +106,8 @@ class OwnState:
 
     Attributes:
         position_sd: standard deviation of measured x, y and z [m]; 0 gives exact values.
-        yaw_sd: standard deviation of measured ψ [rad]; 0 gives exact values.
-        rate_sd: standard deviation of measured yaw rate r [rad/s] (design choice); 0 gives exact values.
+        yaw_sd: standard deviation of the measured yaw ψ [rad]; 0 gives exact values.
+        rate_sd: standard deviation of the measured yaw rate r [rad/s] (design choice); 0 gives exact values.
         fixes: period, latency and loss probability of the position fixes that `fix` returns.
     """
 
@@ -123,16 +125,18 @@ class OwnState:
     def fix(
         self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], dt: float
     ) -> tuple[NDArray[np.float64], bool]:
-        """Return the fix (3,) [m] in {E} that arrives at a control period (zeros without a fix); whether it arrives.
+        """Return the position fix (3,) [m] in {E} that arrives at a control period, and whether one arrives.
+
+        Without a fix, the three numbers are 0.
 
         Args:
-            then: (3,) true x, y, z of the robot [m] at the time `fixes.latency` before.
+            then: (3,) true x, y, z of the robot [m] in {E} at the time of measurement, `fixes.latency` earlier.
             step: number of the control period, from 0.
-            noise: (4,) standard normal numbers, for x, y, z and the loss.
+            noise: (4,) standard normal numbers: three for x, y, z, and one that decides whether the fix is lost.
             dt: control period [s].
 
         Raises:
-            InputError: if a shape does not fit, or period or latency is not a multiple of dt.
+            InputError: if an argument has a wrong shape, or period or latency is not a multiple of dt.
         """
         place = np.asarray(then, dtype=float)
         if place.shape != (3,) or np.shape(noise) != (4,):
@@ -143,14 +147,18 @@ class OwnState:
         return (place + self.position_sd * noise[:3] if arrived else np.zeros(3)), arrived
 
     def fix_symbols(self, then: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
-        """Return the fix (3,), and 1 if it arrives, else 0, as `fix` does, in CasADi symbols."""
+        """Return the position fix (3,), and 1 if a fix arrives, else 0, as `fix` does, in CasADi symbols."""
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, then + self.position_sd * noise[:3], 0.0), arrived
 
     def imu(
         self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
     ) -> tuple[float, float]:
-        """Return measured ψ [rad] and r [rad/s] for true η (4,) and ν (4,); `noise` is two standard normal numbers."""
+        """Return the measured yaw ψ [rad] and yaw rate r [rad/s].
+
+        `eta` (4,) is the true pose x, y, z, ψ; `nu` (4,) is the true velocity u, v, w, r; `noise` holds two standard
+        normal numbers.
+        """
         if np.shape(eta) != (4,) or np.shape(nu) != (4,) or np.shape(noise) != (2,):
             raise InputError(
                 f"have shapes {np.shape(eta)}, {np.shape(nu)} and {np.shape(noise)}",
@@ -160,17 +168,17 @@ class OwnState:
         return float(eta[3] + self.yaw_sd * noise[0]), float(nu[3] + self.rate_sd * noise[1])
 
     def imu_symbols(self, eta: ca.SX, nu: ca.SX, *, noise: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return measured ψ [rad] and r [rad/s], as `imu` does, in CasADi symbols."""
+        """Return the measured yaw ψ [rad] and yaw rate r [rad/s], as `imu` does, in CasADi symbols."""
         return eta[3] + self.yaw_sd * noise[0], nu[3] + self.rate_sd * noise[1]
 
     def measure(
         self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return measured η (4,) in {E} [m, rad], and noise-free ν (4,) in {B} [m/s, rad/s].
+        """Return the measured pose η (4,) in {E} [m, rad], and the noise-free velocity ν (4,) in {B} [m/s, rad/s].
 
         Args:
-            eta: (4,) true η.
-            nu: (4,) true ν.
+            eta: (4,) true pose η: x, y, z, ψ.
+            nu: (4,) true velocity ν: u, v, w, r.
             noise: (4,) standard normal numbers, for x, y, z and ψ.
 
         Raises:

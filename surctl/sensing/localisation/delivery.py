@@ -30,7 +30,8 @@ class Delivery:
         period: time between two measurements [s] (design choice).
         latency: time from a measurement to its arrival [s] (design choice).
         loss: probability that a message is lost, independent for each message.
-        gaps: intervals (start, end) [s] of the run without measurements; messages already under way still arrive.
+        gaps: intervals (start, end) [s] of the run without measurements; messages that were measured before still
+            arrive.
     """
 
     period: float = 0.1
@@ -60,17 +61,17 @@ class Delivery:
         return NormalDist().inv_cdf(self.loss)
 
     def late(self, dt: float) -> int:
-        """Return the number of control periods dt [s] from measurement to arrival; InputError if it is not whole."""
+        """Return the number of control periods dt [s] from measurement to arrival; InputError if not a whole number."""
         return whole_steps("delivery.latency", self.latency, dt=dt)
 
     def every(self, dt: float) -> int:
-        """Return the number of control periods dt [s] between two measurements; InputError if it is not whole."""
+        """Return the number of control periods dt [s] between two measurements; InputError if not a whole number."""
         return whole_steps("delivery.period", self.period, dt=dt)
 
     def arrives(self, step: int, *, chance: float, dt: float) -> bool:
-        """Return whether a message, measured `late(dt)` control periods before, arrives at this control period.
+        """Return whether a message that was measured `late(dt)` control periods before arrives at period `step`.
 
-        The first measurement takes place at period 0.
+        The first measurement takes place at control period 0.
 
         Args:
             step: number of the control period, from 0.
@@ -102,7 +103,7 @@ def whole_steps(key: str, time: float, *, dt: float) -> int:
     """Return a time [s] as a number of control periods of `dt` [s].
 
     Raises:
-        InputError: if the time is not a multiple of dt; the error names the time by `key`.
+        InputError: if the time is not a multiple of dt; `key` is the name of the time in the error message.
     """
     count = round(time / dt)
     if abs(time / dt - count) > 1e-6:

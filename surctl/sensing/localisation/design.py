@@ -13,7 +13,9 @@ _RECURSION_STEPS = 4000  # steps; the slowest error decays within a few hundred
 
 
 def transition(dt: float, disturbance_time: float) -> Matrix:
-    """Return Φ (3, 3) over dt [s] for one axis in {E}, with position, velocity and disturbance acceleration as states.
+    """Return the transition matrix Φ (3, 3) over a step dt [s] for one axis of {E}.
+
+    The states are position, velocity and disturbance acceleration along the axis.
 
     The disturbance is constant within a step and decays from step to step with the time constant `disturbance_time`
     [s] (first-order Gauss-Markov process).
@@ -22,7 +24,7 @@ def transition(dt: float, disturbance_time: float) -> Matrix:
 
 
 def white(dt: float, size: float) -> Matrix:
-    """Return the covariance (3, 3) that white acceleration noise [m/s^1.5] adds to the state of one axis in a step."""
+    """Return the covariance (3, 3) that white acceleration noise [m/s^1.5] adds to the states of one axis in a step."""
     return size**2 * np.array([[dt**3 / 3, dt**2 / 2, 0.0], [dt**2 / 2, dt, 0.0], [0.0, 0.0, 0.0]])
 
 
@@ -37,7 +39,7 @@ def growth(dt: float, *, acceleration_noise: float, disturbance_sd: float, distu
 
 
 def ahead(step: Matrix, noise: Matrix, steps: int) -> tuple[Matrix, Matrix]:
-    """Return the transition matrix Φ and the process-noise covariance Q over `steps` steps together."""
+    """Return the transition matrix Φ and the process-noise covariance Q over a number `steps` of steps."""
     whole, grown = np.eye(len(step)), np.zeros_like(step)
     for _ in range(steps):
         whole, grown = step @ whole, step @ grown @ step.T + noise
@@ -45,7 +47,10 @@ def ahead(step: Matrix, noise: Matrix, steps: int) -> tuple[Matrix, Matrix]:
 
 
 def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every: int) -> Matrix:
-    """Return the steady covariance (3, 3) just after a fix, with one fix per `every` steps, by Riccati recursion."""
+    """Return the steady covariance (3, 3) of the estimate just after a fix, with one fix per `every` steps.
+
+    The function iterates the Riccati recursion.
+    """
     whole, grown = ahead(step, noise, every)
     P = np.diag([fix_variance, 1.0, noise[2, 2] / (1.0 - step[2, 2] ** 2)])
     for _ in range(_RECURSION_STEPS):
@@ -55,7 +60,7 @@ def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every
 
 
 def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: float) -> Matrix:
-    """Return the steady Kalman gains (2, 2) from measured yaw and yaw rate (columns) to their estimates (rows).
+    """Return the steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate.
 
     Args:
         dt: time between two measurements [s].

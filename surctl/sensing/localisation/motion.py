@@ -15,10 +15,13 @@ _LEAST_MASS = 1e-6  # [kg]
 def believed_acceleration(
     psi: ca.SX, velocity: ca.SX, rate: ca.SX, thrust: ca.SX, model: Mapping[str, ca.SX], dt: float
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the vehicle model's (3) mean acceleration over a step, (3,) in {E} [m/s²], and yaw acceleration [rad/s²].
+    """Return the mean acceleration (3,) in {E} [m/s²] and yaw acceleration [rad/s²] over a step.
 
-    The integration step is linearly implicit: it uses the drag at half the period, so it is stable for any drag. For
-    accelerations in {E}, only the difference m22 − m11 leaves a Coriolis force, (m22 − m11)(v r, u r, 0, −u v) in {B}.
+    The accelerations are those of the vehicle model, equation (3) of the paper.
+
+    The integration step is linearly implicit: it uses the drag at the middle of the step, so it is stable for any drag.
+    For accelerations in {E}, the Coriolis force vanishes except for the part that the difference m22 − m11 of the
+    masses in sway and surge causes: (m22 − m11)(v r, u r, 0, −u v) in {B}.
     """
     c, s = ca.cos(psi), ca.sin(psi)
     nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], rate)
@@ -31,7 +34,7 @@ def believed_acceleration(
 
 
 def from_upper(upper: ca.SX) -> ca.SX:
-    """Return a covariance (3, 3) from its upper triangle (6,)."""
+    """Return a covariance (3, 3) from the 6 numbers of its upper triangle."""
     a, b, c, d, e, f = (upper[k] for k in range(6))
     return ca.vertcat(ca.horzcat(a, b, c), ca.horzcat(b, d, e), ca.horzcat(c, e, f))
 

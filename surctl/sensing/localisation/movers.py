@@ -1,7 +1,7 @@
 """A tracker that estimates the present positions of moving obstacles, with error bounds, from late or lost messages.
 
-The tracker builds CasADi expressions with explicit state for the exported law. `mover_step` computes the tracker's
-results in NumPy.
+The tracker builds CasADi expressions for the exported law; its state is an explicit input and output. The function
+`mover_step` computes the results of the tracker in NumPy.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ class Movers(NamedTuple, Generic[T]):
     """The moving obstacles at a control step: SX expressions from `MoverTracker.update`, arrays from `mover_step`."""
 
     state: dict[str, T]
-    """Next state by port name."""
+    """Next state: value of each entry, by name."""
     rows: T
-    """(slots, 6) contacts now in {E}: x, y, radius [m], vx, vy [m/s], valid; zeros in an empty slot."""
+    """(slots, 6) present obstacles in {E}: x, y, radius [m], vx, vy [m/s], valid; zeros in an empty row."""
     bound: T
-    """(slots,) bound of the error of the centre [m]; 0 in an empty slot."""
+    """(slots,) bound on the error of each obstacle's centre [m]; 0 in an empty row."""
     age: T
-    """(slots,) time since the measurement in the slot's message [s]; `forget + dt` in an empty slot."""
+    """(slots,) time since the last measurement of each obstacle [s]; `forget + dt` in an empty row."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MoverTracker:
-    """A tracker that stores the last message of each obstacle slot and extrapolates the obstacle in a straight line.
+    """A tracker that stores the last message about each obstacle and extrapolates its position in a straight line.
 
-    The bound on the position error is `sigmas`·(position_sd + velocity_sd·age) + acceleration·age²/2. If a message
-    marks a slot as empty, the slot is empty at once. If no message arrives, the tracker keeps the obstacle until the
-    age of its last message exceeds `forget`.
+    The bound on the position error is `sigmas`·(position_sd + velocity_sd·age) + acceleration·age²/2. A message has a
+    fixed number of rows (slots), one per obstacle. If a message marks a row as empty, the tracker drops the obstacle at
+    once. If no message arrives, the tracker keeps the obstacle until the age of its last message exceeds `forget`.
 
     Attributes:
         dt: control period [s].
@@ -54,7 +54,7 @@ class MoverTracker:
             thrust).
         forget: age of the last message [s] above which the tracker drops the obstacle (design choice).
         sigmas: number of standard deviations in the bound (design choice: 3 standard deviations contain 98.9 % of a
-            planar Gaussian).
+            planar Gaussian distribution).
     """
 
     dt: float
@@ -85,7 +85,7 @@ class MoverTracker:
             )
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state; in the initial state every slot is empty."""
+        """Return the entries (name, shape, initial value) of the state; initially there is no obstacle."""
         return (
             Port(
                 f"{prefix}latest", (self.slots, 5), "m, m/s", "last message of each slot: x, y, radius, vx, vy in {E}"
@@ -105,11 +105,11 @@ class MoverTracker:
         """Return the moving obstacles after one control step.
 
         Args:
-            state: state by port name, with the shapes of `ports(prefix)`.
-            message: (slots, 6) x, y, radius, vx, vy, valid of each obstacle, measured in {E} `latency` before; if no
-                message arrived, any finite values.
+            state: value of each entry of `ports(prefix)`, by name.
+            message: (slots, 6) x, y, radius, vx, vy, valid of each obstacle, measured in {E} `latency` earlier; any
+                finite values if no message arrived.
             message_fresh: 1 if a message has arrived since the last step, else 0.
-            prefix: prefix of the port names of the state.
+            prefix: prefix of the names of the state's entries.
         """
         fresh = message_fresh > 0.5
 
@@ -153,7 +153,7 @@ def mover_step(
     message_fresh: float,
     prefix: str = "",
 ) -> Movers[NDArray[np.float64]]:
-    """Return the result of `MoverTracker.update` for NumPy arrays with the shapes of the ports; no input is changed.
+    """Return the result of `MoverTracker.update` for NumPy arrays; the function changes no input.
 
     Example:
         >>> import numpy as np

@@ -27,18 +27,19 @@ def own_state_step(
     model: Mapping[str, Vector],
     prefix: str = "",
 ) -> OwnEstimate[Vector]:
-    """Return the estimate after one control step, as `OwnStateFilter.update` does, for arrays with the ports' shapes.
+    """Return the estimate after one control step, as `OwnStateFilter.update` does, for NumPy arrays.
 
     Args:
         own: the filter.
-        state: state by port name, as `Layout(own.ports(prefix)).unpack` returns it; the function does not change it.
+        state: value of each entry of `own.ports(prefix)`, by name, as `Layout(own.ports(prefix)).unpack` returns; the
+            function does not change these values.
         fix: (3,) position fix [m] in {E}.
         fix_fresh: 1 if a fix has arrived since the last step, else 0.
         yaw: measured ψ [rad].
         yaw_rate: measured r [rad/s].
-        tau: (4,) command of the previous step [N, N m].
+        tau: (4,) force and moment command of the previous step, in {B} [N, N m].
         model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit` of the vehicle model, (4,) each.
-        prefix: prefix of the port names of the state.
+        prefix: prefix of the names of the state's entries.
 
     Example:
         >>> import numpy as np
@@ -107,7 +108,7 @@ def own_state_step(
 
 
 def _carried(own: OwnStateFilter, x: Vector, accelerations: Vector) -> Vector:
-    """Return position, velocity and disturbance, (3, 3), after the steps of a ring buffer (k, 3), newest first."""
+    """Return position, velocity and disturbance (3, 3) after k steps with the accelerations (k, 3), newest first."""
     phi = own.step[0]
     for acceleration in accelerations[::-1]:
         x = phi @ x + np.outer([0.5 * own.dt**2, own.dt, 0.0], acceleration)
@@ -115,7 +116,7 @@ def _carried(own: OwnStateFilter, x: Vector, accelerations: Vector) -> Vector:
 
 
 def _grown(own: OwnStateFilter, P: Vector, accelerations: Vector) -> Vector:
-    """Return the covariance (3, 3) after the steps whose accelerations are in a ring buffer (k, 3), newest first."""
+    """Return the covariance (3, 3) after k steps with the accelerations (k, 3), newest first."""
     phi, noise = own.step
     for acceleration in accelerations[::-1]:
         P = phi @ P @ phi.T + noise + (acceleration @ acceleration) * own.model_covariance
@@ -125,7 +126,10 @@ def _grown(own: OwnStateFilter, P: Vector, accelerations: Vector) -> Vector:
 def _corrected(
     own: OwnStateFilter, old: Mapping[str, Vector], x: Vector, P: Vector, fix: Vector, fresh: bool
 ) -> tuple[dict[str, Vector], Vector]:
-    """Return the filter's stored values and state means (3, 3) for the time `latency` before, corrected by the fix."""
+    """Return the filter's next stored values, and the state means (3, 3), corrected by the fix if one arrived.
+
+    The state means refer to the time `latency` before the present.
+    """
     known, refused, offset = bool(old["known"][0]), float(old["refused"][0]), old["offset"]
     age, R = min(float(old["age"][0]) + own.dt, LONGEST_AGE), own.position_sd**2
     error = fix - x[0]

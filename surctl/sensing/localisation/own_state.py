@@ -1,17 +1,18 @@
 """The own-state filter: a Kalman filter for position and velocity from late camera fixes, IMU and vehicle model.
 
-The filter estimates the position at the time `latency` before the present. So plain Kalman steps compare each fix with
-the position at the time of its measurement, even after long gaps. The filter predicts the present position with the
-accelerations of the steps since that measurement, which it stores in a ring buffer. The accelerations come from the
-vehicle model (3) under the last command (with thrust limit and lag, and drag at the estimated ground velocity), rotated
-into {E} by the heading. The filter also estimates a disturbance acceleration in {E}, which represents all model errors
-(mass, drag, waves, current).
+A camera fix arrives with a delay, `latency`. The filter estimates the position at the time `latency` before the
+present, so a standard Kalman update compares each fix with the position at the time of its measurement, even after long
+gaps. From there, the filter predicts the present position with the accelerations of the steps since the measurement,
+which it stores in a ring buffer. The accelerations come from the vehicle model (equation (3) of the paper) under the
+last command, with thrust limit and lag, and with drag at the estimated ground velocity; the heading rotates them into
+{E}. The filter also estimates a disturbance acceleration in {E}, which represents all model errors (mass, drag, waves,
+current).
 
-x, y and z share one covariance. The covariance ignores the damping by drag. So in a gap between fixes, the covariance
-is too large rather than too small. Yaw and yaw rate are measured in every step, so the Kalman gains for yaw and yaw
-rate are constant.
+The coordinates x, y and z share one covariance. The covariance ignores that drag damps the motion. So in a gap between
+fixes, the covariance is too large rather than too small. Yaw and yaw rate are measured in every step, so the Kalman
+gains for yaw and yaw rate are constant.
 
-The filter builds CasADi expressions with explicit state for the exported law.
+The filter builds CasADi expressions for the exported law; its state is an explicit input and output.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class OwnEstimate(NamedTuple, Generic[T]):
     """The estimate after a step, as SX columns from `OwnStateFilter.update` or as arrays from `own_state_step`."""
 
     state: dict[str, T]
-    """Next state by port name."""
+    """Next state: value of each entry, by name."""
     eta: T
     """(4,) present x, y, z [m] and ψ [rad] in {E}, with ψ in (−π, π]."""
     nu: T
@@ -57,8 +58,8 @@ class OwnEstimate(NamedTuple, Generic[T]):
     velocity_sd: T
     """(1,) standard deviation of each of u, v, w [m/s]."""
     age: T
-    """(1,) time since the measurement of the last accepted fix [s]; it is `latency` when the fix arrives, and
-    `LONGEST_AGE` at most and before the first fix."""
+    """(1,) time since the measurement of the last accepted fix [s]: `latency` when the fix arrives, at most
+    `LONGEST_AGE`, and `LONGEST_AGE` before the first fix."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +73,8 @@ class OwnStateFilter:
         position_sd: standard deviation of each coordinate of a fix [m].
         yaw_sd: standard deviation of the measured yaw [rad].
         rate_sd: standard deviation of the measured yaw rate [rad/s].
-        disturbance_sd: standard deviation of the disturbance acceleration, which the vehicle model omits, along each
-            axis of {E} [m/s²] (design choice, see `analysis/11_own_state`).
+        disturbance_sd: standard deviation of the disturbance acceleration, which the vehicle model does not contain,
+            along each axis of {E} [m/s²] (design choice, see `analysis/11_own_state`).
         disturbance_time: correlation time of the disturbance acceleration [s] (design choice).
         acceleration_noise: white acceleration noise that is always present [m/s^1.5] (design choice).
         model_noise: additional white acceleration noise for each m/s² of modelled acceleration [s^0.5] (design
@@ -124,7 +125,7 @@ class OwnStateFilter:
 
     @cached_property
     def step(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Transition Φ and process noise Q (3, 3) of a step: position, velocity, disturbance along one axis of {E}."""
+        """Transition matrix Φ and process-noise covariance Q (3, 3) of a step, for one axis of {E}."""
         noise = growth(
             self.dt,
             acceleration_noise=self.acceleration_noise,
@@ -140,7 +141,7 @@ class OwnStateFilter:
 
     @cached_property
     def yaw_gains(self) -> NDArray[np.float64]:
-        """Kalman gains (2, 2) from the innovations of yaw and yaw rate (columns) to their estimates (rows)."""
+        """Steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate."""
         return yaw_gains(
             self.dt, yaw_sd=self.yaw_sd, rate_sd=self.rate_sd, acceleration_noise=self.yaw_acceleration_noise
         )
@@ -152,7 +153,7 @@ class OwnStateFilter:
 
     @property
     def steady_sd(self) -> tuple[float, float]:
-        """Steady standard deviations of position [m] and velocity [m/s] at rest, at the arrival of a fix."""
+        """Steady standard deviations of position [m] and velocity [m/s] of a robot at rest, when a fix arrives."""
         every = whole_steps("own_state.period", self.period, dt=self.dt)
         P = steady_covariance(*self.step, fix_variance=self.position_sd**2, every=every)
         whole, grown = ahead(*self.step, self.late)
@@ -168,7 +169,10 @@ class OwnStateFilter:
         return left, (1.0 - left) * self.thrust_lag / self.dt
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state; its position, velocity, disturbance and covariance are `latency` old."""
+        """Return the entries (name, shape, initial value) of the state.
+
+        Position, velocity, disturbance and covariance refer to the time `latency` before the present.
+        """
         modelled = "acceleration of the vehicle model in {E} in the last steps, newest first"
         ring = Port(f"{prefix}accelerations", (self.late, 3), "m/s^2", modelled)
         return (
@@ -205,14 +209,14 @@ class OwnStateFilter:
         gate. Offsets are compared, and not positions, because offsets do not contain the robot's own motion.
 
         Args:
-            state: state by port name, with the shapes of `ports(prefix)`.
-            fix: (3,) position [m] in {E}, measured `latency` before; if no fix arrived, any finite values.
+            state: value of each entry of `ports(prefix)`, by name.
+            fix: (3,) position [m] in {E}, measured `latency` earlier; any finite values if no fix arrived.
             fix_fresh: 1 if a fix has arrived since the last step, else 0.
             yaw: measured ψ [rad], which may contain any number of full turns.
             yaw_rate: measured r [rad/s].
-            tau: (4,) command of the previous step, in {B} [N, N m].
+            tau: (4,) force and moment command of the previous step, in {B} [N, N m].
             model: `mass`, `linear_drag`, `quadratic_drag`, `thrust_limit` of the vehicle model, (4,) each.
-            prefix: prefix of the port names of the state.
+            prefix: prefix of the names of the state's entries.
         """
         old = {port.name.removeprefix(prefix): state[port.name] for port in self.ports(prefix)}
         begun = old["begun"] > 0.5
@@ -247,7 +251,7 @@ class OwnStateFilter:
         return OwnEstimate(named, ca.vertcat(position, turn[0]), nu, position_sd, velocity_sd, here["age"])
 
     def _thrust(self, old: ca.SX, tau: ca.SX, limit: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the vehicle model's thrust (4,) at the end of the step, and its mean over the step [N, N m]."""
+        """Return the modelled thrust (4,) at the end of the step, and its mean (4,) over the step [N, N m]."""
         command = ca.fmin(ca.fmax(tau, -limit), limit)
         left, mean = self.thrust_shares
         return command + left * (old - command), command + mean * (old - command)

@@ -1,1 +1,1 @@
-"""Estimation of obstacle positions from measured ranges, as contacts and as a local map."""
+"""Estimation of obstacle positions from measured ranges, as single points and as a local map."""

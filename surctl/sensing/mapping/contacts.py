@@ -1,8 +1,8 @@
-"""Contacts from measured ranges: the positions of echoes that the known walls and obstacles do not explain.
+"""Obstacle points (contacts) from measured ranges: positions of echoes that no known wall or obstacle explains.
 
-The functions build CasADi expressions for the exported law. The heading is an input as (cos ψ, sin ψ); azimuths and
-beam angle are floats. So dot and cross products replace all computation of angles. The echo memory stores one echo per
-sensor; it is not a map of cells. All positions are planar at the robot's depth, in the world frame {E}, in metres.
+The functions build CasADi expressions for the exported law. The heading is an input as (cos ψ, sin ψ), and azimuths and
+beam angle are floats, so the expressions need dot and cross products but no angles. The class `ContactMemory` stores
+one echo per sensor; it is not a map. All positions are planar at the robot's depth, in the world frame {E}, in metres.
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ def expected_range(
     half_angle: float,
     maximum: float,
 ) -> ca.SX:
-    """Return the range [m] that one sensor would measure from known walls and obstacles alone; at most 2·maximum.
+    """Return the range [m] that one sensor would measure if only known walls and obstacles existed; at most 2·maximum.
 
-    The function uses the closed form of `surctl.world.Shape.nearest_in_cone`: the nearest point is the foot point if
-    the foot point is inside the cone, otherwise a point on an edge ray.
+    The function uses the closed form of `surctl.world.Shape.nearest_in_cone`: the nearest point of a wall or disc in
+    the cone is the foot point (the nearest point of the whole shape) if the cone contains it, otherwise a point on an
+    edge ray of the cone.
 
     Args:
         position: (2,) robot's centre in {E} [m].
@@ -46,7 +47,7 @@ def expected_range(
         discs: (K, 3) known obstacles: x, y, radius [m]; K may be 0.
         valid: (K,) 1 for a disc that is present, else 0.
         azimuth: azimuth of the sensor in {B} [rad].
-        hull_radius: distance from the robot's centre to the apex [m]; a symbol in a law for any vehicle.
+        hull_radius: distance from the robot's centre to the apex of the cone [m]; a symbol in a law for any vehicle.
         half_angle: half the opening angle of the cone [rad], 0 < half_angle < π/2.
         maximum: longest range that the sensor measures [m].
 
@@ -85,12 +86,12 @@ def expected_range(
 
 
 class Contacts(NamedTuple):
-    """The contacts at one control step, as CasADi SX expressions."""
+    """The obstacle points (contacts) at one control step, as CasADi SX expressions."""
 
     points: ca.SX
-    """(n, 2) contact points in {E} [m]."""
+    """(n, 2) obstacle points in {E} [m], one per sensor."""
     valid: ca.SX
-    """(n,) 1 for an echo of an unknown object, else 0."""
+    """(n,) 1 if the point is an echo of an unknown object, else 0."""
 
 
 def sonar_contacts(
@@ -104,7 +105,7 @@ def sonar_contacts(
     margin: float = 0.1,
     tolerance: float = 0.1,
 ) -> Contacts:
-    """Return the contact of each sensor: the point on the beam axis at `range_hat`, valid for an unexplained echo.
+    """Return one point per sensor, on the beam's axis at `range_hat`; the point is valid if the echo is unexplained.
 
     A range is an echo if range_hat < maximum − margin. The known walls and obstacles explain the echo if
     range_hat ≥ expected − tolerance.
@@ -138,7 +139,9 @@ def sonar_contacts(
 
 @dataclass(frozen=True, kw_only=True)
 class ContactMemory:
-    """A memory of the last unexplained echo of each sensor, at a fixed position in {E}, dropped after the time `hold`.
+    """A memory of the last unexplained echo of each sensor; the echo is dropped after the time `hold`.
+
+    The position of a stored echo in {E} is fixed.
 
     Later readings without an echo do not remove a stored echo, because the beam may have turned away from the obstacle.
 
@@ -162,7 +165,7 @@ class ContactMemory:
             raise InputError("must be at least 1", key="contacts.sensors", value=self.sensors)
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state; in the initial state every echo is older than `hold` and so not valid."""
+        """Return the entries (name, shape, initial value) of the state; initially, no stored echo is valid."""
         return (
             Port(f"{prefix}echo", (self.sensors, 2), "m", "last unexplained echo of each sensor, x, y in {E}"),
             Port(
@@ -180,10 +183,10 @@ class ContactMemory:
         """Return the next state and the valid echoes: new echoes at age 0, and older echoes up to age `hold`.
 
         Args:
-            state: state by port name, with the shapes of `ports(prefix)`.
-            contacts: contacts at this control step; only the contacts of fresh sensors are used.
+            state: value of each entry of `ports(prefix)`, by name.
+            contacts: obstacle points at this control step; only the points of fresh sensors are used.
             fresh: (n,) 1 for a sensor that fired since the last update, else 0.
-            prefix: prefix of the port names of the state.
+            prefix: prefix of the names of the state's entries.
         """
         echo, age = state[f"{prefix}echo"], state[f"{prefix}age"]
         new = ca.logic_and(fresh > 0.5, contacts.valid)

@@ -1,4 +1,4 @@
-"""One sonar firing as an input of the local map, and the tests of a map cell against the numbers of the firing."""
+"""One sonar firing as an input of the local map, and tests whether the firing marks or clears a cell of the map."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ READING = (
     ("far", 1, "m, end of the marked band; below `near`: nothing is marked"),
     ("cutoff", 1, "m, a cell beyond this range does not explain the echo"),
 )
-"""Numbers of one firing: name, size, meaning."""
+"""Each group of numbers that describes a firing: name, number of values, meaning."""
 
 BLIND = 0.25
 """Value of a cell marked by a blind firing, which only shows that an object is nearer than the blind range."""
@@ -45,11 +45,11 @@ MIDDLE = 1.0 - _OF_THE_UNKNOWN
 """Share of a narrow beam's width in which the beam clears unknown cells."""
 
 LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular")
-"""Limits of a firing, equal for all cells: squared ranges [m²], `whole` and `outside` [m], the last three 0 or 1."""
+"""Names of the limits of a firing: squared ranges [m²], `whole` and `outside` [m], the last three numbers 0 or 1."""
 
 
 def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
-    """Return each firing as a dictionary whose keys are the names in `READING`."""
+    """Split an array of firings into one dictionary per firing, whose keys are the names in `READING`."""
     out = []
     for s in range(count):
         at, one = s * READING_SIZE, {}
@@ -61,7 +61,7 @@ def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
 
 
 def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
-    """Return the `LIMITS` of a firing for cells of the given edge length [m]."""
+    """Return the limits of a firing, named in `LIMITS`, for cells of the given edge length [m]."""
     cosine, sine = slot["half"][0], slot["half"][1]
     return {
         "cosine": cosine,
@@ -85,7 +85,7 @@ def named_limits(limits: ca.SX) -> dict[str, ca.SX]:
 
 
 def cell_line(column: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return a cell's distance along the beam's axis [m], distance across it [m], and squared range [m²]."""
+    """Return a cell's distance along the beam's axis [m], distance from this axis [m], and squared range [m²]."""
     return column[0] + row[0], ca.fabs(column[1] + row[1]), column[2] + row[2]
 
 

@@ -1,18 +1,19 @@
 """The local map: a grid of cells around the robot, aligned with {E}; measured ranges carve and mark the cells.
 
-A range d means that the cone is free up to d, and that an object lies somewhere on the arc at d. So a reading clears
-the cells nearer than d and marks the cells on the arc that are not known to be free. If all cells on the arc are known
-to be free (an object moved), the reading marks the whole arc. So one reading of a wide beam marks many cells that are
-in fact free. As the robot turns, the edges of later cones cross these false marks and clear them (range-only mapping;
-see Moravec and Elfes 1985, "High resolution maps from wide angle sonar").
+A measured range d means that the cone of the beam is free up to d, and that an object lies somewhere on the arc at d.
+So a reading clears the cells nearer than d and marks the cells on the arc that are not known to be free. If all cells
+on the arc are known to be free (an object moved), the reading marks the whole arc. So one reading of a wide beam marks
+many cells that are in fact free. As the robot turns, the edges of later cones cross these false marks and clear them
+(range-only mapping; see Moravec and Elfes 1985, "High resolution maps from wide angle sonar").
 
-The map is stored as a torus: the cell (I, J) of the world is stored at index (I mod N, J mod N). The map is a window
-that moves with the robot. A cell that enters the window at one side replaces the cell that leaves at the opposite side,
-so the size of the map does not depend on the site. If the window fits between the walls of the site, it never extends
-beyond the walls, because no cells are needed there. Unknown cells among the two cells beside a wall are ignored,
-because the range error hides these two cells from most beams. An object there that is wider than two cells also extends
-into the third cell, which is not ignored. Each cell holds one number. When a cell is marked, its number becomes 1 and
-fades to 0 within `mark_time`. When a cell is cleared, its number becomes −1 and fades to 0 within `free_time`.
+The map is a window of N × N cells that moves with the robot. The map is stored as a torus: the cell (I, J) of the world
+is stored at index (I mod N, J mod N). A cell that enters the window at one side replaces the cell that leaves at the
+opposite side, so the size of the map does not depend on the site. If the window fits between the walls of the site, it
+never extends beyond the walls, because no cells are needed there. Unknown cells in the two rows of cells beside a wall
+are ignored, because the range error hides these two rows from most beams. An object there that is wider than two cells
+also extends into the third row, which is not ignored. Each cell holds one number. When a cell is marked, its number
+becomes 1 and fades to 0 within `mark_time`. When a cell is cleared, its number becomes −1 and fades to 0 within
+`free_time`.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # input
 
 @dataclass(frozen=True, kw_only=True)
 class LocalMap:
-    """The local map with its fixed sizes and times.
+    """The local map with its numbers of cells and its times.
 
     Attributes:
         dt: period of the updates [s].
@@ -48,8 +49,8 @@ class LocalMap:
         sectors: number of directions in which the map returns the nearest cells, a multiple of 4.
         mark_time: time [s] until a marked cell has faded to 0 (design choice).
         free_time: time [s] until a cleared cell has faded to 0 (design choice).
-        known: fraction of `free_time`, at its end, in which a cleared cell no longer counts as known to be free
-            (design choice).
+        known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
+            counts as known to be free.
     """
 
     dt: float
@@ -83,7 +84,7 @@ class LocalMap:
 
     @property
     def held(self) -> int:
-        """Smallest number of cells not known to be free in a block whose unknown cells are not ignored.
+        """Number of cells not known to be free below which the unknown cells of a block are ignored.
 
         A disc two cells wide touches the cell of its centre and the four adjacent cells; at least three of these five
         cells lie in one block. So no object of this size can hide in blocks with fewer cells that are not known to be
@@ -97,21 +98,27 @@ class LocalMap:
         return (1.0 - self.known) * self.free_time
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state: the cells, block by block and row by row, and the window's lowest cell."""
+        """Return the entries (name, shape, initial value) of the state.
+
+        The state consists of the values of the cells, block by block and row by row, and the lowest cell of the
+        window.
+        """
         return (
             Port(f"{prefix}cells", (self.side * self.side,), "1", "1 marked, 0 unknown, -1 cleared; block by block"),
             Port(f"{prefix}corner", (2,), "1", "lowest cell of the window along x and y of {E}", _NOWHERE),
         )
 
     def routine(self) -> Routine:
-        """Return the routine (cells, corner, place, walls, slots) → (cells, corner, marked, unknown).
+        """Return the routine that updates the map by the firings of one period and finds the nearest cells.
 
-        `place` (4,) holds the robot's position x, y in {E} [m], the hull radius [m] and the edge length of a cell [m].
-        `walls` (4,) holds x_min, x_max, y_min, y_max of the site in {E} [m]; give distant walls if there are none.
-        `slots` (slots · 10,) holds the firings one after another, each with the 10 numbers of `READING`. `marked`
-        (sectors · 3,) holds three numbers for each direction: the offset x, y [m] from the robot's centre to the
-        nearest marked cell, and the squared distance [m²] of this cell; the squared distance is 1e6 if no cell is
-        marked. `unknown` (sectors · 3,) holds the corresponding numbers for the nearest unknown cell.
+        The inputs are `cells`, `corner`, `place`, `walls` and `slots`; the outputs are the next `cells` and `corner`,
+        and `marked` and `unknown`. `cells` and `corner` are the state, see `ports`. `place` (4,) holds the robot's
+        position x, y in {E} [m], the hull radius [m] and the edge length of a cell [m]. `walls` (4,) holds x_min,
+        x_max, y_min, y_max of the site in {E} [m]; a site without walls needs distant walls here. `slots` (slots · 10,)
+        holds the firings one after another, each with the 10 numbers of `READING`. `marked` (sectors · 3,) holds three
+        numbers for each direction: the offset x, y [m] from the robot's centre to the nearest marked cell, and the
+        squared distance [m²] of this cell; the squared distance is 1e6 if no cell is marked. `unknown` (sectors · 3,)
+        holds the corresponding numbers for the nearest unknown cell.
         """
         return _Steps(self).routine()
 
@@ -119,8 +126,8 @@ class LocalMap:
 class _Steps:
     """The loops that call the programs of the local map (`MapPrograms`) for all cells and blocks.
 
-    A firing skips each block of cells that its cone does not touch. For this purpose, a flag is computed from the
-    bounds of the block's columns and rows. If the flag is set, a loop with one iteration is not executed.
+    Blocks of cells that the cone of a firing does not touch are skipped. For this purpose, a flag is computed from the
+    extreme values of the block's columns and rows; if the flag is set, a loop that has one iteration is not executed.
     """
 
     def __init__(self, local_map: LocalMap) -> None:
@@ -321,7 +328,7 @@ class _Steps:
         return Routine("change_block", self._sized(*inputs, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
 
     def _enter(self, which: str) -> Routine:
-        """Return the routine that stores a block's nearest cell if no nearer cell was found in its direction."""
+        """Return the routine that stores a block's nearest cell if this cell is the nearest so far in its direction."""
         nearest = self.programs.nearest(unknown=which == "unknown")
         steps = (
             Loop(nearest, self.block, ("none",), ("near",), sliced=("cells", "row"), fixed=("column", "hull")),

@@ -1,4 +1,4 @@
-"""The local map in NumPy: an update with the results of `LocalMap.routine`, and a view of the map for plots."""
+"""The local map in NumPy: an update with the same results as `LocalMap.routine`, and a view of the map for plots."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SIZE = sum(size for _, size, _ in READING)
 def map_step(
     local_map: LocalMap, cells: ArrayLike, corner: ArrayLike, place: ArrayLike, walls: ArrayLike, readings: ArrayLike
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return cells, corner, marked and unknown after one update period, with the values of `LocalMap.routine`.
+    """Return `cells`, `corner`, `marked` and `unknown` after one update period, as `LocalMap.routine` does.
 
     Args:
         local_map: the map.
@@ -174,7 +174,7 @@ def _blocks(local_map: LocalMap, torus: NDArray[T]) -> NDArray[T]:
 
 
 def _nearest(local_map: LocalMap, which: NDArray[np.bool_], dx: Vector, dy: Vector, square: Vector) -> Vector:
-    """Return the nearest cell in each direction, (sectors · 3,), among the nearest selected cells of all blocks."""
+    """Return the nearest cell in each direction, (sectors · 3,); `which` selects the cells that count."""
     held = _blocks(local_map, np.where(which & (square < _FAR), square, _FAR))
     at = (np.arange(len(held)), np.argmin(held, axis=1))
     x, y, far = _blocks(local_map, dx)[at], _blocks(local_map, dy)[at], held[at]

@@ -1,11 +1,12 @@
 """The CasADi programs of the local map, each for one cell, one row of a block of cells, or one block of cells.
 
-`LocalMap.routine` calls them in loops. Each column and each row of cells has a vector called base and, for each firing,
-a vector called beam. The base holds four numbers: the offset of the column or row from the robot [m]; the square of the
-offset [m²]; whether the column or row was in the previous window; and the square of the offset for unknown cells (1e6
-if unknown cells in this column or row are ignored). The beam holds what the column or row contributes to three
-distances of a cell: the distance along the beam's axis [m], the distance from this axis [m], and the squared range
-[m²]. The vectors of a cell's column and row are added to obtain the squared distance and the beam of the cell.
+`LocalMap.routine` calls these programs in loops. For each column and each row of cells, there is a vector called base
+and, for each firing, a vector called beam. The base holds four numbers: the offset of the column or row from the robot
+[m]; the square of the offset [m²]; whether the column or row was in the previous window; and the square of the offset
+again, or 1e6 if unknown cells in this column or row are ignored. The beam holds what the column or row contributes to
+three distances of a cell: the distance along the beam's axis [m], the distance from this axis [m], and the squared
+range [m²]. The sum of the vectors of a cell's column and row gives the squared distance of the cell from the robot and
+the beam of the cell.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from surctl.sensing.mapping.firing import (
 __all__ = ["BASE", "BEAM", "NONE", "MapPrograms"]
 
 BASE, BEAM = 4, 3
-"""Size of the base of a column or row, and size of its beam for one firing."""
+"""Number of values in the base of a column or row, and in the beam of a column or row for one firing."""
 BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
 
 _AT_A_WALL = 2  # cells beside a wall where unknown cells are ignored: a larger object also extends into the third cell
@@ -41,24 +42,23 @@ _SLACK = 1e-3  # cells; a wall may be this far from a grid line
 _FAR = 1e6  # m², squared distance for a block without a marked or unknown cell
 _TOUCHED = 0.55  # cells; a block this far outside a cone is skipped (cells on the arc are at most 0.5 outside)
 NONE = (0.0, 0.0, _FAR)
-"""Offset x, y and squared distance that are returned if no such cell exists."""
+"""Offset x, y and squared distance that are returned if no marked or unknown cell exists."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapPrograms:
-    """The programs of a local map with the given sizes.
+    """The programs of a local map with given numbers of cells.
 
     Attributes:
         slots: largest number of firings in one period.
         side: number of cells along one side of the window.
         block: number of cells along one side of a block.
-        lanes: number of cells in a row that are processed together (SIMD lanes); columns are stored in groups of this
-            size, entry by entry.
+        lanes: number of neighbouring cells in a row that the processor computes at once (SIMD); the vectors of this
+            many columns are stored together, entry by entry.
         sectors: number of directions in which the map returns the nearest cells.
-        fades: amount by which a marked cell fades in one period, and amount by which a cleared cell fades.
+        fades: amounts by which the value of a marked cell and of a cleared cell approach 0 in one period.
         known: smallest fraction of `free_time` that must remain for a cleared cell to count as known to be free.
-        held: smallest number of cells not known to be free that a block must contain; otherwise its unknown cells are
-            ignored.
+        held: number of cells not known to be free below which the unknown cells of a block are ignored.
     """
 
     slots: int
@@ -72,11 +72,14 @@ class MapPrograms:
 
     @cached_property
     def bounds_size(self) -> int:
-        """Number of values that bound a block's columns or rows."""
+        """Number of extreme values that `bounds` returns for a block's columns or rows."""
         return 1 + BOUNDS * self.slots
 
     def corner(self) -> Program:
-        """Program for the window's lowest cell: the robot is central, unless the window would pass a site wall."""
+        """Program that computes the window's lowest cell.
+
+        The robot is at the centre of the window, unless the window would then extend beyond a wall of the site.
+        """
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         lowest = ca.floor(walls[[0, 2]] / place[3] + _SLACK)
         end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
@@ -85,7 +88,7 @@ class MapPrograms:
         return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner})
 
     def prepare(self) -> Program:
-        """Program that computes the limits of firings and hull, and tests whether no cell can explain a firing."""
+        """Program that computes the limits of firings and hull, and tests whether a firing marks no cell."""
         place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * READING_SIZE)
         hull, edge = place[2], place[3]
         limits, explained = {}, {}
@@ -101,7 +104,7 @@ class MapPrograms:
         return lower_named("prepare", {"place": place, "slots": slots}, outputs)
 
     def line(self) -> Program:
-        """Program that computes base and beams of the column or row with index `at` in a group as wide as a block."""
+        """Program that computes the base and the beams of a column or row, number `at` in the block `group`."""
         at, group, span = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("span")
         place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
         slots = ca.SX.sym("slots", self.slots * READING_SIZE)
@@ -135,7 +138,7 @@ class MapPrograms:
     # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
 
     def bounds(self, *, columns: bool) -> Program:
-        """Program for the extreme values over a block's columns or rows, which may be far apart in the world."""
+        """Program that computes the extreme values of base and beams over the columns or rows of a block."""
         base = ca.SX.sym("base", BASE * self.block)
         beams = [ca.SX.sym(f"beam_{s}", BEAM * self.block) for s in range(self.slots)]
 
@@ -150,7 +153,7 @@ class MapPrograms:
         return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
 
     def idle(self) -> Program:
-        """Program that tests whether a firing changes no cell of a block, and whether the hull covers no cell of it."""
+        """Program that tests whether a firing changes no cell of a block, and whether the hull covers none of them."""
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits, hull = self._limits(), ca.SX.sym("hull", 2)
         outputs = {}
@@ -163,7 +166,11 @@ class MapPrograms:
         return lower_named("idle", inputs, outputs)
 
     def blank_arc(self) -> Program:
-        """Program that tests whether no cell of a block can explain a firing, or another cell already does."""
+        """Program that tests whether the search for a cell that explains a firing can skip a block.
+
+        The search skips the block if none of its cells can explain the firing, or if another cell already explains
+        it.
+        """
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits = self._limits()
         explained = {f"explained_{s}": ca.SX.sym(f"explained_{s}") for s in range(self.slots)}
@@ -176,11 +183,15 @@ class MapPrograms:
         return lower_named("blank_arc", inputs, outputs)
 
     def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return whether all cells are beside the cone, their least squared range, and whether all are off the arc.
+        """Return three results for a block of cells, from bounds on its cells.
 
-        The bounds are computed with the sums and products that are used for a cell, and rounding preserves the order of
-        values. So a condition that holds for the bounds also holds for every cell, despite rounding. Every condition is
-        false for NaN, so a block with NaN is not skipped.
+        The results are: whether all cells lie beside the cone; the least squared range of the cells; and whether no
+        cell lies on the arc.
+
+        The test uses the extreme values of a block's columns and rows, with the same sums and products as for a single
+        cell, and rounding preserves the order of values. So a condition that holds for the extreme values also holds
+        for every cell of the block, despite rounding. Every condition is false for NaN, so a block with NaN is not
+        skipped.
         """
         at = 1 + BOUNDS * s
         along, low, high, least, most = (row[at + k] + column[at + k] for k in range(BOUNDS))
@@ -192,7 +203,7 @@ class MapPrograms:
     # --- what happens to a cell ---------------------------------------------------------------------------------------
 
     def fade(self) -> Program:
-        """Program for a cell's value after a period in which no firing observes the cell."""
+        """Program that computes a cell's value after a period in which no firing observes the cell."""
         value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
         inputs = {"cells": value, "column": column, "row": row}
         return lower_named("fade", inputs, {"faded": self._faded(value, column, row)})
@@ -212,7 +223,7 @@ class MapPrograms:
         return lower_named("seek", inputs, {"hit_next": after})
 
     def observe(self) -> Program:
-        """Program for a cell's value after a firing."""
+        """Program that computes a cell's value after a firing."""
         value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
         _, across, _, down = self._cell()
         limits = ca.SX.sym("limits", len(LIMITS))
@@ -224,14 +235,14 @@ class MapPrograms:
         return lower_named("observe", inputs, {"after": after})
 
     def cover(self) -> Program:
-        """Program for a cell's value near the hull: a cell that the hull covers becomes free."""
+        """Program that computes a cell's value near the hull: a cell that the hull covers becomes free."""
         value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
         hull = ca.SX.sym("hull", 2)
         inputs = {"cells": value, "column": column, "row": row, "hull": hull}
         return lower_named("cover", inputs, {"after": ca.if_else(column[1] + row[1] < hull[0], -1, value)})
 
     def tally(self) -> Program:
-        """Program for the largest value of a block's cells, and the number of cells not known to be free."""
+        """Program that computes the largest value of a block's cells, and the number of cells not known to be free."""
         largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
         outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (value >= -self.known)}
         return lower_named("tally", {"largest": largest, "count": count, "cells": value}, outputs)
@@ -239,14 +250,14 @@ class MapPrograms:
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
 
     def without(self) -> Program:
-        """Program that tests, for one block, whether no cell is marked, and whether too few cells can be unknown."""
+        """Program that tests whether a block has no marked cell, and whether its unknown cells are ignored."""
         largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
         held = ca.sum1(count) < self.held
         outputs = {"no_mark": _largest(ca.vertsplit(largest)) <= 0, "no_blank": held}
         return lower_named("without", {"largest": largest, "count": count}, outputs)
 
     def any_hit(self) -> Program:
-        """Program that tests whether any of the cells that are processed together explains the firing."""
+        """Program that tests whether any of the cells that the processor computes at once explains the firing."""
         hits = ca.SX.sym("hits", self.lanes)
         hit = hits[0]
         for k in range(1, self.lanes):
@@ -264,7 +275,10 @@ class MapPrograms:
         )
 
     def nearest(self, *, unknown: bool) -> Program:
-        """Program that searches a further row for a block's nearest marked or unknown cell; the first if equal."""
+        """Program that extends the search for a block's nearest marked or unknown cell by one row of cells.
+
+        Of several equally near cells, the first cell counts.
+        """
         near, hull = ca.SX.sym("near", 3), ca.SX.sym("hull", 2)
         cells, row, columns = (
             ca.SX.sym("cells", self.block),
@@ -287,7 +301,7 @@ class MapPrograms:
         return lower_named(name, inputs, {"near_next": ca.vertcat(dx, dy, least)})
 
     def sector(self) -> Program:
-        """Program for the number of the direction in which a cell lies."""
+        """Program that computes the index of the direction in which a cell lies."""
         near = ca.SX.sym("near", 3)
         # side of the cell relative to each line through the robot that separates two directions
         sides = []

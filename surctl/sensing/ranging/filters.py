@@ -1,8 +1,9 @@
-"""The filters of the paper for raw sonar samples: weighted average, gate (4)–(5), adaptive LMS (6)–(7), Algorithm 1.
+"""The filters of the paper for raw sonar samples: weighted average, gate, and adaptive LMS filter (Algorithm 1).
 
-The filters are CasADi expressions with explicit state for the exported law. The expressions use only + − × ÷ sqrt fabs
-fmin fmax, comparisons, logic and if_else. Every branch of an if_else is finite for finite inputs, because denominators
-have lower limits. In windows and histories, the newest value is first. Ranges are in metres.
+The gate follows equations (4)–(5) of the paper, and Algorithm 1 follows equations (6)–(7). The filters are CasADi
+expressions for the exported law; their state is an explicit input and output. The expressions use only + − × ÷ sqrt
+fabs fmin fmax, comparisons, logic and if_else. Every branch of an if_else is finite for finite inputs, because
+denominators have lower limits. In windows and histories, the newest value is first. Ranges are in metres.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from surctl.sensing.sonar.array import SonarArray
 __all__ = ["FilterUpdate", "LmsStep", "SensorFilter", "StepRule", "gate", "lms_step", "weighted_average"]
 
 StepRule: TypeAlias = Literal["corrected", "printed"]
-"""Rule for the step factor μ of Algorithm 1: `corrected` (at most the line-search optimum) or `printed` (E5)."""
+"""Rule for the step size μ of Algorithm 1: `corrected` (at most the line-search optimum) or `printed` (erratum E5)."""
 
 POWER_FLOOR = 1e-6  # m², far below any XᵀX of real ranges
 ERROR_FLOOR = 1e-9  # m
@@ -45,18 +46,21 @@ def weighted_average(samples: ca.SX) -> ca.SX:
 
 
 def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Apply the gate (4)–(5): return `value` if it lies within λ1·S of the previous raw value, else the running mean.
+    """Apply the gate, equations (4)–(5) of the paper, to a new value.
 
-    S² = mean(d²) − mean(d)² over the window. The standard deviation S is limited to at least one conversion step: a
-    constant signal has S = 0, and the gate would refuse every value. With λ1 = 0 the gate accepts no value and always
-    returns the running mean. The window also stores refused raw values. After a true jump of the range, the next
-    reading lies near the previous raw value, so the gate accepts the next reading. The gate is late by one firing and
-    cannot refuse for ever.
+    The gate accepts `value` if `value` lies within λ1·S of the previous raw value; otherwise, the gate returns the
+    running mean.
+
+    S is the standard deviation of the values d in the window, S² = mean(d²) − mean(d)², but at least one conversion
+    step: a constant signal has S = 0, and the gate would then refuse every value. With λ1 = 0 the gate accepts no value
+    and always returns the running mean. The window also stores refused raw values. So after a true jump of the range,
+    the gate refuses one value and accepts the next value, which lies near the refused value. The gate therefore follows
+    a jump one firing late, and it cannot refuse for ever.
 
     Args:
         window: (n,) the last n values of the weighted mean, before the gate [m], newest first.
         value: the new weighted mean [m].
-        lambda1: λ1 ≥ 0.
+        lambda1: factor λ1 ≥ 0 on the standard deviation.
         resolution: one conversion step [m].
 
     Returns:
@@ -83,15 +87,15 @@ class LmsStep(NamedTuple):
     """Result of one step of Algorithm 1, as CasADi SX expressions."""
 
     theta: ca.SX
-    """(m,) θ_{n+1}, dimensionless."""
+    """(m,) next weights θ_{n+1}, dimensionless."""
     errors: ca.SX
-    """(N,) last values of |ℜ| [m], newest first."""
+    """(N,) last absolute residuals |ℜ| [m], newest first."""
     mean_error: ca.SX
-    """ē, running mean of the corrected error [m]."""
+    """Exponential mean ē of the corrected error [m]."""
     residual: ca.SX
-    """ℜ_n = x_n − θ_nᵀX_n [m]."""
+    """Residual ℜ_n = x_n − θ_nᵀX_n of the prediction [m]."""
     corrected_error: ca.SX
-    """e_n of (7) [m]."""
+    """Corrected error e_n of equation (7) of the paper [m]."""
 
 
 def lms_step(
@@ -106,22 +110,25 @@ def lms_step(
     beta_max: ca.SX,
     step: StepRule = "corrected",
 ) -> LmsStep:
-    """Return the result of a step of Algorithm 1: momentum (6), corrected error (7), with errata E5, E6, E19 corrected.
+    """Return the result of a step of Algorithm 1 of the paper, with errata E5, E6 and E19 corrected.
 
-    If e_n ≥ ē, the weights change to θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}); otherwise they do not change ("smaller …
-    does not need to be corrected"). In this formula, ℜ = x_n − θᵀX, and X holds the m values *before* x_n (erratum
-    E19). The corrected error is e_n = (1/N) Σ w_i |e_i|, where w falls linearly from 1 (newest) to 1/N (erratum E6).
-    The exponential mean of e_n is ē, with a time constant of N firings (design choice), and β = β_max·min(1, e_n/ē).
-    The variance that (7) also defines is not used in any formula. With `step` "corrected", 2μ = ρ/XᵀX with the
-    relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum with residual 0. With `step` "printed", 2μ = 2/XᵀX for every
-    ρ; the residual after the step is −ℜ, so the magnitude of the residual never decreases (erratum E5).
+    The algorithm predicts the value x_n as θ_nᵀX, where X holds the m values *before* x_n (erratum E19), and ℜ = x_n −
+    θ_nᵀX is the residual. The corrected error of equation (7) is e_n = (1/N) Σ w_i |ℜ_i| over the last N residuals,
+    where the weight w_i falls linearly from 1 (newest) to 1/N (erratum E6). The exponential mean of e_n is ē, with a
+    time constant of N firings (design choice). The variance that equation (7) also defines is not used in any formula.
+
+    If e_n ≥ ē, the weights change by equation (6) to θ_{n+1} = θ_n + 2μℜX + β(θ_n − θ_{n−1}) with the momentum β =
+    β_max·min(1, e_n/ē); otherwise the weights do not change ("smaller … does not need to be corrected"). With `step`
+    "corrected", 2μ = ρ/XᵀX with the relaxation 0 < ρ ≤ 1; ρ = 1 is the line-search optimum with residual 0. With `step`
+    "printed", 2μ = 2/XᵀX for every ρ; the residual after the step is −ℜ, so the magnitude of the residual never
+    decreases (erratum E5).
 
     Args:
         theta: weights θ_n (m,).
         theta_prev: previous weights θ_{n−1} (m,).
         X: (m,) the m values before x_n [m], newest first.
         x_n: the value to be predicted [m].
-        errors: (N,) last values of |ℜ| before this step [m], newest first.
+        errors: (N,) last absolute residuals |ℜ| before this step [m], newest first.
         mean_error: exponential mean ē of the corrected error before this step [m].
         relaxation: relaxation ρ, limited to [0, 1].
         beta_max: largest momentum β_max, limited to [0, 0.5].
@@ -163,7 +170,7 @@ class FilterUpdate(NamedTuple):
     """Result of `SensorFilter.update`, as CasADi SX expressions."""
 
     state: dict[str, ca.SX]
-    """Next state, by port name."""
+    """Next state: value of each entry, by name."""
     range_hat: ca.SX
     """(n,) filtered range from each apex [m]."""
     healthy: ca.SX
@@ -172,13 +179,13 @@ class FilterUpdate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFilter:
-    """The filter of the paper for every sensor of an array: weighted average, gate and LMS filter, with explicit state.
+    """The filters of the paper for every sensor of an array: weighted average, gate and LMS filter.
 
     Attributes:
         array: the sonar array.
-        window: number n of values in the window of the gate (4), at least 2.
+        window: number n of values in the window of the gate, at least 2.
         taps: number m of values that Algorithm 1 uses for a prediction.
-        memory: number N of errors that (7) averages.
+        memory: number N of residuals in the corrected error of equation (7) of the paper.
         refusals: number of consecutive refused values after which a sensor counts as unhealthy.
         jump: accepted change [m] between two firings that indicates another object (design choice; a closing speed of
             0.5 m/s gives 0.05 m). The LMS filter then restarts, so that it predicts no ranges between the two objects.
@@ -206,7 +213,10 @@ class SensorFilter:
             raise InputError("unknown LMS step", key="filter.step", value=self.step, remedy=remedy)
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the state's ports, with one row per sensor; initially no echo is stored and no sensor is healthy."""
+        """Return the entries (name, shape, initial value) of the state, with one row per sensor.
+
+        Initially, no echo is stored and no sensor is healthy.
+        """
         n, far = self.array.size, self.array.maximum
         return (
             Port(f"{prefix}window", (n, self.window), "m", "averaged raw ranges, newest first", far),
@@ -219,7 +229,7 @@ class SensorFilter:
         )
 
     def gain_ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the gains with their defaults (design choice)."""
+        """Return the entries (name, shape, default) of the gains; the defaults are a design choice."""
         return (
             Port(f"{prefix}lambda1", (1,), "1", "half-width of the gate (5) in standard deviations, >= 0", 3.0),
             Port(f"{prefix}relaxation", (1,), "1", "LMS step as a fraction of the optimum, 0 to 1", 0.5),
@@ -237,19 +247,18 @@ class SensorFilter:
     ) -> FilterUpdate:
         """Return the ranges after one control step; the filters of the sensors that fired process new samples.
 
-        The range must be valid until the sensor fires again. So the range is the smaller of two values, the newest
-        gated value and the prediction of the next value, limited to [lowest, maximum]. A sensor is healthy while fewer
-        than `refusals` consecutive values are refused; before its first accepted value it is unhealthy. With λ1 = 0 no
-        value counts as refused.
+        The range must be valid until the sensor fires again. So the range is the smaller of two values: the newest
+        output of the gate, and the prediction of the next value. The range is limited to [lowest, maximum]. A sensor is
+        healthy while fewer than `refusals` consecutive values are refused; before its first accepted value it is
+        unhealthy. With λ1 = 0 no value counts as refused.
 
         Args:
-            state: state by port name, with the shapes of `ports(prefix)`; the state changes only for sensors that
-                fired.
+            state: value of each entry of `ports(prefix)`, by name; the state changes only for sensors that fired.
             samples: (n, samples) raw samples [m], oldest first; the samples of sensors that did not fire are ignored,
                 but must be finite.
             fresh: (n,) 1 for a sensor that fired since the last step, else 0.
-            gains: gains by port name; `gain_ports(prefix)` returns these ports.
-            prefix: prefix of the port names of state and gains.
+            gains: value of each entry of `gain_ports(prefix)`, by name.
+            prefix: prefix of the names of the entries of state and gains.
         """
         names = [port.name.removeprefix(prefix) for port in self.ports(prefix)]
         rows = []

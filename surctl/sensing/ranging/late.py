@@ -1,4 +1,4 @@
-"""A test whether the readings of a sensor after a gap are late, based on known walls or on the robot's own motion."""
+"""A test whether a sensor delivers late readings after a gap, based on known walls or on the robot's own motion."""
 
 from __future__ import annotations
 
@@ -27,12 +27,15 @@ class Late(NamedTuple):
 
 
 def lateness(step: Step, sound: Value, reading: Value) -> Late:
-    """Test whether readings after a gap are late by the gap, by comparison with the known walls or the old track.
+    """Test whether readings after a gap are late by the duration of the gap.
 
-    A late reading is the range at the time `late_by` before. A late reading differs from the present range by a shift,
-    which is computed from the known walls or from the robot's own motion. The residual of a reading is its difference
-    from the expected range or from the track. The regression coefficient of the residuals on the shift is 0 for
-    readings without delay and 1 for late readings.
+    The test compares the readings with the range that the known walls give or with the track (the estimate before the
+    gap).
+
+    A late reading is the range at an earlier time, `late_by` before the present. It differs from the present range by a
+    shift, which is computed from the known walls or from the robot's own motion. The residual of a reading is the
+    difference of the reading from the known walls' range or from the track. The regression coefficient of the residuals
+    on the shift is 0 for readings without delay and 1 for late readings.
     """
     op, rules, old, state, _, scene = step
     missing = op.floor(state["since"] / rules.due + 0.5) - 1.0

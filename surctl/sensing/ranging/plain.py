@@ -1,4 +1,6 @@
-"""The filters of the paper on NumPy arrays, for recorded readings and many runs at once; results as in `filters`.
+"""The filters of the paper on NumPy arrays, for recorded readings and many runs at once.
+
+The results equal those of the CasADi expressions in the module `filters`.
 
 Arrays may have any leading axes, for example runs and sensors. The functions return the next state and change no array
 in place. In windows and histories, the newest value is first. Ranges are in metres.
@@ -35,12 +37,12 @@ def plain_average(samples: Array) -> Array:
 
 
 def plain_gate(window: Array, value: Array, *, lambda1: ArrayLike, resolution: float) -> tuple[Array, Array, Array]:
-    """Apply the gate (4)–(5) to NumPy arrays, as `gate` does to CasADi symbols.
+    """Apply the gate, equations (4)–(5) of the paper, to NumPy arrays, as `gate` does to CasADi symbols.
 
     Args:
         window: (..., n) the last n values of the weighted mean, before the gate [m], newest first.
         value: (...) the new weighted mean [m].
-        lambda1: λ1 ≥ 0.
+        lambda1: factor λ1 ≥ 0 on the standard deviation, see `gate`.
         resolution: one conversion step [m].
 
     Returns:
@@ -66,15 +68,15 @@ class PlainLmsStep(NamedTuple):
     """The result of one step of Algorithm 1 as arrays, see `LmsStep`."""
 
     theta: Array
-    """(..., m) θ_{n+1}."""
+    """(..., m) next weights θ_{n+1}."""
     errors: Array
-    """(..., N) last values of |ℜ| [m]."""
+    """(..., N) last absolute residuals |ℜ| [m], newest first."""
     mean_error: Array
-    """(...) ē [m]."""
+    """(...) exponential mean ē of the corrected error [m]."""
     residual: Array
-    """(...) ℜ_n [m]."""
+    """(...) residual ℜ_n of the prediction [m]."""
     corrected_error: Array
-    """(...) e_n of (7) [m]."""
+    """(...) corrected error e_n of equation (7) of the paper [m]."""
 
 
 def plain_lms_step(
@@ -89,18 +91,18 @@ def plain_lms_step(
     beta_max: ArrayLike,
     step: StepRule = "corrected",
 ) -> PlainLmsStep:
-    """Return the result of one step of Algorithm 1 with (6)–(7), as `lms_step` does.
+    """Return the result of one step of Algorithm 1 of the paper, as `lms_step` does.
 
     Args:
-        theta: θ_n (..., m).
-        theta_prev: θ_{n−1} (..., m).
-        X: (..., m) the values before x_n [m].
+        theta: weights θ_n (..., m).
+        theta_prev: previous weights θ_{n−1} (..., m).
+        X: (..., m) the m values before x_n [m], newest first.
         x_n: (...) the value to be predicted [m].
-        errors: (..., N) last values of |ℜ| before this step [m].
-        mean_error: (...) ē before this step [m].
-        relaxation: ρ, limited to [0, 1].
-        beta_max: β_max, limited to [0, 0.5].
-        step: rule for μ.
+        errors: (..., N) last absolute residuals |ℜ| before this step [m], newest first.
+        mean_error: (...) exponential mean ē of the corrected error before this step [m].
+        relaxation: relaxation ρ, limited to [0, 1].
+        beta_max: largest momentum β_max, limited to [0, 0.5].
+        step: rule for the step size μ, "corrected" or "printed".
 
     Raises:
         InputError: if `step` is unknown.
@@ -137,7 +139,7 @@ class PlainUpdate(NamedTuple):
     """The result of `plain_filter` as arrays, see `FilterUpdate`."""
 
     state: dict[str, Array]
-    """Next state, by port name."""
+    """Next state: value of each entry, by name."""
     range_hat: Array
     """(..., n) filtered range from each apex [m]."""
     healthy: Array
@@ -157,11 +159,11 @@ def plain_filter(
 
     Args:
         filter_: the filter.
-        state: state by port name, each array (..., *port.shape).
+        state: value of each entry of the filter's `ports`, by name, as an array with any leading axes.
         samples: (..., n, k) raw samples [m].
         fresh: (..., n) 1 for a sensor that fired since the last step, else 0.
-        gains: scalar gains by port name.
-        prefix: prefix of the port names of state and gains.
+        gains: scalar value of each gain, by name.
+        prefix: prefix of the names of the entries of state and gains.
 
     Example:
         >>> import numpy as np

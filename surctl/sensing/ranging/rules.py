@@ -1,9 +1,9 @@
 """The rules of `RangeTracker`, written once for CasADi symbols and NumPy numbers (`Elementwise`).
 
-A track is the estimated range and rate of the nearest object of a sensor. A step moves the track by the robot's own
-motion. If the new reading is plausible and agrees with the track, the reading updates the track. Otherwise the reading
-is stored as a candidate; with enough evidence, the candidate becomes the track. While readings and track disagree, the
-interval that shall contain the true range is wider.
+A track is the estimated range and rate of the nearest object of a sensor. In each step, the robot's own motion moves
+the track. If the new reading is plausible and agrees with the track, the reading updates the track. Otherwise the
+reading is stored as a candidate; with enough evidence, the candidate becomes the track. While the readings disagree
+with the track, the interval that shall contain the true range is wider.
 """
 
 from __future__ import annotations
@@ -46,12 +46,15 @@ class _Compared(NamedTuple):
 def range_step(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs
 ) -> tuple[dict[str, Value], tuple[Value, ...]]:
-    """Return the next state, and a tuple of outputs: range, bound, rate, healthy, age, reading, accepted, carve.
+    """Return the next state, and the outputs range, bound, rate, healthy, age, reading, accepted, carve.
+
+    The class `Ranging` describes the outputs.
 
     Args:
         op: operations on symbols or on numbers.
         rules: parameters of the rules.
-        old: previous state by port name without prefix; a port with several columns is given as a list of columns.
+        old: value of each entry of the previous state, by name without prefix; the value of an entry with several
+            columns is a list of columns.
         inputs: inputs of the step.
     """
     step = opened(op, rules, old, inputs)
@@ -87,7 +90,7 @@ def _compared(step: Step, late: Late, fine: Value, reading: Value) -> _Compared:
 
 
 def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
-    """Update the track or the candidate with the reading, and return whether the reading updated the track."""
+    """Update the track (the estimate) or the candidate by the reading; return whether the reading updated the track."""
     op, rules, _, state, _, scene = step
     new = _compared(step, late, fine, reading)
     # a known wall enters the beam
@@ -114,7 +117,7 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
 
 
 def _candidate(step: Step, new: _Compared, other: Value) -> Value:
-    """Store a reading that is not near the track as a candidate, and return whether the candidate becomes the track."""
+    """Store a reading that is not near the track as a candidate; return whether the candidate becomes the track."""
     op, rules, _, state, _, scene = step
     corrected, outward = new.corrected, new.innovation > 0.0
     x, top = state["range"], rules.maximum - 2.0 * rules.resolution
@@ -154,7 +157,7 @@ def _crosstalk(step: Step, corrected: Value) -> Value:
 
 
 def _filtered(step: Step, late: Late, new: _Compared, anew: Value) -> None:
-    """Update the track by the Kalman filter if the reading is near the track; `anew` starts a new track."""
+    """Update the track by the Kalman filter if the reading is near the track; if `anew` holds, start a new track."""
     op, rules, _, state, _, scene = step
     corrected, crosstalk = new.corrected, new.crosstalk
     x, u = state["range"], state["rate"]

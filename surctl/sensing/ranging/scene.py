@@ -1,4 +1,4 @@
-"""The first part of a `RangeTracker` step: it computes expected ranges, moves the track, and checks the new reading."""
+"""The first part of a `RangeTracker` step: prediction of the range estimates, and a check of the new reading."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from surctl.sensing.ranging.elementwise import Elementwise, Value
 __all__ = ["MOST_REPEATS", "Rules", "Scene", "Step", "StepInputs", "opened", "others", "robust", "sound"]
 
 MOST_REPEATS = 9
-"""Largest number of repetitions of a sample set that is counted."""
+"""Largest count of repetitions of a firing's samples; further repetitions are not counted."""
 
 _TURNING = 0.05  # rad/s; at a lower rate the beam counts as not turning
 _SLIDING = 0.04  # m per cycle, above the noise of an expected range
@@ -44,12 +44,12 @@ class Rules:
 
     @property
     def stuck(self) -> float:
-        """Number of repetitions of a sample set above which a sensor is stuck; inactive if the noise is too small."""
+        """Number of repetitions of a firing's samples above which a sensor counts as stuck."""
         return max(self.repeats, 1) - 0.5
 
     @property
     def rate_variance(self) -> float:
-        """Variance of an unknown rate [m²/s²]."""
+        """Variance of the rate of the range [m²/s²] before any estimate of the rate."""
         return max(self.obstacle_speed, 0.05) ** 2
 
 
@@ -62,11 +62,11 @@ class StepInputs(NamedTuple):
     expected: Value
     turn: Value
     others: list[tuple[Value, Value, Value]]
-    """For each other sensor: rate of its track [m/s], its newest and its previous reading [m]; see `others`."""
+    """For each other sensor: rate of the estimated range [m/s], newest and previous reading [m]; see `others`."""
 
 
 class Scene(NamedTuple):
-    """Values that all rules use in a step: the motion of the beam, and the expected range with its tolerances."""
+    """Values that all rules use in a step: motion of the beam, and range that the known walls give, with tolerances."""
 
     fired: Value
     turning: Value
@@ -80,7 +80,7 @@ class Scene(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A tracker step in progress; the rules change `state`, initially a copy of the old state, one after another."""
+    """A tracker step in progress; the rules, one after another, change `state`, which begins as a copy of `old`."""
 
     op: Elementwise
     rules: Rules
@@ -91,12 +91,13 @@ class Step(NamedTuple):
 
 
 def opened(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Step:
-    """Return the tracker step with the state predicted to the present, before the new reading is used.
+    """Return the tracker step after the prediction of the state to the present, and before the use of the new reading.
 
     Args:
         op: operations on symbols or on numbers.
         rules: parameters of the rules.
-        old: previous state by port name without prefix; a port with several columns is given as a list of columns.
+        old: value of each entry of the previous state, by name without prefix; the value of an entry with several
+            columns is a list of columns.
         inputs: inputs of the step.
     """
     scene = _scene(op, rules, old, inputs)
@@ -168,7 +169,7 @@ def _moved(
 def others(
     op: Elementwise, rules: Rules, old: Mapping[str, Value], samples: list[Value], fresh: Value
 ) -> list[tuple[Value, Value, Value]]:
-    """Return `StepInputs.others` for all sensors; for sensor i, the entries belong to sensors i + 1, i + 2, …"""
+    """Return `StepInputs.others` for all sensors; the entries for sensor i describe sensors i + 1, i + 2, …"""
     rate, newest, before = (
         old["rate"],
         op.where(fresh > 0.5, robust(op, rules, samples), old["reading"]),
@@ -179,7 +180,10 @@ def others(
 
 
 def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:
-    """Return the mean of a firing's samples without the smallest and largest [m]; the maximum if all equal it."""
+    """Return the mean [m] of a firing's samples without the smallest and the largest sample.
+
+    If all samples equal the maximum, the result is the maximum.
+    """
     total = samples[0]
     for value in samples[1:]:
         total = total + value
@@ -191,7 +195,7 @@ def robust(op: Elementwise, rules: Rules, samples: list[Value]) -> Value:
 
 
 def sound(step: Step, reading: Value) -> Value:
-    """Return whether the reading of this firing is plausible by itself, and count repetitions of its set of samples."""
+    """Return whether the reading of this firing is plausible by itself, and count repetitions of the same samples."""
     op, rules, old, state, inputs, scene = step
     code = rules.resolution
     differs = 0.0

@@ -1,9 +1,10 @@
-"""The robust range tracker: it estimates the nearest object's range for each sensor, with a bound despite faults.
+"""The robust range tracker, which estimates the range to each sensor's nearest object and a bound on the error.
 
 The tracker takes a trimmed mean of the samples of each firing. For each sensor, a Kalman filter estimates range and
-rate (constant velocity; Bar-Shalom, Li and Kirubarajan 2001, 6.2), with the robot's own motion as a known input.
-Additional rules distinguish faulty readings from true ones. The rules (module `rules`) are written once, for two uses:
-CasADi symbols for the exported law, and NumPy arrays for recorded readings and many runs at once.
+rate (constant velocity; Bar-Shalom, Li and Kirubarajan 2001, 6.2), with the robot's own motion as a known input. This
+estimate is called the track. Additional rules distinguish faulty readings from true ones. The rules (module `rules`)
+are written once, for two uses: CasADi symbols for the exported law, and NumPy arrays for recorded readings and many
+runs at once.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ _REPEAT = 0.01  # if a working sensor repeats a sample set more rarely than this
 
 
 class Ranging(NamedTuple):
-    """The result of a step, (n,) each: SX expressions from `RangeTracker.update`, arrays from `RangeTracker.step`."""
+    """The result of a tracker step for n sensors: SX expressions from `RangeTracker.update`, arrays from `step`."""
 
     state: dict[str, Any]
-    """Next state, by port name."""
+    """Next state: value of each entry, by name."""
     range: Any
     """[m] present range from the apex to the nearest object; the sensor's maximum if no object is nearer."""
     bound: Any
@@ -43,32 +44,34 @@ class Ranging(NamedTuple):
     rate: Any
     """[m/s] rate of the range that the robot's own motion does not explain; negative if the object approaches."""
     healthy: Any
-    """1 if the range is reliable, else 0; then the bound is wide enough for all that earlier readings allow."""
+    """1 if the range is reliable, else 0; with 0, the bound covers all ranges that earlier readings allow."""
     age: Any
-    """[s] time since a reading last updated the track."""
+    """[s] time since a reading last updated the estimate."""
     reading: Any
-    """[m] trimmed mean of the newest firing, even if it did not update the track."""
+    """[m] trimmed mean of the newest firing's samples, even if this mean did not update the estimate."""
     accepted: Any
     """1 if this step's reading may be used to mark a map, else 0."""
     carve: Any
-    """[m] range up to which this step's firing may clear a map: the smallest of the last three readings, each moved by
-    own motion; 0 if the sensor is not healthy or did not fire."""
+    """[m] range up to which this step's firing may clear a map: the smallest of the last three readings, each corrected
+    for the robot's motion since then; 0 if the sensor is not healthy or did not fire."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RangeTracker:
-    """The tracker of an array: a step with explicit state returns range, bound and health of every sensor.
+    """The tracker of a sonar array: in each step, it returns range, error bound and health of every sensor.
 
     The bound on the range covers objects that the last firing could detect. If an object enters or leaves a turning
     beam between two firings, the bound covers this object only if the object is a known wall. A sensor that reads its
-    maximum in open water cannot be distinguished from a sensor that receives no echoes (study 10).
+    maximum in open water cannot be distinguished from a sensor that receives no echoes (see
+    `analysis/10_sonar_filters`).
 
     Attributes:
         array: the sonar array.
         dt: period of the steps [s].
         obstacle_speed: largest speed of an obstacle [m/s]; the bound grows at this speed while readings are overdue.
-        tolerance: largest difference from the expected range [m] at which a reading agrees with the expected range, or
-            exceeds it without being a fault; `tolerance` covers noise and the error of the robot's own position.
+        tolerance: largest difference [m] between a reading and the range of a known wall at which the two agree; a
+            reading that exceeds the wall's range by more is a fault. `tolerance` covers noise and the error of the
+            robot's own position.
         yaw_tolerance: error of the robot's own heading that the bound covers while the beam turns [rad].
         longest_delay: longest delay of readings after a gap that the tracker considers [s].
         hold: time [s] for which the tracker keeps an echo that vanished without explanation while the beam does not
@@ -107,9 +110,9 @@ class RangeTracker:
 
     @property
     def repeats(self) -> int:
-        """Number of repetitions of a sample set after which a sensor counts as stuck; 0 if the noise is too small.
+        """Number of repetitions of the same samples after which a sensor counts as stuck; 0 if the noise is too small.
 
-        Two successive firings of a working sensor give equal sets of codes with a probability of at most p; the
+        Two successive firings of a working sensor give the same samples with a probability of at most p; the
         probability is p if the range lies at the worst position between two conversion steps. The number r of
         repetitions satisfies p^r < 1e-4.
         """
@@ -118,7 +121,7 @@ class RangeTracker:
         return needed if needed <= MOST_REPEATS else 0
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
-        """Return the ports of the state; in the initial state no sensor has a track."""
+        """Return the entries (name, shape, initial value) of the state; initially, no sensor has an estimate."""
         n, far = self.array.size, self.array.maximum
         delays = self._delays
 
@@ -171,14 +174,14 @@ class RangeTracker:
         """Return the ranges after one step, in CasADi symbols.
 
         Args:
-            state: state by port name, with the shapes of `ports(prefix)`.
+            state: value of each entry of `ports(prefix)`, by name.
             samples: (n, k) raw samples [m]; the samples of sensors that did not fire are ignored, but must be finite.
             fresh: (n,) 1 for a sensor whose samples arrived since the last step, else 0.
             closing: (n,) the robot's velocity along each beam's axis [m/s]; a positive value shortens the range to an
                 object at rest.
             expected: (n,) range [m] at which the known walls give an echo; 2·maximum without a known wall.
             turn: yaw rate of the robot [rad/s].
-            prefix: prefix of the port names of the state.
+            prefix: prefix of the names of the state's entries.
         """
         ports, count = self.ports(), self.array.samples
         old = {p.name: state[prefix + p.name] for p in ports}
@@ -224,13 +227,13 @@ class RangeTracker:
         """Return the ranges after one step, as arrays with any leading axes (runs).
 
         Args:
-            state: state by port name, each array (..., *port.shape); `start` returns the initial state.
+            state: value of each entry, by name, as an array (..., *port.shape); `start` returns the initial state.
             samples: (..., n, k) raw samples [m].
             fresh: (..., n) 1 for a sensor whose samples arrived since the last step, else 0.
             closing: (..., n) the robot's velocity along each beam's axis [m/s]; 0 if this velocity is unknown.
             expected: (..., n) range [m] at which the known walls give an echo; 2·maximum without a known wall.
             turn: (...) yaw rate of the robot [rad/s].
-            prefix: prefix of the port names of the state.
+            prefix: prefix of the names of the state's entries.
         """
         old = {
             port.name.removeprefix(prefix): (
@@ -254,7 +257,7 @@ class RangeTracker:
         return Ranging(new, *(np.broadcast_to(v, lead).astype(float) for v in outputs))
 
     def start(self, runs: tuple[int, ...] = (), *, prefix: str = "") -> dict[str, NDArray[np.float64]]:
-        """Return the initial state for `step`, by port name; each array is (*runs, *port.shape)."""
+        """Return the initial state for `step`: the value of each entry, by name, as an array (*runs, *port.shape)."""
         return {port.name: np.full((*runs, *port.shape), port.default) for port in self.ports(prefix)}
 
     def rules(self) -> Rules:

@@ -39,7 +39,8 @@ class Recording:
         crowded: number of lines skipped because a later reading of the same sensor is assigned to the same step.
         beyond: number of lines with a sample above the sensor's maximum; the maximum replaces this sample.
         cycle: usual time from one reading of a sensor to its next reading [s].
-        still: names of the motion columns that the file does not contain; the replay uses 0 for these motions.
+        still: names of the columns for the robot's motion that the file does not contain; the replay uses 0 for these
+            motions.
         single: whether the samples of every reading are equal to each other; then only one sample per reading is used.
     """
 
@@ -95,10 +96,10 @@ def sonar_array(sensors: int, **numbers: float | int) -> SonarArray:
 def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recording:
     """Read a recording of sonar readings from a CSV file.
 
-    The file has the columns `time_s`, `sensor` (0-based), and `sample_1_m`, `sample_2_m`, … or one `range_m`. Optional
-    columns are `closing_m_per_s` (velocity of the robot along the sensor's beam) and `turn_rad_per_s` (yaw rate). The
-    step is half the usual time between two readings of a sensor; each reading is assigned to the nearest step. Lines
-    with a missing, NaN or infinite number, and lines whose time goes back, are skipped and counted.
+    The file has the columns `time_s`, `sensor` (0-based), and `sample_1_m`, `sample_2_m`, … or one column `range_m`.
+    Optional columns are `closing_m_per_s` (velocity of the robot along the sensor's beam) and `turn_rad_per_s` (yaw
+    rate). The step is half the usual time between two readings of a sensor; each reading is assigned to the nearest
+    step. Lines with a missing, NaN or infinite number, and lines whose time goes back, are skipped and counted.
 
     Args:
         path: the file.
@@ -175,7 +176,9 @@ def read_readings(path: Path, array: SonarArray, *, scale: float = 1.0) -> Recor
 
 
 def filtered_rows(replayed: Replay) -> str:
-    """Return CSV text with every step of every sensor that has readings; `reading_m` is empty if no reading arrived.
+    """Return CSV text with a line for each step and each sensor with readings.
+
+    The column `reading_m` is empty if no reading arrived in the step.
 
     Example:
         >>> from pathlib import Path
@@ -230,7 +233,7 @@ def _sample_columns(table: Recorded) -> list[str]:
 
 
 def _forward(table: Recorded, time: Array, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], int]:
-    """Return the lines whose time is not before the time of an earlier line, and the number of the other lines."""
+    """Return the lines whose time is not before the time of an earlier line, and how many other lines there are."""
     if not len(rows):
         raise InputError("has no complete row", file=table.name, remedy="give a number in every cell of a row")
     before = np.maximum.accumulate(time[rows])
@@ -257,7 +260,10 @@ def _sensors(table: Recorded, values: Array, rows: NDArray[np.intp], array: Sona
 
 
 def _held(values: Array, row: NDArray[np.int64]) -> Array:
-    """Return values (rows,) at indices `row` (steps, n); index −1 repeats the last value, 0 before the first value."""
+    """Return `values` (rows,) at the indices `row` (steps, n).
+
+    Index −1 repeats the sensor's previous value; before the first value, the result is 0.
+    """
     newest = np.maximum.accumulate(row, axis=0)
     held: Array = np.where(newest >= 0, values[np.maximum(newest, 0)], 0.0)
     return held

@@ -41,10 +41,12 @@ def usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
 
 
 def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
-    """Return the time between readings [s]; the slope of time over the reading count averages out the jitter.
+    """Return the mean time between two readings of a sensor [s].
 
-    A gap with an unknown number of missing readings ends a series of readings; the fit gives each series its own start
-    time.
+    This time is the slope of a line fitted to the times of the readings over their number, which averages out jitter.
+
+    A gap with an unknown number of missing readings ends a series of readings; each series has its own start time in
+    the fit.
     """
     over, under = 0.0, 0.0
     for i in np.unique(sensor):
@@ -60,7 +62,7 @@ def _pace(time: Array, sensor: NDArray[np.int64], median: float) -> float:
 
 
 def on_steps(time: Array, dt: float, *, file: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return the step of each reading; for each segment between long gaps, its first step and its start time [s].
+    """Return the step of each reading, and the first step and start time [s] of each segment between long gaps.
 
     The step boundaries are placed so that jitter rarely moves a reading into a neighbouring step. The first reading of
     a segment lies in the segment's first step. `InputError` is raised if the recording would have too many steps.

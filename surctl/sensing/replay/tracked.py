@@ -1,7 +1,7 @@
 """Replay of recorded readings through the range tracker: the ranges that the controller would have received.
 
-`track` evaluates the tracker's CasADi expressions on arrays and returns `Tracked`. So the results are the numbers that
-the exported law computes.
+The function `track` evaluates the tracker's CasADi expressions, so the results are the numbers that the exported law
+computes.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ class Tracked:
     """The outputs of the tracker after each step, (steps, n) each.
 
     Attributes:
-        reading: trimmed mean of the newest firing [m], even if this firing did not update the track.
+        reading: trimmed mean of the newest firing's samples [m], even if this firing did not update the estimate.
         range: estimated range [m].
         bound: half-width of the interval around `range` that shall contain the true range [m].
         healthy: whether the range is reliable.
-        age: time since the last reading that updated the track [s]; NaN before the first reading.
+        age: time since the last reading that updated the estimate [s]; NaN before the first reading.
         accepted: whether the tracker accepted the reading that arrived in the step.
     """
 
@@ -141,7 +141,7 @@ class Replay:
 
 
 def replay_readings(readings: Readings) -> Replay:
-    """Run the tracker over the readings, without known walls.
+    """Run the tracker over the readings, and return readings and results; no walls are known.
 
     Example:
         >>> from pathlib import Path

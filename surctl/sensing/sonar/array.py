@@ -1,7 +1,8 @@
-"""The ultrasonic array (II-B, Table I): geometry, conversion to codes, firing order, and checks of the values.
+"""The ultrasonic array: geometry, conversion of ranges to codes, firing order, and checks of these values.
 
-A firing is one ping, and all samples of a firing are conversions of the same echo. This is a design choice: five pings
-over 4.5 m, one after another, would take 30 ms in water, longer than ΔT.
+The paper describes the array in section II-B and Table I. A firing is one ping, and all samples of a firing are
+conversions of the same echo. This is a design choice: five pings over 4.5 m, one after another, would take 30 ms in
+water, longer than the time ΔT between two firings.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ class SonarArray:
             temperature determine the speed of sound.
         calibrated_for: speed of sound [m/s] that the converter assumes; None: the true speed. A reading is the true
             range times `scale`, which is the assumed speed divided by the true speed.
-        firing_period: ΔT between two firings [s]; the echo from an object at `maximum` must arrive within ΔT.
-        cycle_limit: longest cycle [s]; II-B: "the cycle time is set to be less than 0.1 s".
+        firing_period: time ΔT between two firings [s]; the echo from an object at `maximum` must arrive within ΔT.
+        cycle_limit: longest cycle [s]; section II-B of the paper: "the cycle time is set to be less than 0.1 s".
         order: indices of the sensors in firing order, each index exactly once.
         bits: number of bits of the conversion; one conversion step is `resolution` (erratum E4).
         noise_sd: standard deviation of the noise of one sample [m].
@@ -112,7 +113,7 @@ class SonarArray:
 
     @property
     def lowest(self) -> float:
-        """Lowest reading [m] before the conversion to codes: the reading of an object at the blind range or nearer."""
+        """Lowest reading [m] before the conversion to codes: the reading for an object at the blind range or nearer."""
         return self.blind * self.scale
 
     @property
@@ -131,11 +132,14 @@ class SonarArray:
         return self.maximum / self.top_code
 
     def sensor_at(self, firing: int) -> int:
-        """Return the index of the sensor that fires at time firing·ΔT."""
+        """Return the index of the sensor that fires at the time firing·ΔT, for the firing number `firing` = 0, 1, …"""
         return self.order[firing % self.size]
 
     def apex(self, sensor: int, *, position: Vector2, heading: float) -> tuple[float, float, float]:
-        """Return apex x, y [m] and axis [rad] of a sensor's cone in {E}, for `position` (2,) [m], heading ψ [rad]."""
+        """Return apex x, y [m] and axis [rad] of a sensor's cone in {E}.
+
+        `position` (2,) [m] and `heading` ψ [rad] are those of the robot.
+        """
         if not 0 <= sensor < self.size:
             raise InputError("no such sensor", key="sensor", value=sensor, remedy=f"give 0 to {self.size - 1}")
         axis = heading + self.azimuths[sensor]

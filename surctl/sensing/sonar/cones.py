@@ -8,7 +8,7 @@ __all__ = ["disc_range", "turned", "wall_range"]
 
 
 def turned(heading: ca.SX, angle: float | ca.SX) -> ca.SX:
-    """Return the unit vector in direction ψ + angle, computed from (cos ψ, sin ψ)."""
+    """Return the unit vector in the direction ψ + angle, where `heading` is (cos ψ, sin ψ)."""
     c, s = ca.cos(angle), ca.sin(angle)
     return ca.vertcat(c * heading[0] - s * heading[1], s * heading[0] + c * heading[1])
 
@@ -16,7 +16,10 @@ def turned(heading: ca.SX, angle: float | ca.SX) -> ca.SX:
 def wall_range(
     axis: ca.SX, normal: tuple[float, float], *, distance: ca.SX, half_angle: float | ca.SX, nothing: float
 ) -> ca.SX:
-    """Return the range [m] to a wall at the perpendicular `distance` [m]; its `normal` points out of the water."""
+    """Return the range [m] to a wall within a cone; `nothing` if the cone does not meet the wall.
+
+    `distance` [m] is perpendicular to the wall, and `normal` points out of the water.
+    """
     along = axis[0] * normal[0] + axis[1] * normal[1]
     across = ca.fabs(axis[0] * normal[1] - axis[1] * normal[0])
     # cosine of the angle between the wall's perpendicular and the nearer edge ray
@@ -28,7 +31,10 @@ def wall_range(
 
 
 def disc_range(axis: ca.SX, to: ca.SX, *, radius: ca.SX, half_angle: float | ca.SX, nothing: float) -> ca.SX:
-    """Return the range [m] to a disc whose centre has the offset `to` (2,) [m] from the apex."""
+    """Return the range [m] to a disc within a cone; `nothing` if the cone does not meet the disc.
+
+    The centre of the disc has the offset `to` (2,) [m] from the apex.
+    """
     length = ca.sqrt(ca.dot(to, to))
     inside_cone = ca.dot(to, axis) >= length * ca.cos(half_angle)
     edges: ca.SX = ca.SX(nothing)

@@ -42,7 +42,7 @@ def beam_of(
         position: (2, 1) centre of the robot in {E} [m].
         heading: ψ [rad].
         hull_radius: hull radius [m], used for an array without `mounts`; a symbol if the loop is compiled for any
-            vehicle; None: the radius of the array. If the array has `mounts`, their positions and cones are used
+            vehicle; None: the array's `hull_radius`. If the array has `mounts`, their positions and cones are used
             unchanged.
 
     Raises:
@@ -76,7 +76,7 @@ def beam_of(
 
 
 def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
-    """Return the distance [m] from apex to nearest reflecting point, as `true_range` does, but at most 2·maximum.
+    """Return the distance [m] from the apex to the nearest reflecting point, at most 2·maximum; see `true_range`.
 
     Example:
         >>> import casadi as ca
@@ -116,7 +116,7 @@ def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
 
     Args:
         array: the sonar array.
-        distance: true range [m]; beyond the maximum if there is no echo.
+        distance: true range [m]; above the maximum if there is no echo.
         noise: (samples, 1) standard normal numbers.
 
     Example:

@@ -28,7 +28,7 @@ from surctl.sensing.sonar.faults import (
 __all__ = ["SLOT", "Arrival", "fault_ports", "fault_slots", "faulty_samples"]
 
 SLOT = 5
-"""Size of a slot, the numbers of one fault: code of its kind (0: none), sensor, start [s], end [s], delay [firings]."""
+"""Number of values that describe one fault: code of kind (0: none), sensor, start [s], end [s], delay [firings]."""
 
 _NEVER = 1e30  # s
 
@@ -37,15 +37,15 @@ class Arrival(NamedTuple):
     """The result of `faulty_samples`, as CasADi SX expressions."""
 
     samples: ca.SX
-    """(samples, 1) samples of the firing [m]; if none arrive, those that arrived last from the sensor."""
+    """(samples, 1) samples of the firing [m]; if none arrive, the samples that arrived last from the sensor."""
     arrived: ca.SX
     """1 if samples arrive, else 0."""
     state: dict[str, ca.SX]
-    """Next state, by port name."""
+    """Next state: value of each entry, by name."""
 
 
 def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArray[np.float64]:
-    """Return an array (count, SLOT) with one fault per row, in the given order; rows without a fault are 0.
+    """Return the faults as an array (count, SLOT), one fault per row in the given order; unused rows are 0.
 
     Raises:
         InputError: if there are more than `count` faults, or a fault is impossible for the array.
@@ -67,10 +67,10 @@ def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArr
 
 
 def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[Port, ...]:
-    """Return the ports of the fault state: the samples that arrived last; with `delays`, also the earlier samples.
+    """Return the entries (name, shape, initial value) of the fault state.
 
-    The samples that arrived last are the newest samples of the control loop. In the earlier samples, each row holds the
-    last `LONGEST_DELAY` firings of one sensor one after another, newest first.
+    The state consists of the samples that arrived last from each sensor and, with `delays`, of earlier samples. Each
+    row of the earlier samples holds the samples of the last `LONGEST_DELAY` firings of one sensor, newest firing first.
 
     Example:
         >>> from surctl.sensing import SonarArray, fault_ports
@@ -99,11 +99,11 @@ def faulty_samples(
     delays: bool,
     prefix: str = "",
 ) -> Arrival:
-    """Return the samples that arrive from one firing, and the next fault state, as `faulty` does.
+    """Return the samples that arrive from one firing, and the next fault state; see `faulty`.
 
     Args:
         array: the sonar array.
-        state: state by port name, with the shapes of `fault_ports`.
+        state: value of each entry of `fault_ports`, by name.
         sensor: index of the sensor that fires.
         time: time of the firing [s].
         distance: range to the nearest reflecting point [m], from `echo_range`.
@@ -112,8 +112,8 @@ def faulty_samples(
         chances: (6, 1) probabilities of random faults, from `FaultChances.numbers`.
         uniforms: (2, 1) uniform numbers in (0, 1): the first selects the random fault, the second gives the value of a
             spike.
-        delays: whether the state holds the samples of earlier firings; if not, no slot may be a delay.
-        prefix: prefix of the port names of the state.
+        delays: whether the state holds the samples of earlier firings; if not, no scheduled fault may be a delay.
+        prefix: prefix of the names of the state's entries.
 
     Example:
         >>> import casadi as ca

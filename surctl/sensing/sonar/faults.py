@@ -52,15 +52,17 @@ Chance = Annotated[float, Field(ge=0, le=1)]
 
 
 class Fault(Strict):
-    """One fault of one sensor, from `start_s` on for `duration_s` (default: for ever, but one firing for a spike).
+    """One fault of one sensor, which acts from `start_s` on for `duration_s`.
+
+    Without `duration_s`, a spike acts on one firing, and any other fault acts for ever.
 
     The kind of the fault decides which samples arrive from a firing. `dropout`: no samples. `dead`: no samples, for
     ever. `stuck`: the samples that arrived last from this sensor, repeated (the maximum, if none ever arrived). `zero`:
     0.0. `maximum`: the maximum. `spike`: one wrong value, drawn uniformly over the range. `second_echo`: twice the true
     range, limited to the maximum. `crosstalk`: the samples that arrived last from the sensor that fires just before.
-    `delay`: the samples of m firings ago, where m is `delay_s` in whole cycles of the sensor (rounded, halves up, at
-    least 1). In the first m firings of a delay, no samples arrive. When the delay ends, the samples that have not yet
-    arrived are lost.
+    `delay`: the samples of the sensor's firing m firings ago, where m is `delay_s` divided by the sensor's cycle time,
+    rounded to a whole number (halves up) of at least 1. In the first m firings of a delay, no samples arrive. When the
+    delay ends, the samples that have not yet arrived are lost.
     """
 
     sensor: Annotated[int, Field(ge=0)]
@@ -81,7 +83,7 @@ class Fault(Strict):
 
 
 class FaultChances(Strict):
-    """Probabilities per firing of momentary random faults, equal for all sensors; at most one acts on a firing."""
+    """Probabilities per firing of momentary random faults, equal for all sensors; at most one of them occurs."""
 
     dropout: Chance = 0.0
     zero: Chance = 0.0
@@ -109,7 +111,7 @@ class FaultChances(Strict):
         return tuple(kind for kind in FAULT_KINDS if kind in cls.model_fields)
 
     def strikes(self, uniform: float) -> FaultKind | None:
-        """Return the kind of fault that a uniform number in (0, 1) selects; None if no fault occurs."""
+        """Return the kind of random fault that a uniform random number in (0, 1) selects; None if no fault occurs."""
         passed = 0.0
         for kind, chance in zip(self.kinds(), self.numbers, strict=True):
             passed += chance
@@ -145,7 +147,7 @@ def fault_state(array: SonarArray) -> FaultState:
 
 
 def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChances | None = None) -> None:
-    """Raise InputError for an impossible fault: an unknown sensor, too long a delay, crosstalk with a single sensor.
+    """Raise InputError if a fault is impossible: unknown sensor, too long a delay, or crosstalk with a single sensor.
 
     Example:
         >>> from surctl.sensing import Fault, SonarArray, check_faults
@@ -195,7 +197,7 @@ def faulty(
     chances: FaultChances | None = None,
     uniforms: Sequence[float] | NDArray[np.float64] = (0.5, 0.5),
 ) -> tuple[NDArray[np.float64] | None, FaultState]:
-    """Return the samples that arrive from a firing, (samples,) [m], or None if none arrive, and the next state.
+    """Return the samples (samples,) [m] that arrive from a firing, or None if none arrive, and the next fault state.
 
     If no fault acts on the firing, the samples are those of `firing_samples` for `distance`. The function assumes that
     every sensor fires once per cycle.

@@ -60,7 +60,7 @@ def fire(
     shapes: Iterable[Shape],
     noise: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the raw samples of one firing, (samples,) [m], computed by `firing_samples` from `true_range`.
+    """Return the raw samples (samples,) [m] of one firing in a scene of shapes.
 
     Args:
         array: the sonar array.
@@ -87,7 +87,7 @@ def fire(
 
 
 def firing_samples(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the raw samples of a firing whose echo comes from `distance`, (samples,) [m], in order of time.
+    """Return the raw samples (samples,) [m] of a firing whose echo comes from `distance`, in order of time.
 
     Each sample is scale · distance + bias + noise, limited to [lowest, maximum] and rounded to the nearest conversion
     step (for example, the minimum of 0.2 m gives the nearest code, 0.194 m). Without an echo within the maximum, every

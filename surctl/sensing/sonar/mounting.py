@@ -18,7 +18,9 @@ def inside_hull(mount: tuple[float, float], hull_radius: float) -> bool:
 def open_cones(
     mount: tuple[float, float], azimuth: float, *, half_angle: float, hull_radius: float
 ) -> tuple[tuple[float, float], ...]:
-    """Return the parts of a beam that the hull does not hide: (offset from axis, half angle) [rad], right to left.
+    """Return the parts of a beam that the hull does not hide, from right to left.
+
+    Each part is given as (offset from the beam's axis, half angle) [rad].
 
     Seen from an apex at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within asin(R/ρ)
     of the centre's bearing. Seen from an apex on the hull, the hull hides the half-plane behind the apex. No object can

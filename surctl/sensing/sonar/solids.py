@@ -1,4 +1,4 @@
-"""Reflecting shapes in CasADi symbols for the compiled closed loop, with the results of the shapes of `surctl.world`.
+"""Reflecting shapes in CasADi symbols for the compiled closed loop, equal to the shapes of `surctl.world`.
 
 If a ray or cone does not meet a shape, the range is `nothing`, a value beyond the sensor's maximum. Every branch of an
 if_else is finite for finite inputs.
@@ -54,11 +54,11 @@ class Solid(ABC):
 
     @abstractmethod
     def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
-        """Return the distance [m] along a unit vector (2, 1) to the first hit, and the cosine of incidence at it."""
+        """Return the distance [m] along the unit vector `ray` (2, 1) to the first hit, and the cosine of incidence."""
 
     @abstractmethod
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
-        """Return unit vectors (2, 1) from the apex; the nearest echo of a scene may lie in one of these directions."""
+        """Return unit vectors (2, 1) from the apex: the directions in which the nearest echo of a scene may lie."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ class SolidBox(Solid):
         return self._entry(self._local(apex - self.centre), self._local(ray), nothing)
 
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
-        """See `Solid.outlook`: directions to the foot point on a face, and just beside the three nearest corners."""
+        """See `Solid.outlook`: directions to the foot point of a face, and just beside the three nearest corners."""
         half, here = 0.5 * self.size, self._local(apex - self.centre)
         corner = ca.if_else(here >= 0, half, -half)
         either = _towards(corner - here)
