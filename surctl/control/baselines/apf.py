@@ -1,9 +1,10 @@
 """Artificial potential field (Khatib, "Real-time obstacle avoidance for manipulators and mobile robots", IJRR 1986).
 
 The law uses Khatib's velocity-limited form: F = m k_v (v_d − ẋ) + Σ F_FIRAS, where v_d points to the attracting point.
-The velocity loop provides the first term, so the command is v_d + Σ F_FIRAS / (m k_v), with limited speed. The
-attracting point is the look-ahead point on the path, to which the line of sight of (9) leads. The field ignores the
-velocity of obstacles and has local minima. Near a contact, the speed along its normal is damped further.
+m is the mass, ẋ the velocity, and F_FIRAS the repulsive force of one obstacle. The velocity loop provides the first
+term, so the command is v_d + Σ F_FIRAS / (m k_v), with limited speed. The attracting point is the look-ahead point on
+the path, at which the line-of-sight guidance (9) of the paper aims. The field ignores the velocity of obstacles and has
+local minima. Near an obstacle, the speed towards the obstacle is damped further.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ DAMPING = 1.0
 
 
 def apf_law(s: Situation) -> Decision:
-    """Return the decision: the desired velocity plus η (1/ρ − 1/ρ_0) / ρ² away from each contact within ρ_0."""
+    """Return the desired velocity plus η (1/ρ − 1/ρ_0) / ρ² away from each obstacle point at a distance ρ < ρ_0."""
     now = over_ground(s)
 
     def repelled(repulsion: ca.SX, row: ca.SX) -> ca.SX:

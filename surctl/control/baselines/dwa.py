@@ -1,10 +1,11 @@
 """Dynamic window (Fox, Burgard and Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997).
 
-The robot is holonomic, so the window lies in the plane of its two velocities and the arcs are straight lines. Contacts
-move at their own velocity. A velocity is admissible if the robot can brake before the first contact that it meets: |v|
-≤ √(2 b s) with the distance s = |v| t_c travelled until the time of contact t_c, which means |v| ≤ 2 b t_c. The law
-chooses the admissible velocity with the largest α·heading + β·clearance + γ·velocity, where each term is between 0 and
-1. If no velocity is admissible, the robot brakes.
+The robot is holonomic, so the window is a set of horizontal velocities, and each velocity leads along a straight line.
+Obstacles are assumed to continue at their present velocity. A velocity v is admissible if the robot can brake before it
+meets the first obstacle: |v| ≤ √(2 b s), where b is the deceleration and s = |v| t_c is the distance travelled until
+the time of contact t_c. This condition is equivalent to |v| ≤ 2 b t_c. The law chooses the admissible velocity with the
+largest α·heading + β·clearance + γ·velocity, where the terms heading, clearance and velocity are scaled to values
+between 0 and 1. If no velocity is admissible, the robot brakes.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
 
 
 def dwa_law(s: Situation) -> Decision:
-    """Return the decision: the best admissible velocity in the window around the present velocity.
+    """Return the decision: in the window around the present velocity, the admissible velocity with the best objective.
 
     The candidates include the velocity of the window that is nearest to the desired velocity.
     """

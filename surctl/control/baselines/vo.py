@@ -1,10 +1,11 @@
 """Velocity obstacles (Fiorini and Shiller, "Motion planning in dynamic environments using velocity obstacles", IJRR
-1998), in the sampled form of van den Berg, Lin and Manocha 2008 (RVO library) without reciprocity.
+1998), in the sampled form of van den Berg, Lin and Manocha 2008 (RVO library), but without reciprocal avoidance.
 
-A velocity is forbidden if a robot at this constant velocity would come within the margin of a contact at constant
-velocity within the horizon. From a fixed fan of candidates around the desired velocity v_d, the law chooses the allowed
-candidate nearest to v_d. If all candidates are forbidden, it chooses the candidate with the smallest w / t_c + |v −
-v_d|, the penalty of the RVO library.
+A velocity is forbidden if, within the time horizon, a robot at this constant velocity would come closer than the margin
+to an obstacle that also moves at constant velocity. From a fixed set of candidate velocities around the desired
+velocity v_d, the law chooses the allowed candidate nearest to v_d. If all candidates are forbidden, it chooses the
+candidate v with the smallest w / t_c + |v − v_d|, the penalty of the RVO library (t_c is the time to contact and w a
+weight).
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ _FORBIDDEN = 1e3
 
 
 def vo_law(s: Situation) -> Decision:
-    """Return the decision: the allowed velocity nearest to the desired velocity."""
+    """Return the decision: the allowed candidate velocity nearest to the desired velocity."""
     desired, best = s.desired.velocity, s.desired.velocity
     least_cost = _cost(s, desired)
     ahead = desired / ca.fmax(length(desired), 1e-6)
