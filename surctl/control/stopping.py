@@ -30,7 +30,7 @@ Bounds: TypeAlias = Sequence[tuple[ca.SX, ca.SX]]
 """Speed bounds: pairs of a unit normal (2, 1) in {E} and the largest speed along it [m/s]."""
 
 Stop: TypeAlias = Callable[[ca.SX, ca.SX], ca.SX]
-"""Function of clearance minus margin [m] and obstacle speed v_o·n [m/s] (negative if approaching): largest n·v [m/s]."""
+"""Function of clearance minus margin [m] and obstacle speed v_o·n [m/s] (negative if approaching): largest n·v."""
 
 
 def _simple(p: Mapping[str, ca.SX], dt: float) -> Stop:

@@ -1,4 +1,4 @@
-"""Macros of the C text for parallel runs, defined for the vector types of the compiler in four dialects."""
+"""Macros of the C text for parallel runs, in four variants that the compiler and the processor select."""
 
 from __future__ import annotations
 
