@@ -19,7 +19,7 @@ from mpmath import libmp
 __all__ = ["BITS", "Interval", "angle", "arccos", "circle", "pi"]
 
 Interval = Any
-"""(lower, upper) as raw numbers of mpmath."""
+"""The pair (lower end, upper end) of an interval, as raw numbers of mpmath."""
 Raw = Any
 
 BITS = 60

@@ -35,7 +35,7 @@ _ALIKE = (
     ("quadratic drag", "quadratic_drag", ("Xuu", "Yvv")),
 )
 _VARIABLES = {"m": ("m11", "m22"), "X": ("Xu", "Yv"), "X2": ("Xuu", "Yvv")}
-"""Vehicle parameters that a variable of the inequalities about braking stands for."""
+"""For each variable of the braking inequalities, the vehicle parameters that it represents."""
 _GUARDED = (
     ("margin", "margin_m"), ("reaction", "reaction_s"), ("brake", "brake"), ("k_v", "k_v_per_s"), ("k_i", "k_i_per_s2"),
 )  # fmt: skip

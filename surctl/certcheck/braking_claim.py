@@ -28,7 +28,7 @@ ASSUMES = (
     "marks of the sonar map)",
     "at the start the clearance is at least the braking distance",
 )
-"""Assumptions of the claim; a certificate repeats them word for word."""
+"""Assumptions of the claim; a certificate repeats the assumptions word for word."""
 
 LEMMAS = (
     "distance: G' >= z/(F_b - f + D(z - v_o)) and G' rises; so clearance - m G(z) does not fall while the vehicle "
@@ -41,7 +41,7 @@ LEMMAS = (
     "plane: the distance to a convex body is convex in the position, so that it is enough to consider the latched "
     "direction",
 )
-"""Lemmas from which the claim follows; a certificate repeats them word for word (proofs: `surctl.guidance.braking`)."""
+"""Lemmas from which the claim follows (proofs: `surctl.guidance.braking`); a certificate repeats them word for word."""
 
 DRAGS = ("along", "axes")
 _BARRIERS = ("inertia", "simple")

@@ -29,9 +29,9 @@ _CELLS = 64
 
 ROOT2 = (Fraction(141421356, 10**8), Fraction(141421357, 10**8))
 HALF_ROOT2 = Fraction(70710678, 10**8)
-"""Just below 1/√2, the least share of axis-by-axis quadratic drag that acts along the motion (at 45°)."""
+"""A number just below 1/√2, the least share of axis-by-axis quadratic drag that acts along the motion (at 45°)."""
 ROOT27 = Fraction(19245009, 10**8)
-"""Just above 1/(3√3)."""
+"""A number just above 1/(3√3)."""
 
 
 def rounded(value: Fraction) -> Fraction:

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 Slopes = list[Any]
-"""One derivative for each variable; None stands for 0."""
+"""The derivative with respect to each variable; None means 0."""
 
 _MOST = 2_000_000  # largest count of numbers in all jets of an expression
 _ZERO = (libmp.fzero, libmp.fzero)

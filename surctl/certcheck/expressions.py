@@ -19,7 +19,7 @@ __all__ = ["BRANCHES", "FUNCTIONS", "Entry", "ExpressionTable"]
 FUNCTIONS = {
     "abs": 1, "acos": 1, "atan": 1, "atan2": 2, "cos": 1, "max": 2, "min": 2, "select": 4, "sin": 1, "sqrt": 1,
 }  # fmt: skip
-"""Functions and their number of arguments; select(a, b, x, y) is x where a ≤ b, and y elsewhere."""
+"""Number of arguments of each function; select(a, b, x, y) is x if a ≤ b, and y otherwise."""
 
 BRANCHES = ("abs", "max", "min", "select")
 """Functions whose value is one of two expressions."""

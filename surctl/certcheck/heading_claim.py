@@ -24,7 +24,7 @@ EXCLUDES = (
     "measured pose and velocity are exact; thrust has no lag, and commands are not held for a control period",
     "the water is at rest; there are no waves and no thrust bias",
 )
-"""Restrictions of the claim; a certificate repeats them word for word."""
+"""Restrictions of the claim; a certificate repeats the restrictions word for word."""
 
 _RANGES = (
     "mass_kg", "heave_mass_kg", "yaw_inertia_kg_m2", "surge_linear", "surge_quadratic", "sway_linear",

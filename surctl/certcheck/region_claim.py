@@ -24,7 +24,7 @@ EXCLUDES = (
     "waves and thrust errors act as a horizontal force of at most force_n; the current is the same everywhere and at "
     "all times, and at most current_m_per_s",
 )
-"""Restrictions of the claim; a certificate repeats them word for word."""
+"""Restrictions of the claim; a certificate repeats the restrictions word for word."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from surctl.certcheck.region_exact import middle, root_up
 __all__ = ["MEAN_SHARE", "Trim", "axis_pairs", "drift_speed", "offset_speed", "quarter", "trim"]
 
 MEAN_SHARE = Fraction(17, 20)
-"""Mean share of the quadratic drag that acts along the path: the share is 1 at ψ = 0 and 0.71 at ψ = 45°."""
+"""Mean share, over the heading ψ, of the quadratic drag that acts along the path: 1 at ψ = 0, and 0.71 at ψ = 45°."""
 
 _ARCS = 96
 

@@ -61,7 +61,7 @@ _STEP_INPUTS = ("J", "reference", "rows", "box")
 _SOURCES = tuple(
     f"surctl.{name}" for name in ("control", "errors", "guidance", "ir", "priority", "sensing", "tasks", "vehicle")
 )
-"""Packages whose source code determines the instructions of a law."""
+"""Packages whose source code determines the instruction list of a law."""
 
 
 def build_law(

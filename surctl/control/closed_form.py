@@ -26,7 +26,7 @@ from surctl.vehicle import planar_rotation
 __all__ = ["CLOSED_FORM_PORTS", "DAMPING", "closed_form_law", "known_obstacle"]
 
 DAMPING = 1e-3
-"""λ of the damped projection; the relative error of a velocity is λ²."""
+"""Damping λ of the null-space projection; it changes a task velocity by the relative error λ²."""
 
 CLOSED_FORM_PORTS = tuple(port for port in DECISION_PORTS if port.name == "side")
 

@@ -27,7 +27,7 @@ from surctl.vehicle import planar_rotation
 __all__ = ["CELLS_A_HULL", "LAST_THRUST", "PERCEPTION", "PerceptionStage", "build_perception"]
 
 CELLS_A_HULL = 4.0
-"""Number of map cells per hull radius (*chosen*): the cell size is 6.75 cm in the tank and 5 cm in the pool."""
+"""Number of map cells per hull radius (*chosen*); the cell size is 6.75 cm in the tank and 5 cm in the pool."""
 
 LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before")
 """The first entry of the state; the decision writes it, and the filter of the robot's own state reads it."""

@@ -23,8 +23,8 @@ from surctl.tasks import Task
 __all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "decision_of", "thrust_of"]
 
 PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoidance (20)", "barrier"
-"""Parts of a law that the library's claims and linear models are about: it follows the path by (8)-(12); its linear
-loop is the cascade of path following and velocity control; it avoids by (20); it has the barrier on closing speeds."""
+"""Parts of a law for which the library has claims and linear models: path following by equations (8)–(12) of the paper;
+the linear cascade of path following and velocity control; avoidance by equation (20); the barrier on closing speeds."""
 
 _VELOCITIES = 4
 _ALWAYS = frozenset({"progress", "integral", "drift"})

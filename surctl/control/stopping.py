@@ -21,7 +21,7 @@ Movers = Literal["predict", "barrier"]
 MOVERS: tuple[Movers, ...] = get_args(Movers)
 
 BRAKE = 4.0
-"""The command is reduced by this multiple of the excess speed, because the velocity loop alone brakes too slowly."""
+"""The speed command is reduced by this multiple of the excess speed; the velocity loop alone brakes too slowly."""
 
 HARD = 0.02
 """Excess over a speed bound [m/s] at which all thrust is used for braking."""

@@ -16,7 +16,7 @@ from surctl.ir.program import Instruction, Program
 __all__ = ["GUARD", "Feed", "chooses", "emit_lanes", "emit_straight"]
 
 GUARD = "defined(__GNUC__) && (defined(__AVX__) || defined(__ARM_NEON) || defined(__VSX__))"
-"""Preprocessor condition of the vector variant; on other machines vectors would be unrolled to scalars."""
+"""Preprocessor condition for the text with vector types; other machines have no vector instructions for these types."""
 
 _WIDTH = {"float64": 8, "float32": 4}
 _WHOLE = {"float64": "long long", "float32": "int"}

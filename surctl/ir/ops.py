@@ -22,7 +22,7 @@ __all__ = ["LEAVES", "LIBM", "OPERATIONS", "SUBSTITUTES", "Operation"]
 Value = NDArray[np.floating[Any]]  # () or (batch,), of the replay's dtype
 
 LEAVES = frozenset({"const", "input"})
-"""Instructions without operands: `const` has a `value`, `input` has (index of the input, index of the entry)."""
+"""Instructions without operands: `const` has a `value`; `args` of `input` are the indices of the input and the entry."""
 
 
 @dataclass(frozen=True)
@@ -158,4 +158,4 @@ SUBSTITUTES: Mapping[str, str] = MappingProxyType(
         "tanh": "write x/sqrt(1 + x*x) or a clamp",
     }
 )
-"""Replacement to suggest for each operation that the instruction list does not support."""
+"""For operations that the instruction list does not support, the replacement that an error message suggests."""

@@ -23,7 +23,7 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 __all__ = ["Places", "carried_in_place", "inlined", "memory", "overlaid", "overlapping", "reads"]
 
 Overlaps = Mapping[str, frozenset[tuple[int, int]]]
-"""Digest of a block → pairs (output, input) for which a caller passes the same array."""
+"""For each block by its digest, the pairs (output, input) for which a caller passes the same array."""
 
 
 _WORTH_SHARING = 100  # sharing memory must save at least this many numbers

@@ -16,10 +16,10 @@ from surctl.ir.program import Program
 __all__ = ["ROOT", "Key", "Regions", "Traced", "postorder"]
 
 Key = tuple[int, ...]
-"""The values in an array, as positions in the list."""
+"""The values in an array, each as a position in the instruction list."""
 
 ROOT = -1
-"""The region of instructions outside all loops."""
+"""The number of the region that contains the instructions outside all loops."""
 
 
 @dataclass(frozen=True)

@@ -201,10 +201,10 @@ _TEXTS = {
     **{"and": "{0} & {1}", "or": "{0} | {1}", "not": "~{0}", "select": "where({0}, {1}, {2})"},
     "if_else_zero": "where({0}, {1}, zero)",
 }
-"""Operations with Python text; all others are called as functions."""
+"""Python text of an operation, by its name; operations without such a text are called as functions."""
 
 _TRUE = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
-"""Operations whose result is a truth value."""
+"""Names of the operations that return a truth value."""
 
 _TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_else_zero": (0,)}
 

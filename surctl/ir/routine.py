@@ -153,7 +153,7 @@ class Routine:
 
 
 Block: TypeAlias = Program | Routine
-"""A block that a step can run."""
+"""A program or routine; steps of a routine run such blocks."""
 
 Step: TypeAlias = Call | Loop | Gather
 

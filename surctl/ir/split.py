@@ -10,7 +10,7 @@ from surctl.ir.routine import Block, Call, Loop, Routine, Step, nested
 __all__ = ["shortened", "split"]
 
 _LONGEST = 1200
-"""Largest number of operations in one C function; gcc's time for n operations grows faster than n."""
+"""Largest number of operations in one C function; the compile time of gcc grows faster than this number."""
 
 
 def shortened(block: Block) -> Block:

@@ -19,16 +19,16 @@ from surctl.ir import fold, tabulated
 __all__ = ["DAMPING", "NEAREST", "RANGE", "STRENGTH", "apf_law"]
 
 RANGE = 0.5
-"""ρ_0 [m], the clearance below which a contact repels (tuned from 0.2 to 2)."""
+"""Clearance ρ_0 [m] below which an obstacle repels the robot (tuned between 0.2 and 2)."""
 
 STRENGTH = 0.01
-"""Strength η / (m k_v) of the repulsion [m⁴/s] (tuned from 0.0001 to 1)."""
+"""Strength η / (m k_v) of the repulsion [m⁴/s] (tuned between 0.0001 and 1)."""
 
 NEAREST = 0.1
-"""Clearance [m] below which the repulsion no longer grows (tuned from 0.02 to 0.2); the field has a pole at 0."""
+"""Clearance [m] below which the repulsion no longer grows (tuned between 0.02 and 0.2); the field is infinite at 0."""
 
 DAMPING = 1.0
-"""Share of the speed along a contact's normal that is subtracted from the command within ρ_0 (tuned from 0 to 4)."""
+"""Multiple of the speed towards an obstacle within ρ_0 that is subtracted from the command (tuned between 0 and 4)."""
 
 
 def apf_law(s: Situation) -> Decision:

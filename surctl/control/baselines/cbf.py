@@ -26,13 +26,13 @@ from surctl.vehicle import planar_rotation
 __all__ = ["ALPHA", "FAN", "cbf_law", "nearest_velocity"]
 
 ALPHA = 0.2
-"""Barrier gain α [1/s] (tuned from 0.03 to 1)."""
+"""Barrier gain α [1/s] (tuned between 0.03 and 1)."""
 
 EXTRA = 0.02
-"""Distance [m] added to the margin (tuned from 0 to 0.15), because the velocity lags behind the command."""
+"""Distance [m] that is added to the margin, because the velocity lags behind the command (tuned between 0 and 0.15)."""
 
 FAN = 24
-"""Number of courses at full speed that are tried, in addition to zero velocity, if no velocity satisfies all rows."""
+"""Number of courses that the law tries at full speed, besides zero velocity, if the constraints are infeasible."""
 
 _ROUNDING = 1e-9  # [m/s] tolerance of a constraint for rounding errors
 

@@ -27,22 +27,22 @@ from surctl.ir import fold, tabulated
 __all__ = ["CLEARANCE", "FREE_DISTANCE", "GRID", "HEADING", "HORIZON", "VELOCITY", "dwa_law"]
 
 HORIZON = 0.5
-"""Time [s] of full acceleration that spans the window (tuned from 0.5 to 3).
+"""Time [s]: the window contains the velocities that full acceleration reaches within it (tuned between 0.5 and 3).
 
-In one control period of 0.05 s the speed changes by only 3 mm/s.
+The window of a single control period (0.05 s) would be too small, because the speed changes by only 3 mm/s.
 """
 
 GRID = 7
 """Number of candidates along each axis of the window."""
 
 FREE_DISTANCE = 4.0
-"""Free distance ahead [m] above which the clearance term no longer grows (tuned from 0.75 to 4)."""
+"""Free distance ahead [m] above which the clearance term no longer grows (tuned between 0.75 and 4)."""
 
 EXTRA = 0.0
-"""Distance [m] added to the margin (tuned from 0 to 0.2); 0 suffices, because the window is small."""
+"""Distance [m] that is added to the margin (tuned between 0 and 0.2); 0 suffices, because the window is small."""
 
 HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
-"""The weights α, β, γ (β tuned from 0.3 to 5 with fixed α and γ; Fox et al. use 2, 0.2, 0.2)."""
+"""The weights α, β, γ of the objective (β tuned between 0.3 and 5, α and γ fixed; Fox et al. use 2, 0.2, 0.2)."""
 
 
 def dwa_law(s: Situation) -> Decision:
