@@ -35,7 +35,7 @@ YAW_SHARE = 0.85
 _WIDER_SIDE = 0.1  # [m] offset of the site's middle from the path's first segment that makes a side wider
 
 SECTORS = 16
-"""Number of direction sectors; in each, a law with a map knows the nearest occupied cell and the nearest unknown one."""
+"""Number of direction sectors; in each, a law with a map knows the nearest occupied and the nearest unknown cell."""
 
 _POSE = (
     Port("eta", (4,), "m, rad", "measured position x, y, z and heading psi in {E} (z up, psi counter-clockwise)"),

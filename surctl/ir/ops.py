@@ -22,7 +22,7 @@ __all__ = ["LEAVES", "LIBM", "OPERATIONS", "SUBSTITUTES", "Operation"]
 Value = NDArray[np.floating[Any]]  # () or (batch,), of the replay's dtype
 
 LEAVES = frozenset({"const", "input"})
-"""Instructions without operands: `const` has a `value`; `args` of `input` are the indices of the input and the entry."""
+"""Instructions without operands: `const` has a `value`; `args` of `input` are the indices of input and entry."""
 
 
 @dataclass(frozen=True)
