@@ -82,8 +82,8 @@ class Stages:
     """Parts of a law; each part is built when it is first used, and calls libm functions such as sin.
 
     Attributes:
-        closed: complete law with the closed form (16), in every mode; it maps (x, u, p) to (tau, x_next, status,
-            telemetry).
+        closed: complete law with the closed form, equation (16) of the paper, in every mode; it maps (x, u, p) to (tau,
+            x_next, status, telemetry).
         pre: part before the priority solver; it maps (x, u, p) to (J row by row, references, inequality constraints,
             velocity bounds (8,), carried, reported, flags). `carried` is the next state before the velocity integral is
             updated, `reported` is the telemetry except `nu_reference`, and `flags` is the sum of the status bits.
@@ -96,7 +96,7 @@ class Stages:
 
     @cached_property
     def closed(self) -> Block:
-        """Return the law with the closed form (16)."""
+        """Return the complete law with the closed form, equation (16) of the paper."""
         return self._closed()
 
     @cached_property

@@ -200,7 +200,8 @@ def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:
     """Return the direction in which a law with sonars turns: +1 left, −1 right.
 
     The robot turns towards the side on which the site is wider beside the first segment of the path, or left if both
-    sides are equally wide. It then scans this side first, where it would pass an obstacle near the start.
+    sides are equally wide. The sonar beams then scan this side first; an obstacle near the start may have to be passed
+    on this side.
     """
     start, leg = path.waypoints[0], path.waypoints[1] - path.waypoints[0]
     x, y = (walls[0] + walls[1]) / 2 - start[0], (walls[2] + walls[3]) / 2 - start[1]
