@@ -6,9 +6,9 @@ other keys. For each kind of certificate, this package has a module with a funct
 raises `Rejected(reason)`.
 
 A certificate whose content does not match its hash is rejected. If someone alters the content and recomputes the hash,
-the file is a certificate of another claim, and it is rejected unless its content proves this other claim. A false claim
-is never accepted; an altered claim that is still true may be accepted. The check of a file takes at most `PATIENCE`
-seconds of processor time and about 400 MB of memory.
+the file becomes a certificate of a different claim, and the checker rejects the file unless its content proves this
+different claim. So a false claim is never accepted, but an altered claim that is still true may be accepted. The check
+of a file is limited to `PATIENCE` seconds of processor time, and it needs about 400 MB of memory.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class Checked:
 
     Attributes:
         accepted: whether the certificate proves its claim.
-        reason: why the certificate is rejected; empty if it is accepted.
-        kind: kind of the certificate; empty if it cannot be read.
+        reason: why the certificate is rejected; empty if the certificate is accepted.
+        kind: kind of the certificate; empty if the kind cannot be read.
         claim: the certificate's claim, as plain data (dicts, lists, numbers, text).
         seconds: duration of the check [s].
         proves: sentence that states what an accepted inequality proves; empty for other kinds of certificate and for a
@@ -105,7 +105,7 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
 
     Args:
         document: the certificate.
-        began: value of `time.perf_counter` at which the reported duration starts; None stands for the time of the call.
+        began: value of `time.perf_counter` at which the reported duration starts; None means the time of the call.
         time_limit: processor time [s] after which the certificate is rejected; by default there is no limit, because
             the document usually comes from the caller's own proof.
 

@@ -2,9 +2,10 @@
 
 A fixed-point number is an integer number of units of 2^-128. Every sum in this module has at most 40 terms. The error
 of a term is less than 3 units, because truncation of a product or quotient costs less than one unit and the errors of
-its operands contribute less than two. Each returned interval extends `_OFF` = 2^11 units to both sides of the computed
-number. This is more than twice the error bound that the function's docstring derives. Interval ends are raw numbers of
-mpmath. The module applies only +, -, ×, ÷, square root and comparison to them.
+its operands contribute less than two. Each function returns the interval from `_OFF` = 2^11 units below the computed
+number to `_OFF` units above it. `_OFF` is more than twice the error bound that the function's docstring derives. The
+ends of an interval are raw numbers of mpmath (tuples, not `mpf` objects). The module applies only +, -, ×, ÷, square
+root and comparison to these numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from mpmath import libmp
 __all__ = ["BITS", "Interval", "angle", "arccos", "circle", "pi"]
 
 Interval = Any
-"""(lower, upper) as raw numbers of mpmath."""
+"""The pair (lower end, upper end) of an interval, as raw numbers of mpmath."""
 Raw = Any
 
 BITS = 60
@@ -33,7 +34,7 @@ _LINE_OF_ONE = (libmp.fnone, libmp.fone)
 
 
 def _arccot(n: int, bits: int) -> int:
-    """Return arctan(1/n) in units of 2^-bits for n > 1; each of the fewer than `bits` terms has an error < 2 units."""
+    """Return arctan(1/n) in units of 2^-bits for n > 1; each of the < `bits` terms of the sum is off by < 2 units."""
     power, total, k = (1 << bits) // n, 0, 1
     while power:
         total += -(power // k) if k & 2 else power // k
@@ -49,12 +50,12 @@ _HALF_PI = (8 * _arccot(5, _LONG + 64) - 2 * _arccot(239, _LONG + 64)) >> 64
 
 @lru_cache(2048)
 def _half_pi(bits: int) -> int:
-    """Return π/2 in units of 2^-bits, with an error of less than 2 units; bits ≤ _LONG."""
+    """Return π/2 in units of 2^-bits, with an error of less than 2 units, for bits ≤ _LONG."""
     return _HALF_PI >> (_LONG - bits)
 
 
 def _ends(value: int) -> Interval:
-    """Return an interval that contains a number known in units with an error of less than _OFF units."""
+    """Return the interval `value` ± _OFF units (of 2^-128); it contains the number that `value` approximates."""
     low, high = (libmp.from_man_exp(value + off, -_W, BITS, rounding) for off, rounding in ((-_OFF, "f"), (_OFF, "c")))
     return low, high
 
@@ -73,11 +74,11 @@ def _magnitude(x: Raw) -> int:
 
 
 def _taylor(r: int) -> tuple[int, int]:
-    """Return cosine and sine of r units, for −4 units ≤ r ≤ π/4 + 4 units.
+    """Return the cosine and the sine of the angle r; all three are in units of 2^-128, and −4 ≤ r ≤ π/4 + 4 units.
 
-    The terms r^n/n! fall below one unit at n = 36 at the latest, so that each series has at most 18 terms. Each term is
+    The terms r^n/n! are below one unit from n = 36 on, so each of the two series has at most 18 terms. Each term is
     computed from the previous term by a truncated product (error 1 unit) with a truncated r² (1 unit), and by a
-    truncated quotient (1 unit), so its error is less than 3 units. The remainder of the series is less than 4 units.
+    truncated quotient (1 unit), so its error is less than 3 units. The remainder of each series is less than 4 units.
     The total error is therefore less than 60 units.
     """
     square, cosine, sine = r * r >> _W, _UNIT, r
@@ -95,13 +96,13 @@ def _taylor(r: int) -> tuple[int, int]:
 
 @lru_cache(8192)
 def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
-    """Return (quarter k, remainder r = x − k π/2 in units, cos x, sin x) of one number with |x| < 2^_FAR.
+    """Return k, r = x − k π/2 (in units of 2^-128), cos x and sin x of a number with |x| < 2^_FAR; k is an integer.
 
     If x has m bits before the point, x and π/2 are computed in units of 2^-(128 + m). Truncation changes x by less than
-    one unit of 2^-(128 + m), and k π/2 with k ≤ 2^m by less than 2^(m+1). So the error of r = x − kπ/2 is less than 3
-    units of 2^-128, plus one unit for the truncation of r. Where π/2 − r is used, the error of π/2 − r is less than 6
-    units. The slopes of sine and cosine are at most 1. Together with the error of `_taylor`, the error of the results
-    is less than 70 units.
+    one of these units. It changes k π/2 by less than 2^(m+1) of these units, because k ≤ 2^m. So the error of r = x − k
+    π/2 is less than 3 units of 2^-128, plus one unit for the truncation of r. If the function uses π/2 − r instead of
+    r, the error of π/2 − r is less than 6 units. The slopes of sine and cosine are at most 1. Together with the error
+    of `_taylor`, the error of the results is less than 70 units.
     """
     if x == libmp.fzero:
         return 0, 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
@@ -136,7 +137,8 @@ def circle(a: Interval) -> tuple[Interval, Interval]:
     """Return the ranges of cosine and sine on an interval.
 
     Cosine and sine are monotone between multiples of π/2. So their values at the ends of the interval, and the values 0
-    and ±1 at the multiples of π/2 inside, give the ranges. A multiple within 16 units of an end counts as inside.
+    and ±1 at the multiples of π/2 inside, give the ranges. A multiple of π/2 within 16 units (of 2^-128) of an end of
+    the interval counts as inside.
     """
     low, high = a
     if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
@@ -165,13 +167,14 @@ def _hull(a: Interval, b: Interval) -> Interval:
 
 
 def _arctan(t: int) -> int:
-    """Return arctan of t units, for 0 ≤ t ≤ 1; the error of the argument t is less than one unit.
+    """Return arctan t for 0 ≤ t ≤ 1, both in units of 2^-128; the error of the argument t is less than one unit.
 
     The rule arctan t = 2 arctan(t/(1 + √(1 + t²))) is applied three times. The map t → t/(1 + √(1 + t²)) has a slope of
-    at most 1/2, and truncation of root and quotient costs less than 2 units. So after three applications the error of t
-    is less than 4 units, and t ≤ tan(π/32) < 0.0985. After 20 terms the terms of the series are below one unit; each
-    term has an error of less than 3 units, and the remainder is less than 2. With the error of the argument, the error
-    of the series is less than 66 units. After multiplication by 8 the error is less than 530 units.
+    at most 1/2, and the truncation of its root and quotient costs less than 2 units. So after three applications the
+    error of t is less than 4 units, and t ≤ tan(π/32) < 0.0985. From the 21st term on, the terms of the arctan series
+    are below one unit; each term has an error of less than 3 units, and the remainder of the series is less than 2
+    units. Together with the error of t, the sum has an error of less than 66 units. After multiplication by 8 this
+    error is less than 530 units.
     """
     for _ in range(3):
         t = (t << _W) // (_UNIT + isqrt((_UNIT << _W) + t * t))
@@ -185,7 +188,7 @@ def _arctan(t: int) -> int:
 
 @lru_cache(8192)
 def _angle_of(y: Raw, x: Raw) -> Interval:
-    """Return atan2(y, x) of two numbers, not both 0, from arctan(smaller/larger); the error is less than 600 units."""
+    """Return an interval that contains atan2(y, x), for numbers that are not both 0; arctan is off by < 600 units."""
     up, ahead = libmp.mpf_abs(y), libmp.mpf_abs(x)
     steep = bool(libmp.mpf_gt(up, ahead))
     small, large = (ahead, up) if steep else (up, ahead)
@@ -204,7 +207,7 @@ def _angle_of(y: Raw, x: Raw) -> Interval:
 
 
 def _ratio(small: Raw, large: Raw) -> int:
-    """Return small/large in units, truncated, for 0 ≤ small ≤ large."""
+    """Return small/large in units of 2^-128, truncated, for 0 ≤ small ≤ large."""
     shift = small[2] - large[2] + _W
     if small == libmp.fzero or _magnitude(small) - _magnitude(large) < -_W - 1:
         return 0
@@ -212,11 +215,12 @@ def _ratio(small: Raw, large: Raw) -> int:
 
 
 def angle(y: Interval, x: Interval) -> Interval:
-    """Return the range of atan2 on a box where y ≥ 0, y < 0 or x > 0 throughout, without (0, 0).
+    """Return the range of atan2(y, x) on a box without (0, 0) in which all y ≥ 0, all y < 0 or all x > 0.
 
-    On such a box atan2 is smooth, because its jump lies outside. If y keeps its sign, atan2 is monotone in x, and
-    monotone in y at each end of x. If y changes its sign, x is positive: atan2 is monotone in y, and monotone in x at
-    each end of y. In both cases the corners of the box give the range.
+    On such a box atan2 is smooth, because its jump lies outside the box. If y has one sign on the box, atan2 is
+    monotone in x everywhere, and monotone in y at each end of the range of x. If y changes its sign, x is positive;
+    then atan2 is monotone in y everywhere, and monotone in x at each end of the range of y. In both cases the values at
+    the corners of the box give the range.
     """
     first, *others = {(a, b) for a in y for b in x}
     total = _angle_of(*first)
@@ -226,7 +230,7 @@ def angle(y: Interval, x: Interval) -> Interval:
 
 
 def arccos(x: Interval) -> Interval:
-    """Return the range of arccos on an interval within [−1, 1]; arccos decreases, so the ends give the range."""
+    """Return the range of arccos on an interval within [−1, 1]; arccos decreases, so its values at the ends suffice."""
     return _arccos_of(x[1])[0], _arccos_of(x[0])[1]
 
 

@@ -1,10 +1,10 @@
 """Decide whether an accepted certificate applies to an exported controller, by comparing its numbers with the manifest.
 
-An equal hash alone is not enough. A vehicle parameter must lie in the certified range, a gain must equal the certified
-gain, and a certified bound must hold for the exported controller. If the manifest lacks a parameter, gain or bound that
-the certificate states, the certificate does not belong to the controller. If the vehicle file gives a wider range than
-the certificate, or if the certificate leaves a part of the controller out, the certificate still belongs to the
-controller, and `excludes` names the parts that are not covered.
+It is not enough that the hashes are equal. Each vehicle parameter must lie in its certified range, each gain must equal
+the certified gain, and each certified bound must hold for the exported controller. If the certificate states a
+parameter, gain or bound that the manifest lacks, the certificate does not belong to the controller. If the vehicle file
+gives a wider range than the certificate, or if the certificate does not cover a part of the controller, the certificate
+still belongs to the controller, and `excludes` names what is not covered.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _ALIKE = (
     ("quadratic drag", "quadratic_drag", ("Xuu", "Yvv")),
 )
 _VARIABLES = {"m": ("m11", "m22"), "X": ("Xu", "Yv"), "X2": ("Xuu", "Yvv")}
-"""Vehicle parameters that a variable of the inequalities about braking stands for."""
+"""For each variable of the braking inequalities, the vehicle parameters that it represents."""
 _GUARDED = (
     ("margin", "margin_m"), ("reaction", "reaction_s"), ("brake", "brake"), ("k_v", "k_v_per_s"), ("k_i", "k_i_per_s2"),
 )  # fmt: skip
@@ -184,7 +184,7 @@ class _Comparison:
             self.differs.append(f"{name}[{at}]: {certified!r} certified, {have[at]!r} exported")
 
     def _believed(self, law: Mapping[str, Any]) -> None:
-        """Compare mass and drag of surge and sway in the law's model with the certified values."""
+        """Compare the law's model (mass and drag in surge and sway) with the certified values."""
         for port, key in (("mass", "mass_kg"), ("linear_drag", "linear_drag"), ("quadratic_drag", "quadratic_drag")):
             for axis in (0, 1):
                 self._gain(port, law[key], axis)
@@ -202,7 +202,7 @@ class _Comparison:
             self.differs.append(f"{what}: at most {certified!r} {unit} certified, {max(have)!r} exported")
 
     def _within(self, what: str, ends: Sequence[float], names: Sequence[str]) -> None:
-        """Compare the vehicle's parameters with a certified range; add an exclusion if the vehicle file allows more."""
+        """Compare the vehicle's parameters with a certified range; add an exclusion if the vehicle file's is wider."""
         low, high = ends
         for name in names:
             if name not in self.manifest.values:

@@ -1,16 +1,16 @@
 """Check of a braking certificate, which claims that a vehicle with inertia and thrust lag never touches an obstacle.
 
-The claim states that under its assumptions, if clearance ≥ m G(z) ≥ 0 holds at one instant, it holds at all later
-instants; the vehicle brakes at sampled instants. Here z = s + q/m, s is the closing speed, and q is the impulse that
-the thrust lag still delivers. The proof is that of `surctl.guidance.braking`. This module checks each of its
-inequalities for the numbers of the certificate, in exact rational arithmetic, with every number rounded to the safe
-side:
+The claim states that, under its assumptions, the inequality clearance ≥ m G(z) ≥ 0 holds at all later instants if it
+holds at one instant. Here m is the vehicle's mass, m G(z) is its braking distance, z = s + q/m, s is the closing speed,
+and q is the impulse that the thrust lag still delivers. The vehicle can start to brake only at sampled instants.
+`surctl.guidance.braking` explains the proof. This module checks each inequality of the proof for the numbers of the
+certificate, in exact rational arithmetic, with every number rounded to the safe side:
 
-- the table of G satisfies the differential inequality of the braking distance and is convex, for every obstacle of the
-  claim, also while the vehicle retreats;
-- the claim's table states a sufficient range for every own speed that it lists;
-- if the claim contains a law, the range needed is available wherever the law's speed bound does not make it brake with
-  the guaranteed force.
+- for every obstacle of the claim, the table of G is convex and satisfies the differential inequality of the braking
+  distance, also while the vehicle moves backward;
+- the range in the claim's table is sufficient for every own speed in the table;
+- if the claim contains a control law, the available range is sufficient in every state in which the law's speed bound
+  does not command the guaranteed braking force.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def check(document: Mapping[str, Any]) -> None:
 
 
 def _check_steady(claim: BrakingClaim) -> None:
-    """Check that the control period is so short that the range needed rises with the speed at its start."""
+    """Check that the period is short enough for the needed range to rise with the speed at the start of the period."""
     fastest = claim.fastest + claim.speed_error + claim.current
     steepest = claim.linear[1] + 2 * claim.quadratic[1] * (fastest + claim.sideways)
     if claim.period * steepest > claim.mass[0]:
@@ -69,7 +69,7 @@ def _check_steady(claim: BrakingClaim) -> None:
 
 
 def _check_limit(claim: BrakingClaim) -> None:
-    """Check that disturbance and drag use up the braking force at the stated limit speed, to 0.1 mm/s."""
+    """Check that disturbance and drag equal the braking force at the claimed limit of obstacle speed, to 0.1 mm/s."""
 
     def left(obstacle: Fraction) -> Fraction:
         through = obstacle + claim.current
@@ -84,10 +84,10 @@ def needed(
 ) -> Fraction:
     """Return a range [m] that suffices for one period without braking, at any measured speed from low to high [m/s].
 
-    `since` is the largest measured speed since the echo [m/s].
+    `since` is the largest speed measured since the last echo of the sonar [m/s].
 
-    While the vehicle retreats faster than the obstacle approaches, drag accelerates the vehicle towards the obstacle;
-    the range includes the speed gained in this way.
+    While the vehicle moves backward faster than the obstacle approaches, drag accelerates the vehicle towards the
+    obstacle. The returned range takes this increase of speed into account.
     """
     closing, period = high + claim.speed_error + at.obstacle, claim.period
     astern = max(at.through, claim.current + claim.speed_error - low)
@@ -97,12 +97,12 @@ def needed(
 
 
 def _stale(claim: BrakingClaim, at: Forces, since: Fraction) -> Fraction:
-    """Return the largest excess of the measured range over the clearance [m], caused by the range's error and age."""
+    """Return by how much a measured range can exceed the true clearance [m] because of its error and its age."""
     return claim.range_error + max(since + claim.speed_error + at.obstacle, Fraction(0)) * claim.age
 
 
 def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, column: int) -> None:
-    """Check the claim's table: closed-form braking distance without drag, braking distance with drag, range needed."""
+    """Check the claim's table: closed-form braking distance without drag, braking distance with drag, needed range."""
     left = claim.brake - at.disturbance - drag(claim, at.through)
     for row, speed in enumerate(claim.speeds):
         closing = speed + at.obstacle
@@ -121,12 +121,12 @@ def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, c
 
 
 def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: BrakingDistance) -> None:
-    """Check margin + K(b) ≥ range needed at speed b + x(b), for every value b of the law's speed bound.
+    """Check margin + K(b) ≥ needed range at speed b + x(b), for every value b of the law's speed bound.
 
-    K(b) is the distance at which the law's speed bound is b, and x is the excess over the bound at which the velocity
-    loop commands F_b. As long as the law does not brake with F_b, the speed is at most b + x(b). K, x and the range
-    needed rise with b. So the inequality is checked on cells of b, which are halved where necessary. The first cell
-    starts at a value of b that belongs to a negative clearance.
+    At the distance K(b) from the obstacle, the law's speed bound is b. If the speed exceeds the bound by x(b), the
+    velocity loop commands the guaranteed braking force F_b. As long as the law does not brake with F_b, the speed is at
+    most b + x(b). K, x and the needed range rise with b. So the inequality is checked on intervals of b, which are
+    halved where necessary. The first interval starts at a value of b that corresponds to a negative clearance.
     """
     if claim.brake > law.limit:
         raise Rejected("the law's thrust limit is below brake_n, the guaranteed braking force")
@@ -153,10 +153,10 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
 
 
 def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
-    """Return x [m/s], the excess over the bound b at which the velocity loop commands the braking force F_b.
+    """Return x [m/s]: if the speed exceeds the bound b by x, the velocity loop commands the braking force F_b.
 
-    The loop commands drag(v_d) + m k_v (v_d − v) with v_d ≤ b − gain x; the law's drag model treats each axis
-    separately and includes the sideways speed.
+    At the speed v, the loop commands the force drag(v_d) + m k_v (v_d − v) for a desired speed v_d ≤ b − gain x. The
+    law's drag model computes the drag of each axis separately and includes the sideways speed.
     """
     v, w = max(bound, Fraction(0)), claim.sideways
     square = v**2 + Fraction(385, 1000) * v * w + Fraction(7072, 10**4) * w**2
@@ -165,7 +165,7 @@ def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
 
 
 def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
-    """Return K(b) [m], the distance at which the law's speed bound is b; K is linear in b during a fast retreat."""
+    """Return K(b) [m], the distance at which the law's speed bound is b; for b far below 0, K is linear in b."""
     force = law.brake * law.limit
     if law.barrier == "simple":
         c, t = bound + at.obstacle, law.reaction
@@ -187,7 +187,7 @@ def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fracti
 
 
 def _no_clearance(law: GuardedLaw, at: Forces, claim: BrakingClaim) -> Fraction:
-    """Return a speed bound [m/s] below the law's bound at every measured range: margin + K(bound) ≤ −range error."""
+    """Return a speed [m/s] below the law's speed bound at every measured range: margin + K(speed) ≤ −range error."""
     bound = -at.obstacle
     for _ in range(10_000):
         if law.margin + _bound_distance(law, at, claim.period, bound) <= -claim.range_error:

@@ -1,4 +1,4 @@
-"""Reader of the claim of a braking certificate; it rejects missing or unknown keys and non-decimal numbers."""
+"""Reader of the claim of a braking certificate; it rejects missing or unknown keys and numbers that are not decimal."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ASSUMES = (
     "marks of the sonar map)",
     "at the start the clearance is at least the braking distance",
 )
-"""Assumptions of the claim; a certificate repeats them word for word."""
+"""Assumptions of the claim; a certificate repeats the assumptions word for word."""
 
 LEMMAS = (
     "distance: G' >= z/(F_b - f + D(z - v_o)) and G' rises; so clearance - m G(z) does not fall while the vehicle "
@@ -41,7 +41,7 @@ LEMMAS = (
     "plane: the distance to a convex body is convex in the position, so that it is enough to consider the latched "
     "direction",
 )
-"""Lemmas from which the claim follows; a certificate repeats them word for word (proofs: `surctl.guidance.braking`)."""
+"""Lemmas from which the claim follows (proofs: `surctl.guidance.braking`); a certificate repeats them word for word."""
 
 DRAGS = ("along", "axes")
 _BARRIERS = ("inertia", "simple")
@@ -56,12 +56,12 @@ class GuardedLaw:
     Attributes:
         barrier: `inertia` or `simple`.
         margin, reaction: the law's gains `margin` [m] and `reaction` [s].
-        brake, limit: brake is the share of the thrust limit that the speed bound relies on; limit is the thrust limit
-            [N].
-        k_v, gain: k_v is the bandwidth of the velocity loop [1/s]; gain times the excess over the bound is subtracted
-            from the commanded velocity.
-        mass, linear, quadratic: mass and drag of surge and of sway in the law's model.
-        stopping: parameters of the bound `inertia`: least mass, largest mass, largest thrust, lag, linear drag,
+        brake, limit: limit is the thrust limit [N]; brake is the share of this limit that the speed bound uses for
+            braking.
+        k_v, gain: k_v is the bandwidth of the velocity loop [1/s]; the law subtracts gain times the excess of the speed
+            over the bound from the commanded velocity.
+        mass, linear, quadratic: mass, and linear and quadratic drag, of surge and sway in the law's model.
+        stopping: parameters of the speed bound `inertia`: least mass, largest mass, largest thrust, lag, linear drag,
             quadratic drag.
     """
 
@@ -83,20 +83,21 @@ class BrakingClaim:
     """A claim about braking; SI units, pairs are (least, largest).
 
     Attributes:
-        mass, linear, quadratic: true mass and drag.
-        drag: `along` for drag along the velocity, `axes` for drag of each axis separately.
+        mass, linear, quadratic: true mass, linear drag and quadratic drag.
+        drag: `along` if the drag depends on the speed and acts against the velocity, `axes` if each body axis has a
+            drag of its own.
         brake, most, side: brake is the guaranteed braking force F_b; most is the largest thrust towards the obstacle;
-            side is the largest thrust perpendicular to this direction.
+            side is the largest thrust perpendicular to the direction of the obstacle.
         lag: largest time constant τ of the thrust.
-        obstacles: approach speeds v_o of the obstacles, in rising order.
-        current, disturbance: largest current and largest other force towards the obstacle.
+        obstacles: approach speeds v_o of the obstacles, in increasing order.
+        current, disturbance: largest speed of the current towards the obstacle, and largest other force towards it.
         sideways, turn, fastest: largest sideways speed, largest yaw rate while braking, largest own speed.
         period, age, range_error, speed_error: control period, largest age of a measured range, largest error of the
             range, and largest error of the measured own speed.
-        law: the law; None for the rule alone (brake unless the range needed is available).
+        law: the control law; None if the claim is about the rule alone (brake unless the needed range is available).
         speeds: own speeds for which the table has entries.
-        closed, distance, needed: table entries [m] by own speed and obstacle: closed-form braking distance, braking
-            distance with drag, range needed.
+        closed, distance, needed: table entries [m] for each own speed and obstacle: the closed-form braking distance,
+            the braking distance with drag, and the needed range.
         limit: largest obstacle speed at which the braking force still exceeds drag and disturbance.
     """
 
@@ -130,7 +131,8 @@ def read_claim(claim: Any) -> BrakingClaim:
     """Return the claim of a certificate.
 
     Raises:
-        Rejected: a key is missing or unknown, a number has the wrong type or sign, or assumptions or lemmas differ.
+        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated assumptions or lemmas
+            are not those of this kind of claim.
     """
     keys = ("system", "assumes", "lemmas", "vehicle", "encounter", "watch", "law", "table", "limit_obstacle_m_per_s",
             "sha256_vehicle", "sha256_law")  # fmt: skip

@@ -1,10 +1,12 @@
-"""The braking distance as a table of a convex function G with G' ≥ z/(braking force), checked in exact arithmetic.
+"""The braking distance m G(z), with a table of the convex function G, for which G' ≥ z/(braking force) is checked.
 
-Here z = s + q/m, s = v + v_o is the closing speed, and q is the impulse towards the obstacle that the thrust still
-delivers because of its lag and of the hull's rotation. On knots z_0 = 0 < z_1 < …, G' is continuous and linear between
-the values g_j, and G(0) = 0. The braking force left at own speed v = z − v_o is F_b − f + D(v − c), where D is the
-least drag for motion ahead and the largest drag for motion astern. On one cell (between two knots) the inequality says
-that a cubic polynomial in z is not negative; it holds if no Bernstein coefficient is negative.
+Here m is the mass, z = s + q/m, s = v + v_o is the closing speed of a vehicle with speed v and an obstacle with speed
+v_o, and q is the impulse towards the obstacle that the thrust still delivers because of its lag and of the hull's
+rotation. G(0) = 0, and G' is piecewise linear with the value g_j at the knot z_j (0 = z_0 < z_1 < …). At own speed v =
+z − v_o, the braking force is F_b − f + D(v − c), where F_b is the guaranteed thrust, f the largest disturbance, c the
+speed of the current, and D the least drag for motion ahead and the largest drag for motion astern. Between two knots,
+the inequality says that a cubic polynomial in z is not negative. This holds if no Bernstein coefficient of the
+polynomial is negative. The checks use exact arithmetic.
 """
 
 from __future__ import annotations
@@ -27,9 +29,9 @@ _CELLS = 64
 
 ROOT2 = (Fraction(141421356, 10**8), Fraction(141421357, 10**8))
 HALF_ROOT2 = Fraction(70710678, 10**8)
-"""Just below 1/√2, the least share of axis-by-axis quadratic drag that acts along the motion (at 45°)."""
+"""A number just below 1/√2, the least share of axis-by-axis quadratic drag that acts along the motion (at 45°)."""
 ROOT27 = Fraction(19245009, 10**8)
-"""Just above 1/(3√3)."""
+"""A number just above 1/(3√3)."""
 
 
 def rounded(value: Fraction) -> Fraction:
@@ -48,9 +50,9 @@ class Forces:
 
     Attributes:
         obstacle: approach speed v_o [m/s].
-        through: v_o + c, the speed astern through the water at which the closing speed is 0 [m/s].
-        disturbance: f, the largest force towards the obstacle apart from drag, at closing speed ≥ 0 [N].
-        swing: q, the impulse that the largest thrust still delivers because of the lag [N s].
+        through: speed of the vehicle astern through the water, v_o + c, at which the closing speed is 0 [m/s].
+        disturbance: f, the largest force towards the obstacle (without drag) at closing speeds ≥ 0 [N].
+        swing: q, the largest impulse towards the obstacle that the thrust still delivers because of its lag [N s].
     """
 
     obstacle: Fraction
@@ -60,9 +62,9 @@ class Forces:
 
 
 def largest_disturbance(claim: BrakingClaim, through: Fraction) -> Fraction:
-    """Return f [N] for a vehicle that moves astern through the water at up to `through` [m/s].
+    """Return the largest disturbance f [N] for a vehicle that moves astern through the water at up to `through` [m/s].
 
-    f includes the drag beyond D(through) that a sideways speed causes, and the part of the braking force that is lost
+    f includes the drag that a sideways speed causes in addition to D(through), and the braking force that is lost
     because the hull turns.
     """
     w, (low, high), (low2, high2) = claim.sideways, claim.linear, claim.quadratic
@@ -78,7 +80,7 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
     """Return the speeds and forces of the encounter with an obstacle that approaches at `obstacle` [m/s].
 
     Raises:
-        Rejected: drag and disturbance use up the braking force.
+        Rejected: drag and disturbance are as large as the braking force.
     """
     through = obstacle + claim.current
     disturbance = largest_disturbance(claim, through)
@@ -90,7 +92,7 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
 
 @dataclass(frozen=True)
 class BrakingDistance:
-    """The function G: its knots z_j, and its slopes g_j and values at these knots."""
+    """The function G of the braking distance m G(z): its knots z_j, and its slopes g_j and values at these knots."""
 
     knots: tuple[Fraction, ...]
     slopes: tuple[Fraction, ...]
@@ -106,7 +108,7 @@ class BrakingDistance:
         return self.values[k] + self.slopes[k] * t + rise * t * t / 2
 
     def slope(self, z: Fraction) -> Fraction:
-        """Return G'(max(z, 0)); raise Rejected for z beyond the table."""
+        """Return the slope G'(max(z, 0)); raise Rejected for z beyond the table."""
         if z <= 0:
             return self.slopes[0]
         k = self._cell(z)
@@ -119,12 +121,12 @@ class BrakingDistance:
         return min(bisect_right(self.knots, z), len(self.knots) - 1) - 1
 
     def worst(self, claim: BrakingClaim, at: Forces, closing: Fraction, swing: Fraction) -> Fraction:
-        """Return the larger of m G(s + q/m) [m] at both ends of the mass range; m G(s + q/m) is convex in m."""
+        """Return the largest m G(s + q/m) [m] over the mass range; it is convex in m, so the ends suffice."""
         return rounded(max(m * self(closing + swing / m) for m in claim.mass))
 
 
 def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistance:
-    """Return the braking distance for one obstacle from its table, after a check of every cell of the table.
+    """Return the function G for one obstacle from its table, after a check of G' between every two knots.
 
     Raises:
         Rejected: the table is malformed or not convex, or one of its slopes is too small.
@@ -148,7 +150,7 @@ def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistanc
 
 
 def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tuple[Fraction, ...]) -> None:
-    """Check G' (F_b − f + D) ≥ z on one cell: no Bernstein coefficient of the cubic polynomial is negative."""
+    """Check G' (F_b − f + D) ≥ z between two knots: no Bernstein coefficient of the cubic polynomial is negative."""
     h, left = z[1] - z[0], claim.brake - at.disturbance
     behind = z[0] - at.through  # speed through the water at the cell's start
     if behind < 0 < z[1] - at.through:
@@ -170,7 +172,7 @@ def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tup
 
 
 def _check_retreat(claim: BrakingClaim, at: Forces, distance: BrakingDistance) -> None:
-    """Check G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all opening speeds r, with the least mass as the worst."""
+    """Check G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for the least mass and all speeds r away from the obstacle."""
     most = at.swing / claim.mass[0]
     for k in range(_CELLS):
         slow, quick = most * k / _CELLS, most * (k + 1) / _CELLS

@@ -1,9 +1,8 @@
-"""Reader of the manifest of an exported controller; it verifies every entry that can be recomputed.
+"""Reader of the manifest of an exported controller; it verifies every entry that it can recompute.
 
-The export writes `manifest.json`, which states the content of the bundle: every gain, the vehicle's parameters, the
-hash of the law's instruction list, and the hashes of all files. This module recomputes the hashes of the files, of the
-gains and of the vehicle, and the id that the C source returns (a hash of law, period, precision, gains and initial
-state).
+The export writes `manifest.json`, which lists the content of the bundle: every gain, the vehicle's parameters, the hash
+of the law's instruction list, and the hashes of all files. This module recomputes the hashes of the files, of the gains
+and of the vehicle, and the id that the C source returns (a hash of law, period, precision, gains and initial state).
 """
 
 from __future__ import annotations
@@ -27,21 +26,21 @@ _STATED = ("variables", "left", "right", "constraints")
 
 @dataclass(frozen=True)
 class Manifest:
-    """The manifest of an exported controller, compared with the exported files.
+    """The manifest of an exported controller, after its comparison with the exported files.
 
     Attributes:
-        id: hash of law, period, precision, gains and initial state.
+        id: hash of the law, its period, its precision, its gains and its initial state.
         real: floating-point precision of the exported code.
         period: control period [s].
-        laws: hash of the law's instruction list, then hash of the instruction list of this law with true obstacle
+        laws: two hashes: of the law's instruction list, and of the instruction list of the same law with true obstacle
             positions as input.
         gains: values of the exported gains by name.
         vehicle: hash of the vehicle's parameters; empty if the export names no vehicle.
-        claims: hashes of the library's claims for the exported gains, by name of the claim.
+        claims: for each claim of the library about the exported gains, its hash by its name.
         wrong: one message for each entry of the manifest that is false.
         values: values of the vehicle's parameters by name.
-        ranges: (least, largest) value of each vehicle parameter with a range in the vehicle file, by name; None if the
-            manifest states no ranges.
+        ranges: (least, largest) value, by name, of each vehicle parameter for which the vehicle file gives a range;
+            None if the manifest states no ranges.
     """
 
     id: str
@@ -57,7 +56,7 @@ class Manifest:
 
 
 def numbers_sha256(numbers: Sequence[float]) -> str:
-    """Return the SHA-256 of numbers in their order, exact to the last bit."""
+    """Return the SHA-256 of a sequence of numbers; it changes with every bit of a number and with their order."""
     return hashlib.sha256("\n".join(float(value).hex() for value in numbers).encode()).hexdigest()
 
 

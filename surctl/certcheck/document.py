@@ -1,4 +1,4 @@
-"""Reading and writing of certificate files, which are JSON with a hash of their own canonical text."""
+"""Reading and writing of certificate files: JSON that contains the hash of its own canonical text."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def canonical(document: Mapping[str, Any]) -> bytes:
     """Return the document as UTF-8 JSON with sorted keys, no spaces and floats as `repr`, without the key `sha256`.
 
     Raises:
-        ValueError: the document holds a number that JSON does not have (NaN, infinity).
+        ValueError: the document contains a NaN or an infinity, which JSON cannot represent.
 
     Example:
         >>> from surctl.certcheck import canonical
@@ -39,16 +39,15 @@ def canonical(document: Mapping[str, Any]) -> bytes:
 
 
 def seal(kind: str, claim: Mapping[str, Any], evidence: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a complete certificate: format, version, kind, claim, the keys of `evidence`, and the hash of all keys.
+    """Return a complete certificate: format, version, kind, claim, the entries of `evidence`, and the hash of these.
 
     Args:
         kind: name of the module of `surctl.certcheck` that checks this kind.
         claim: the statement that is proved, as plain data.
-        evidence: the keys that certificates of this kind have besides the common keys, with their values, as plain
-            data.
+        evidence: the entries that only certificates of this kind have, as plain data.
 
     Raises:
-        ValueError: the evidence uses a key that every certificate has, or holds a number that JSON does not have.
+        ValueError: the evidence uses a key that every certificate has, or contains a number that JSON cannot represent.
 
     Example:
         >>> from surctl.certcheck import check_document, seal
@@ -96,7 +95,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def verify_frame(document: Mapping[str, Any]) -> None:
-    """Raise Rejected unless the document has this format and version, a kind, a claim, and the hash of its content."""
+    """Raise Rejected unless the document has this format and version, a kind, a claim, and the correct hash."""
     if document.get("format") != FORMAT:
         raise Rejected(f"the format is not {FORMAT!r}")
     version = document.get("version")

@@ -1,7 +1,8 @@
-"""Interval arithmetic of the checker, with first and second derivatives; mpmath rounds the 60-bit ends outward.
+"""Interval arithmetic of the checker, with first and second derivatives; mpmath rounds each end outward to 60 bits.
 
-An interval is a pair of raw numbers as mpmath uses them. A derivative that is None stands for [0, 0]. mpmath rounds
-sums, products, quotients, integer powers and roots correctly; sines and angles come from `surctl.certcheck.angles`.
+An interval is a pair of mpmath's raw numbers (tuples, not `mpf` objects). A derivative None means the interval [0, 0].
+mpmath rounds sums, products, quotients, integer powers and roots correctly; sines, cosines, atan2 and arccos come from
+`surctl.certcheck.angles`.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ __all__ = [
 ]
 
 Slopes = list[Any]
-"""One derivative for each variable; None stands for 0."""
+"""The derivative with respect to each variable; None means 0."""
 
 _MOST = 2_000_000  # largest count of numbers in all jets of an expression
 _ZERO = (libmp.fzero, libmp.fzero)
@@ -49,7 +50,7 @@ class Undefined(Exception):
 
 @dataclass(frozen=True)
 class Jet:
-    """Ranges of a value, its gradient (n) and its Hessian (n × n, symmetric); a derivative not computed is None."""
+    """Ranges of a function's value, gradient (n) and symmetric Hessian (n × n); None for a derivative not computed."""
 
     value: Interval
     slope: Slopes | None = None
@@ -63,7 +64,7 @@ def exact(x: float) -> Interval:
 
 
 def span(low: float, high: float) -> Interval:
-    """Return the interval [low, high]; each end is the outer of two numbers, the double and its printed decimal."""
+    """Return the interval [low, high], rounded outward to contain both the doubles and their printed decimals."""
     return _end(low)[0], _end(high)[1]
 
 
@@ -87,7 +88,7 @@ def rational(x: Fraction) -> Interval:
 
 
 def above(a: Interval, bound: Any = libmp.fzero) -> bool:
-    """Return whether every number in the interval a is greater than the bound."""
+    """Return whether every number in the interval a is greater than `bound`."""
     return bool(libmp.mpf_gt(a[0], bound))
 
 
@@ -107,17 +108,17 @@ def greatest(a: Interval, b: Interval) -> Interval:
 
 
 def plus(a: Interval, b: Interval) -> Interval:
-    """Return a + b; None stands for 0."""
+    """Return the interval a + b; None means 0."""
     return b if a is None else a if b is None else libmp.mpi_add(a, b, BITS)
 
 
 def minus(a: Interval) -> Interval:
-    """Return −a; None stands for 0."""
+    """Return the interval −a; None means 0."""
     return None if a is None else libmp.mpi_neg(a)
 
 
 def mul(a: Interval, b: Interval) -> Interval:
-    """Return a b; None stands for 0, and 0 times an unbounded interval is 0."""
+    """Return the interval a · b; None means 0, and 0 times an unbounded interval is 0."""
     if a is None or b is None:
         return None
     if a == _ZERO or b == _ZERO:
@@ -128,7 +129,7 @@ def mul(a: Interval, b: Interval) -> Interval:
 
 
 def over(a: Interval, b: Interval) -> Interval:
-    """Return a / b; the result is the whole real line if b contains 0 or if a or b is unbounded."""
+    """Return the interval a / b; it is the whole real line if b contains 0 or if a or b is unbounded."""
     if a is None:
         return None
     if not (above(b) or libmp.mpf_lt(b[1], libmp.fzero)) or libmp.finf in (*a, *b) or libmp.fninf in (*a, *b):
@@ -139,7 +140,7 @@ def over(a: Interval, b: Interval) -> Interval:
 def enclose(
     expressions: ExpressionTable, roots: Sequence[int], box: Sequence[Interval], *, order: int = 0
 ) -> list[Jet]:
-    """Return the ranges of expressions on a box, with derivatives up to `order`.
+    """Return the ranges on a box of expressions and of their derivatives up to `order` (0, 1 or 2).
 
     Raises:
         Undefined: an operation in one of the expressions is not defined on the whole box.
@@ -238,7 +239,7 @@ def _product(a: Jet, b: Jet) -> Jet:
 
 
 def _chain(a: Jet, value: Interval, derivatives: tuple[Interval, Interval]) -> Jet:
-    """Return the jet of f(a) from the value and the first and second derivative of f at a."""
+    """Return value, gradient and Hessian of f(a) by the chain rule, from f(a), f'(a) and f''(a)."""
     if a.slope is None:
         return Jet(value)
     first, second = derivatives
@@ -255,7 +256,7 @@ def _chain(a: Jet, value: Interval, derivatives: tuple[Interval, Interval]) -> J
 
 
 def square(a: Interval) -> Interval:
-    """Return a²; None stands for 0."""
+    """Return the interval a²; None means 0."""
     return None if a is None else (_LINE if a == _LINE else libmp.mpi_pow_int(a, 2, BITS))
 
 
@@ -327,7 +328,7 @@ def _angle(y: Jet, x: Jet) -> Jet:
 
 
 def _chosen(a: Interval, b: Interval, x: Jet, y: Jet, value: Interval | None) -> Jet:
-    """Return the jet of f = x where a ≤ b, f = y elsewhere; `value` is the range of f, or None if f may jump."""
+    """Return the `Jet` of f, where f = x if a ≤ b and f = y otherwise; `value` is f's range, or None if f may jump."""
     if libmp.mpf_le(a[1], b[0]):
         return x
     if libmp.mpf_gt(a[0], b[1]):

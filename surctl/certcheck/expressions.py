@@ -1,6 +1,7 @@
-"""Parser of expressions for the checker; it turns text into a list of operations without duplicates.
+"""Parser of expressions for the checker: it converts text to a list of operations without duplicates.
 
-The grammar has sums, products, integer powers with ^, the functions in `FUNCTIONS`, exact decimal numbers and `pi`.
+An expression may contain sums, products, integer powers with ^, the functions in `FUNCTIONS`, exact decimal numbers and
+`pi`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ __all__ = ["BRANCHES", "FUNCTIONS", "Entry", "ExpressionTable"]
 FUNCTIONS = {
     "abs": 1, "acos": 1, "atan": 1, "atan2": 2, "cos": 1, "max": 2, "min": 2, "select": 4, "sin": 1, "sqrt": 1,
 }  # fmt: skip
-"""Functions and their number of arguments; select(a, b, x, y) is x where a ≤ b, and y elsewhere."""
+"""Number of arguments of each function; select(a, b, x, y) is x if a ≤ b, and y otherwise."""
 
 BRANCHES = ("abs", "max", "min", "select")
 """Functions whose value is one of two expressions."""
@@ -32,7 +33,7 @@ _OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
 
 @dataclass(frozen=True)
 class Entry:
-    """One operation; `value` is the number of a `num`, the exponent of a `pow` or the index of a `var`."""
+    """One operation; `value` is the number (of `num`), the exponent (of `pow`) or the variable's index (of `var`)."""
 
     op: str
     args: tuple[int, ...] = ()
@@ -40,7 +41,7 @@ class Entry:
 
 
 class ExpressionTable:
-    """Table of all expressions of one certificate; equal expressions share an entry, and operands precede their use."""
+    """Table of all operations of one certificate; equal operations are one entry, and operands precede their use."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
@@ -49,7 +50,7 @@ class ExpressionTable:
         self._live: dict[tuple[int, ...], list[int]] = {}
 
     def put(self, op: str, *args: int, value: Fraction | int = 0) -> int:
-        """Return the position of an operation; add the operation if it is new."""
+        """Return the position of an operation in the table; add the operation to the table if it is new."""
         entry = Entry(op, args, Fraction(value))
         if entry not in self._at:
             if len(self.entries) >= _MOST:
@@ -59,7 +60,7 @@ class ExpressionTable:
         return self._at[entry]
 
     def needed(self, roots: Iterable[int]) -> list[int]:
-        """Return the positions of the roots and of all operations that they depend on, in order."""
+        """Return, in table order, the positions of the given roots and of all operations on which the roots depend."""
         key = tuple(roots)
         if key not in self._live:
             live = set(key)
@@ -72,7 +73,7 @@ class ExpressionTable:
         return self._live[key]
 
     def rewritten(self, roots: Sequence[int], change: Callable[[int, tuple[int, ...]], int | None]) -> list[int]:
-        """Return the roots, each entry replaced by change(position, new operands); None leaves the entry as it is."""
+        """Return the roots after change(position, new operands) has replaced each entry; None means no replacement."""
         replaced: dict[int, int] = {}
         for at in self.needed(roots):
             entry = self.entries[at]
@@ -82,7 +83,7 @@ class ExpressionTable:
         return [replaced[r] for r in roots]
 
     def read(self, text: object) -> int:
-        """Return the position of the expression in a text; raise Rejected if the text is not an expression."""
+        """Return the table position of the expression in `text`; raise Rejected if the text is not an expression."""
         if not isinstance(text, str) or len(text) > _LONGEST:
             raise Rejected(f"an expression is not a text of at most {_LONGEST} characters")
         go_on()

@@ -1,11 +1,13 @@
-"""Check of a certificate of the heading-steered loop (8 states), which claims V̇ ≤ −a V on a whole level set of V.
+"""Check of a certificate of the heading-steered loop (8 states), which claims V̇ ≤ −a V on the sublevel set V ≤ 1.
 
-The claim states that for all constant true parameters in their ranges, the vehicle comes to rest relative to the moving
-target at x* = (v − u_c*)/k1. V = ξᵀ P ξ is a function of the horizontal deviations (x, y, ψ, U_x, U_y, r), and V_z of
-(z, w). Along every motion that starts in V ≤ 1 and V_z ≤ 1, V and V_z decay as e^(−a t). The proof divides the level
-set into cells; in each cell, a sector φ ∈ [φ_min, 1] models the thrust limits. Heave does not act on the other six
-states. P > 0 and heave are checked in exact rational arithmetic; the cells are checked in double precision with bounds
-on all rounding errors.
+The claim states that, for all constant true parameters in their ranges, the vehicle comes to rest relative to the
+target, which moves along the path with speed v. The offset along the path is then x* = (v − u_c*)/k1, where k1 is a
+gain and u_c* the surge command at rest. ξ = (x, y, ψ, U_x, U_y, r) denotes the horizontal deviations of position,
+heading, velocity and yaw rate from this rest; (z, w) are the deviations in depth and heave velocity. V = ξᵀ P ξ, and
+V_z is a quadratic function of (z, w). Along every motion that starts in V ≤ 1 and V_z ≤ 1, V and V_z decay as e^(−a t).
+The proof divides the set V ≤ 1 into cells. In each cell, the thrust limits reduce a command to a share φ ∈ [φ_min, 1].
+Depth and heave velocity do not act on the other six states. P > 0 and the decay of V_z are checked in exact rational
+arithmetic; the cells are checked in double precision with bounds on all rounding errors.
 """
 
 from __future__ import annotations
@@ -60,7 +62,7 @@ def _matrix(rows: Any, size: int, where: str) -> Matrix:
 
 
 def _check_extent(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
-    """Check the claimed offsets, depth and extent of the region, and the claimed bound on the point of rest x*."""
+    """Check the claimed offsets, depth and extent of the region, and the claimed bound on the offset x* at rest."""
     v, k1 = claim.law["cruise"], claim.law["k1"]
     for command in claim.command:
         if command <= 0:
@@ -82,7 +84,7 @@ def _check_extent(claim: HeadingClaim, p: Matrix, p_z: Matrix) -> None:
 
 
 def _check_heave(claim: HeadingClaim, p: Matrix) -> None:
-    """Check the decay of V_z for ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w, in exact rational arithmetic."""
+    """Check the decay of V_z for ż = w, m33 ẇ = −φ m̂33 k (w + k_z z) − σ w (drag slope σ), in exact arithmetic."""
     covariance = inverse(p)
     velocity_gain, k_z = claim.law["heave_mass_kg"] * claim.law["k"], claim.law["k_z"]
     linear, square = claim.ranges["heave_linear"], claim.ranges["heave_quadratic"]

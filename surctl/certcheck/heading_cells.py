@@ -1,8 +1,8 @@
-"""Proof of V̇ < −a V over cells of (ψ, y_e), at the vertices of the bounds on thrust share and drag slope in each cell.
+"""Proof of V̇ < −a V in each cell of (ψ, y_e), for all combinations of extreme thrust shares and drag slopes.
 
-Cells that fail are divided into four. Interval matrices are stored as midpoints with radii. The norm of the radii and a
-bound on all rounding errors are subtracted from the diagonal of the midpoint; then a Cholesky factorisation in double
-precision decides whether the matrix is positive definite (Rump 2006).
+A cell in which the proof fails is divided into four. An interval matrix is stored as its midpoint and its radius. The
+norm of the radius and a bound on all rounding errors are subtracted from the diagonal of the midpoint; then a Cholesky
+factorisation in double precision decides whether the matrix is positive definite (Rump 2006).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _form(p: Array) -> _Form:
 
 
 def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
-    """Return for each cell a lower bound on (ψ, y) S (ψ, y)ᵀ, the least V at a given (ψ, y)."""
+    """Return for each cell a lower bound on V, whose least value at a given (ψ, y) is (ψ, y) S (ψ, y)ᵀ."""
     s = form.shape
     at = s[0, 0] * psi**2 + 2 * s[0, 1] * psi * y + s[1, 1] * y**2
     slack = half[0] * np.sqrt(s[0, 0]) + half[1] * np.sqrt(s[1, 1])
@@ -60,7 +60,7 @@ def _inside(form: _Form, psi: Array, y: Array, half: Array) -> Array:
 
 
 def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: Array) -> Array:
-    """Return an upper bound (n,) on |row · ξ| for V ≤ 1 with (ψ, y) in each cell."""
+    """Return for each of the n cells an upper bound on |row · ξ| over the points of V ≤ 1 with (ψ, y) in the cell."""
     mean = np.einsum("nk,kj->nj", row.mid, form.regression)
     centre = np.abs(mean[:, 0] * psi + mean[:, 1] * y)
     moved = np.abs(mean[:, 0]) * half[0] + np.abs(mean[:, 1]) * half[1]
@@ -70,7 +70,7 @@ def _largest(form: _Form, row: Plane, psi: Array, y: Array, half: Array, least: 
 
 
 def _pair(share: Array) -> list[Array]:
-    """Return the vertices of the thrust share φ: [φ, 1], or [1] if no cell reaches the thrust limit."""
+    """Return the values of the thrust share for the proof: its least value and 1, or only 1 if no thrust saturates."""
     return [np.ones_like(share)] if np.all(share >= 1) else [share, np.ones_like(share)]
 
 
@@ -119,7 +119,7 @@ def check_cells(claim: HeadingClaim, matrix: Array, *, most: int = _MOST) -> int
 def _fails(
     claim: HeadingClaim, law: dict[str, float], form: _Form, psi: Array, y: Array, half: Array, least: Array
 ) -> Array:
-    """Return for each cell whether the proof of V̇ + a V < 0 fails at one of the cell's vertices."""
+    """Return for each cell whether the proof of V̇ + a V < 0 fails for one combination of extreme parameters."""
     go_on()
     ranges = {key: (float(low), float(high)) for key, (low, high) in claim.ranges.items()}
     limits = {key: float(value) for key, value in claim.limits.items()}
@@ -186,7 +186,7 @@ _KINEMATIC[0, 3] = _KINEMATIC[1, 4] = _KINEMATIC[2, 5] = 1
 
 
 def _part(form: _Form, loop: Plane) -> tuple[Array, Array, Array, Array]:
-    """Return T (P A + Aᵀ P) Tᵀ: midpoint and two slopes over the cell (n, 6, 6); spectral norm of the error (n,)."""
+    """Return T (P A + Aᵀ P) Tᵀ for n cells: mean, slopes in ψ and y (n, 6, 6), and a bound on the error (n,)."""
     t = form.change
     halves = []
     for part in (loop.mid, loop.psi, loop.y):

@@ -24,7 +24,7 @@ EXCLUDES = (
     "measured pose and velocity are exact; thrust has no lag, and commands are not held for a control period",
     "the water is at rest; there are no waves and no thrust bias",
 )
-"""Restrictions of the claim; a certificate repeats them word for word."""
+"""Restrictions of the claim; a certificate repeats the restrictions word for word."""
 
 _RANGES = (
     "mass_kg", "heave_mass_kg", "yaw_inertia_kg_m2", "surge_linear", "surge_quadratic", "sway_linear",
@@ -43,14 +43,15 @@ class HeadingClaim:
 
     Attributes:
         ranges: (least, largest) of each true vehicle parameter, by its name in the certificate.
-        limits: least thrust limit of each axis.
+        limits: least thrust limit of each body axis.
         law: mass and drag in the law's model, and the law's gains.
         rate: decay rate a of V̇ ≤ −a V [1/s].
-        offset: |y_e| [m] that lies in the region at x_e = 0, with the heading along the path and the target's velocity.
-        beside: |y_e| [m] that lies in the region at x_e = x*, where the vehicle comes to rest.
-        extent: |x|, |y| [m] and |ψ| [rad], largest values in the region.
-        depth: |z_e| [m] that lies in the region at zero heave velocity.
-        ultimate_bound: largest |x_e| [m] at rest; y_e, z_e and ψ go to 0.
+        offset: the region contains every |y_e| ≤ offset [m] at x_e = 0, with the heading along the path and the
+            target's velocity.
+        beside: the region contains every |y_e| ≤ beside [m] at x_e = x*, where the vehicle comes to rest.
+        extent: largest values of |x|, |y| [m] and |ψ| [rad] in the region.
+        depth: the region contains every |z_e| ≤ depth [m] at zero heave velocity.
+        ultimate_bound: largest |x_e| [m] at rest; the deviations y_e, z_e and ψ go to 0.
     """
 
     ranges: Mapping[str, Pair]
@@ -65,7 +66,7 @@ class HeadingClaim:
 
     @property
     def velocity_gain(self) -> Fraction:
-        """Return the velocity gain m k of the law [N s/m]."""
+        """Return the gain from velocity error to thrust in the law, m k [N s/m]."""
         return self.law["mass_kg"] * self.law["k"]
 
     @property

@@ -1,8 +1,9 @@
 """A second implementation of the heading-steered loop, compared with the linear forms in ξ that the proof uses.
 
-At sampled positions, headings and vehicles the state derivative of the whole loop must equal A ξ up to rounding, where
-A uses the thrust share φ = 1 and the true secant slopes of the drag. The comparison does not replace the derivation of
-A, but it reveals a wrong sign, frame or factor.
+ξ is the deviation of the state from the steady motion, and the proof uses the linear form A ξ of its derivative. At
+sampled positions, headings and vehicles the derivative of the second implementation must equal A ξ up to rounding; here
+A is formed without thrust limits and with the true secant slopes of the drag. The comparison does not replace the
+derivation of A, but it reveals a wrong sign, frame or factor.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ Boat = dict[str, float]
 
 
 def commanded_thrust(law: dict[str, float], state: list[float]) -> tuple[float, float, float]:
-    """Return the thrust of (11), (12) and the velocity loops at (x_e, y_e, ψ, u, v, r), without limits [N, N, N m]."""
+    """Return the thrust [N, N, N m] of equations (11), (12) of the paper and of the velocity loops, without limits."""
     x_e, y_e, psi, u, v, r = state
     q = math.hypot(y_e, law["lookahead"])
     desired = (law["cruise"] - law["k1"] * x_e) * q / law["lookahead"]
@@ -39,7 +40,7 @@ def commanded_thrust(law: dict[str, float], state: list[float]) -> tuple[float, 
 
 
 def true_rate(law: dict[str, float], boat: Boat, state: list[float], thrust: tuple[float, ...]) -> list[float]:
-    """Return d/dt of (x_e, y_e, ψ, u, v, r) by (2), (3) under the given thrust."""
+    """Return d/dt of (x_e, y_e, ψ, u, v, r) under the given thrust, by equations (2) and (3) of the paper."""
     _, _, psi, u, v, r = state
     m = boat["mass_kg"]
     c, s = math.cos(psi), math.sin(psi)

@@ -1,12 +1,16 @@
-"""The heading-steered loop over cells of (ψ, y_e), as matrix rows that are affine in (ψ, y_e) up to an error bound.
+"""The matrix of the heading-steered loop on cells of (ψ, y_e); its rows are affine in (ψ, y_e) up to an error bound.
 
-With m11 = m22 the Coriolis force vanishes in the path frame, ξ = (x − x*, y, ψ, U_x − v, U_y, r), and
+If m11 = m22, the Coriolis force vanishes in the path frame. With ξ = (x − x*, y, ψ, U_x − c, U_y, r),
+
     m U̇ = e1(ψ) (φ_u f_u − σ_u δu) + e2(ψ) (φ_v f_v − σ_v v),   m44 ṙ = φ_r f_r − σ_r r,
-    δu = cos ψ δU_x + sin ψ U_y − v κ ψ,  v = −sin ψ δU_x + cos ψ U_y − v sinc ψ ψ,   κ = (1 − cos ψ)/ψ,
-    f_u = m̂ k (−k1 (q/Δ) x + u_c* y²/(Δ (q + Δ)) − δu),  f_v = −m̂ k v,  f_r = −m̂44 k_r (r + k_ψ (ψ + atan(y/Δ))),
-exactly. The trim force T* cancels except in u_c* = v + (T* − T̂)/(m̂ k). σ are secants of the drag, and φ are the
-shares of the command that the thrust limits leave. Every coefficient of ξ is a smooth function of ψ or of y. Over a
-cell, the tangent of the function and a bound on its second derivative enclose the function. All numbers are doubles.
+    δu = cos ψ δU_x + sin ψ U_y − c κ ψ,  v = −sin ψ δU_x + cos ψ U_y − c ψ sinc ψ,   κ = (1 − cos ψ)/ψ,
+    f_u = m̂ k (−k1 (q/Δ) x + u_c* y²/(Δ (q + Δ)) − δu),  f_v = −m̂ k v,  f_r = −m̂44 k_r (r + k_ψ (ψ + atan(y/Δ)))
+
+hold exactly. Here e1 and e2 are the body axes in the path frame, v is the sway velocity, c the cruise speed, Δ the
+lookahead distance, and q = √(y² + Δ²). A hat marks a parameter of the law's model; k, k1, k_r and k_ψ are gains. σ is a
+secant slope of the drag, and φ is the share of the command that the thrust limits allow. The trim force T* occurs only
+in u_c* = c + (T* − T̂)/(m̂ k), the surge command at rest. Every coefficient of ξ is a smooth function of ψ or of y. On
+a cell, the tangent of this function and a bound on its second derivative enclose it. All numbers are doubles.
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ _TINY = 1e-12  # above the relative rounding error of every entry of order 1
 
 @dataclass(frozen=True)
 class Plane:
-    """Array of functions over a cell: mid + a psi + b y with a, b in [−1, 1], with an error of at most `radius`."""
+    """Array of functions mid + a psi + b y on a cell (a and b from −1 to 1), each with an error of at most `radius`."""
 
     mid: Array
     psi: Array
@@ -36,7 +40,7 @@ class Plane:
 
     @property
     def spread(self) -> Array:
-        """Return the largest distance of a value in the cell from `mid`."""
+        """Return the largest difference between `mid` and a value of the function in the cell."""
         return np.asarray((np.abs(self.psi) + np.abs(self.y) + self.radius) * (1 + _TINY))
 
     def __add__(self, other: Plane) -> Plane:
@@ -60,12 +64,12 @@ class Plane:
         )
 
     def times(self, factor: float | Array) -> Plane:
-        """Return the plane multiplied by a factor without error."""
+        """Return the plane multiplied by a factor that has no error."""
         mid = self.mid * factor
         return Plane(mid, self.psi * factor, self.y * factor, self.radius * np.abs(factor) + _TINY * np.abs(mid))
 
     def at(self, index: Any) -> Plane:
-        """Return the entries that an index selects."""
+        """Return the array entries that an index selects."""
         return Plane(self.mid[index], self.psi[index], self.y[index], self.radius[index])
 
 
@@ -76,7 +80,7 @@ def constant(value: Array) -> Plane:
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows (n cells, 6) of coefficients of ξ for δu, v, f_u/(m̂ k) + δu (at both ends of u_c*), f_r; columns e1, e2."""
+    """Coefficients of ξ (n cells, 6) in δu, v, f_u/(m̂ k) + δu (for both extreme u_c*) and f_r, and axes e1, e2."""
 
     surge: Plane
     sway: Plane

@@ -1,9 +1,9 @@
-"""Exact identities: two expressions are equal if the numerator of their difference is the polynomial 0.
+"""Proof of exact identities: two expressions are equal if the numerator of their difference is the polynomial 0.
 
-Every angle is split into the terms of its sum; sine and cosine of the sum follow from the product of unit complex
-numbers, one for each term. The other rewriting rules are sqrt(p)² = p, sin² = 1 − cos², and the sides of the triangle
-behind atan2 and acos. An identity holds wherever both sides are defined and the polynomials in `Exact.assumed` are
-positive.
+If an angle is a sum, its cosine and sine are the real and imaginary parts of a product of unit complex numbers, one for
+each term of the sum. The other rewriting rules are sqrt(p)² = p, sin² = 1 − cos², and the sine and cosine of atan2 and
+acos as ratios of sides of a right triangle. An identity holds wherever both sides are defined and the polynomials in
+`Exact.assumed` are positive.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _ONE: Sum = {(): Fraction(1)}
 
 
 class Exact:
-    """Expressions of one table as fractions of polynomials in named atoms.
+    """Expressions of one table as fractions of polynomials in the variables, roots, sines and cosines.
 
     Attributes:
         assumed: polynomials that must be positive for the identities to hold.
@@ -47,12 +47,12 @@ class Exact:
         self.assumed: list[Sum] = []
 
     def equal(self, a: int, b: Callable[[Exact], Fraction_]) -> bool:
-        """Return whether the expression at position `a` equals the fraction that the function `b` builds."""
+        """Return whether the expression at table position `a` equals the fraction that the function `b` returns."""
         p, q = self.of(a), b(self)
         return not self.plus(self.mul(p[0], q[1]), self.mul(q[0], p[1]), -1)
 
     def under_root(self, atom: str) -> Sum:
-        """Return the radicand (a polynomial) of the root that an atom stands for."""
+        """Return the polynomial under the root that the indeterminate `atom` denotes."""
         return self._inside[atom]
 
     # ---- polynomials
@@ -119,7 +119,7 @@ class Exact:
         return self.mul(a[0], b[0]), self.mul(a[1], b[1])
 
     def of(self, root: int) -> Fraction_:
-        """Return the expression at position `root` as a fraction."""
+        """Return the expression at position `root` of the table as a fraction."""
         for at in self._expressions.needed([root]):
             if at not in self._values:
                 go_on()
@@ -175,7 +175,7 @@ class Exact:
         return a[1], a[0]
 
     def _root(self, a: Fraction_) -> Fraction_:
-        """Return √(p/q) = √(p q)/q for q > 0; square factors of the coefficients are moved out of the root."""
+        """Return √(p/q) as √(p q)/q for q > 0; square factors of the coefficients are moved out of the root."""
         if not a[0]:
             return a
         inside = self.mul(a[0], a[1])

@@ -1,15 +1,19 @@
 """Check of a certificate of kind `interval`, which claims an inequality left ≤ right + slack on a box.
 
-Besides the common keys, the certificate has the key `cases`; the proof is by cases and by halving boxes. Each case has
-a `choice` (which of its two expressions each abs, max, min and select takes), `numerator`, `denominators` and
-`multipliers` (margin = numerator / Π denominators + Σ multiplier · constraint), a `tree` (preorder; a capital letter or
-digit halves the box in that variable, at 0 if 0 lies inside; a small letter names the rule that decides the box), and
-`points` (points of contact of the tangents that the rule `c` uses). The cases must cover all choices, and an incomplete
-tree is rejected. So the cases and boxes provably cover the whole domain. The checker does not check the claim's
-statement in words.
+The proof distinguishes cases and divides the box of each case. The certificate's key `cases` lists the cases; each case
+has these entries:
 
-A number of the claim means its printed decimal. The ends of a box are rounded outward to contain both the decimal and
-its double. A variable of zero width is exactly its decimal.
+- `choice`: which of its two expressions each abs, max, min and select takes;
+- `numerator`, `denominators`, `multipliers`: left − right = numerator / Π denominators + Σ multiplier · constraint;
+- `tree`: the division of the box, in preorder. A capital letter or digit halves the box in the variable that it names
+  (at 0 if 0 lies inside); a small letter names the rule that proves the inequality on the box;
+- `points`: the points of contact of the tangents, for the rule `c`.
+
+The cases must cover all choices, and an incomplete tree is rejected. So the cases and boxes cover the whole domain. The
+checker does not check the claim's statement in words.
+
+A number in the claim means the printed decimal. The ends of a box are rounded outward to contain both the decimal and
+its double. A variable whose range has zero width equals its decimal exactly.
 """
 
 from __future__ import annotations
@@ -96,7 +100,7 @@ class _Claim:
         self.everywhere = self._defined(self.box)
 
     def _substituted(self, roots: Sequence[int]) -> list[int]:
-        """Replace each variable of zero width by its decimal number."""
+        """Replace each variable whose range has zero width by its decimal number."""
 
         def change(at: int, _: tuple[int, ...]) -> int | None:
             entry = self.expressions.entries[at]
@@ -131,7 +135,7 @@ class _Claim:
             _CaseOf(self, case, picked).check()
 
     def _branches(self) -> list[int]:
-        """Return the distinct abs, max, min and select entries, in the order of left, right and constraints."""
+        """Return the distinct abs, max, min and select entries: of the left side, the right side, the constraints."""
         met, visited, waiting = list[int](), set[int](), list(reversed(self.parts))
         while waiting:
             at = waiting.pop()
@@ -158,7 +162,7 @@ class _CaseOf:
             raise Rejected("the tree is not a text")
 
     def _chosen(self, picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
-        """Return the claim's parts with every branch chosen, and the conditions (≤ 0) under which the choices hold."""
+        """Return the claim's expressions after all choices, and expressions that are ≤ 0 where the choices hold."""
         put, conditions = self.expressions.put, dict[int, int]()
 
         def change(at: int, args: tuple[int, ...]) -> int | None:
@@ -190,7 +194,7 @@ class _CaseOf:
             raise Rejected("the certificate has more tangent points than it needs")
 
     def _identity(self) -> None:
-        """Check margin = numerator / Π denominators + Σ multiplier · constraint."""
+        """Check left − right = numerator / Π denominators + Σ multiplier · constraint."""
         if len(self.multipliers) != len(self.constraints):
             raise Rejected("the numbers of multipliers and constraints differ")
         pairs = [(m, c) for m, c in zip(self.multipliers, self.constraints, strict=True) if not self._is_zero(m)]
@@ -253,7 +257,7 @@ class _CaseOf:
             raise Rejected(f"rule {rule!r} does not decide a box: {_box_text(box)}")
 
     def _excluded(self, constraint: int, wide: list[Interval], box: Box | None) -> bool:
-        """Return whether a constraint is positive on the whole box, by its value or by its mean-value form."""
+        """Return whether a constraint is positive on the whole box, by its range or by its mean-value form."""
         try:
             jet = enclose(self.expressions, [constraint], wide, order=0 if box is None else 1)[0]
             if box is None:
@@ -264,7 +268,7 @@ class _CaseOf:
             return False
 
     def _linear(self, at: int, jet: Jet, box: Box, centre: Sequence[float]) -> Interval:
-        """Return a range of the expression by the mean-value form: value at the centre plus slopes times offsets."""
+        """Return the expression's range on the box by the mean-value form: value at the centre + slopes · offsets."""
         total = enclose(self.expressions, [at], [exact(c) for c in centre])[0].value
         for slope, (low, high), c in zip(jet.slope or [], box, centre, strict=True):
             if slope is not None:
@@ -272,7 +276,7 @@ class _CaseOf:
         return total
 
     def _small(self, value: Interval, wide: list[Interval]) -> bool:
-        """Return whether value ≤ slack · Π denominators."""
+        """Return whether the range `value` is ≤ slack · Π denominators."""
         bound = decimal(self.claim.slack)
         if self.claim.slack:
             for jet in enclose(self.expressions, self.denominators, wide):
@@ -283,7 +287,7 @@ class _CaseOf:
         return self._small(enclose(self.expressions, [self.numerator], wide)[0].value, wide)
 
     def _face(self, box: Box, wide: list[Interval]) -> tuple[Jet, Box, list[bool]]:
-        """Return the slopes on the box, the face with monotone variables at their worse end, and the free variables."""
+        """Return the slopes on the box, the box's face that has the maximum, and which variables vary on the face."""
         jet = enclose(self.expressions, [self.numerator], wide, order=1)[0]
         face, free = Box(), []
         for slope, (low, high) in zip(jet.slope or [], box, strict=True):
@@ -304,7 +308,7 @@ class _CaseOf:
         return self._small(self._linear(self.numerator, jet, face, centre), wide)
 
     def _tangent(self, box: Box, wide: list[Interval]) -> bool:
-        """Return whether the numerator is concave on the face and a tangent of the numerator is small enough there."""
+        """Return whether the numerator is concave and a tangent is small enough on the face that has the maximum."""
         _, face, free = self._face(box, wide)
         point = [_number(x) for x in _listed(self.points.pop())]
         if len(point) != len(face) or any(not low <= x <= high for x, (low, high) in zip(point, face, strict=True)):
@@ -323,7 +327,7 @@ class _CaseOf:
 
 
 def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
-    """Return whether the interval matrix −bend, without zero rows, is positive definite on the free variables."""
+    """Return whether minus the Hessian `bend`, without zero rows, is positive definite in the variables `free`."""
     among = [k for k, is_free in enumerate(free) if is_free]
     keep = [k for k in among if not all(bend[k][j] is None or is_zero(bend[k][j]) for j in among)]
     m = [[None if bend[i][j] is None else libmp.mpi_neg(bend[i][j]) for j in keep] for i in keep]

@@ -1,4 +1,4 @@
-"""Time limit of a check, measured as processor time of its thread, so that a busy machine does not change a verdict."""
+"""Time limit of a check. It counts the processor time of the thread, so a busy machine does not change a verdict."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def patient(seconds: float) -> Iterator[None]:
 
 
 def go_on() -> None:
-    """Raise Rejected when the time is up; every loop whose length depends on the file calls this function."""
+    """Raise Rejected if the time limit is exceeded; every loop whose length depends on the file calls this function."""
     end, seconds = _END.get()
     if time.thread_time() > end:
         raise Rejected(f"the check takes more than {seconds:g} s of processor time")

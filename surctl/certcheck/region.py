@@ -1,13 +1,15 @@
-"""Check of a region certificate, which claims that V decays at a rate from V ≤ 1 to V ≤ floor along every motion.
+"""Check of a region certificate, which claims that V decays exponentially from V ≤ 1 to V ≤ floor on every motion.
 
-The claim states that for all constant true parameters in their ranges there is a steady cruise ξ*, with x_e* = −ω/k1
-and, in a current, an offset beside the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*), every motion that is in V ≤ 1 at the
-control instant t = 0 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0. The levels floor = ℓ_0 < ℓ_1 < … < 1
-divide the region into shells; in each shell, one negative definite matrix for each vertex of the loop proves V̇ < −a V.
-All numbers are exact rational numbers, except the bounds of a current in `region_flow`.
+The claim states that, for all constant true parameters in their ranges, there is a steady cruise ξ*. Its offset along
+the path is x_e* = −ω/k1, where ω is the difference of commanded speed and cruise speed and k1 is a gain; in a current
+it also has an offset beside the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*), every motion that is in V ≤ 1 at the control
+instant t = 0 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0. The levels floor = ℓ_0 < ℓ_1 < … < 1 divide the
+region into shells. In each shell the closed loop is a linear inclusion, and one negative definite matrix for each
+vertex of the inclusion proves V̇ < −a V. All numbers are exact rational numbers, except the bounds for a current in
+`region_flow`.
 
-With held commands, the decay is proved for a functional W ≥ V that equals V at the control instants; `region_inclusion`
-derives it.
+If the commands are held between control instants, the decay is proved for a functional W ≥ V that equals V at the
+control instants; `region_inclusion` derives W.
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ def check(document: Mapping[str, Any]) -> None:
 
 
 def _matrix(rows: Any, size: int) -> Matrix:
-    """Return the symmetric matrix whose lower triangle is given row by row."""
+    """Return the symmetric matrix whose lower triangle has the given rows."""
     shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
     if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
         raise Rejected(f"proof.P must be a lower triangle with {size} rows")
@@ -76,7 +78,7 @@ def _signed(value: Any) -> Fraction:
 
 
 def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[list[Fraction]]]:
-    """Return the levels from the floor to 1, and the multipliers of each shell."""
+    """Return the levels of V from the floor to 1, and the multipliers λ_j of each shell."""
     shells = proof["shells"]
     if not isinstance(shells, list) or not 1 <= len(shells) <= _MOST_SHELLS:
         raise Rejected(f"proof.shells must hold 1 to {_MOST_SHELLS} shells")
@@ -94,7 +96,7 @@ def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[list[Fractio
 
 
 def _check_offset(claim: CruiseClaim, p: Matrix, steady: Trim) -> None:
-    """Check that the points x_e = 0, |y_e| = offset at the target's velocity lie in the region for every ω."""
+    """Check that the points with x_e = 0, |y_e| = offset and the target's velocity lie in the region for every ω."""
     for omega in steady.omega:
         for side in (1, -1):
             away = side * (claim.offset + steady.aside)
@@ -104,7 +106,7 @@ def _check_offset(claim: CruiseClaim, p: Matrix, steady: Trim) -> None:
 
 
 def _check_ultimate_bound(claim: CruiseClaim, covariance: Matrix, steady: Trim, floor: Fraction) -> None:
-    """Check that |x_e| and |y_e| on V ≤ floor do not exceed the claimed ultimate bound."""
+    """Check that |x_e| and |y_e| in the set V ≤ floor do not exceed the claimed ultimate bound."""
     away = max(abs(omega) for omega in steady.omega) / claim.k1
     x, y = (root_up(covariance[k][k] * floor) for k in (0, 1))
     if x + away > claim.ultimate_bound[0] or y + steady.aside > claim.ultimate_bound[1]:

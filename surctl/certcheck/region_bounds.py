@@ -1,8 +1,8 @@
-"""Bounds within one shell of the region: secant slopes, thrust share, forces of held commands, and disturbances.
+"""Bounds within one shell of V: drag slopes, thrust limits, effect of held commands, and disturbances.
 
-Deviations from the steady cruise in the path frame: ξ = (x, y, U_x, U_y) and, with thrust lag, the thrust (F_x, F_y)
-minus the trim force at the current heading. On V = ξᵀPξ ≤ ℓ every linear function C ξ satisfies
-|C ξ|² ≤ ℓ λ_max(C P⁻¹ Cᵀ).
+ξ = (x, y, U_x, U_y) denotes the deviations of position and velocity from the steady cruise, in the path frame. With
+thrust lag, ξ also contains (F_x, F_y), the thrust minus the trim force at the current heading. On V = ξᵀPξ ≤ ℓ every
+linear function C ξ satisfies |C ξ|² ≤ ℓ λ_max(C P⁻¹ Cᵀ).
 """
 
 from __future__ import annotations
@@ -36,16 +36,18 @@ class Shell:
     """Bounds in the shell ℓ_low ≤ V ≤ ℓ_high.
 
     Attributes:
-        steer: least and largest value of s, the commanded speed along the path [m/s].
-        catch: least and largest value of κ, the slope of the commanded speed along the path with respect to −x_e [1/s].
-        model_drag, drag: least and largest secant slope of the feedforward drag, and of the true drag [N s/m].
-        thrust_share: φ; the thrust limit reduces the deviation of a command to a share in [φ, 1].
-        held: κ_5 [N], the bound |w_5| ≤ κ_5 √V on the difference of the acting force from the present command; without
-            lag, w_5 includes the forces of w_6.
-        disturbance: κ_6 [N], the bound |w_6| ≤ κ_6 √V on the error of the trim force plus external forces, for thrust
-            with lag; 0 without lag.
-        desired_rate: largest rate of change of the commanded force caused by the change of position, per |δU|
-            [N s/m/s].
+        steer: least and largest commanded speed s along the path [m/s].
+        catch: least and largest value of κ, the derivative of the commanded speed along the path with respect to −x_e
+            [1/s].
+        model_drag, drag: least and largest secant slope of the feedforward drag (`model_drag`) and of the true drag
+            (`drag`) [N s/m].
+        thrust_share: φ; the thrust limit multiplies the deviation of a commanded force by a factor in [φ, 1].
+        held: κ_5 [N] in the bound |w_5| ≤ κ_5 √V, where w_5 is the difference between the acting force and the present
+            command; without lag, w_5 includes the forces of w_6.
+        disturbance: κ_6 [N] in the bound |w_6| ≤ κ_6 √V, where w_6 is the error of the trim force plus external forces,
+            for thrust with lag; 0 without lag.
+        desired_rate: largest rate of change of the commanded force that the change of position causes, divided by |δU|,
+            the deviation of the velocity [N s/m/s].
     """
 
     steer: tuple[Fraction, Fraction]
@@ -59,7 +61,7 @@ class Shell:
 
 
 def desired_velocity(size: int, claim: CruiseClaim, steer: Fraction, catch: Fraction, aside: Fraction) -> Matrix:
-    """Return C (2, n) with δW = C ξ, the deviation of the commanded velocity, at a steady offset y* = `aside`."""
+    """Return C (2, n), where C ξ is the deviation of the commanded velocity, for a steady offset y* = `aside`."""
     rows = zeros(2, size)
     rows[0][0], rows[1][1] = -catch, -steer / claim.lookahead
     rows[1][0] = catch * aside / claim.lookahead
@@ -67,14 +69,14 @@ def desired_velocity(size: int, claim: CruiseClaim, steer: Fraction, catch: Frac
 
 
 def velocity(size: int) -> Matrix:
-    """Return C (2, n) with δU = C ξ, the deviation of the velocity."""
+    """Return C (2, n), where C ξ is the deviation of the velocity."""
     rows = zeros(2, size)
     rows[0][2] = rows[1][3] = Fraction(1)
     return rows
 
 
 def force_state(size: int) -> Matrix:
-    """Return C (2, n) with δF = C ξ, the deviation of the thrust with lag."""
+    """Return C (2, n), where C ξ is the deviation of the lagged thrust."""
     rows = zeros(2, size)
     rows[0][4] = rows[1][5] = Fraction(1)
     return rows
@@ -83,7 +85,7 @@ def force_state(size: int) -> Matrix:
 def force_rows(
     size: int, claim: CruiseClaim, slope: Fraction, steer: Fraction, catch: Fraction, aside: Fraction
 ) -> Matrix:
-    """Return C (2, n), where C ξ is the deviation of the commanded force [N] for a secant slope of feedforward drag."""
+    """Return C (2, n), where C ξ is the deviation of the commanded force [N] for a feedforward drag of this slope."""
     velocity_gain = claim.mass_model * claim.k_v
     return add(
         scaled(velocity_gain + slope, desired_velocity(size, claim, steer, catch, aside)),
@@ -97,12 +99,12 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
     Args:
         claim: the claim.
         steady: the steady cruise of the claim.
-        covariance: P⁻¹.
+        covariance: P⁻¹, the inverse of the matrix of V.
         low, high: levels of V.
 
     Raises:
-        Rejected: the region contains points where the law takes another form (backward command, speed cap, waiting
-            target), or the steady cruise alone reaches a thrust limit.
+        Rejected: in some points of the region the law commands backward motion, reaches its speed cap or lets the
+            target wait; or the steady cruise alone reaches a thrust limit.
     """
     size = len(covariance)
     radius = root_up(high)
@@ -150,7 +152,7 @@ def shell(claim: CruiseClaim, steady: Trim, covariance: Matrix, low: Fraction, h
 def _commanded(
     claim: CruiseClaim, steady: Trim, x: Fraction, y: Fraction
 ) -> tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction], Fraction]:
-    """Return the ranges of s and κ and the largest slope of the commanded velocity, for deviations up to x and y."""
+    """Return the ranges of `steer` and `catch` and the largest slope of the commanded velocity, for |x|, |y| ≤ x, y."""
     k1, ahead = claim.k1, claim.lookahead
     # the cap limits s q/Δ, q = √(y² + Δ²); it must not bring s below the steady command
     wide = y + steady.aside
@@ -168,11 +170,12 @@ def _commanded(
 
 
 def _misled(claim: CruiseClaim, steady: Trim, y: Fraction, slope: Fraction) -> Fraction:
-    """Return the largest change of the thrust by measurement errors [N], for |y| up to its largest value on V ≤ 1.
+    """Return the largest change of thrust that measurement errors cause [N]; y is the largest |y| on V ≤ 1.
 
-    Thrust limits do not enlarge a change of thrust. A change of position by 1 m changes the commanded velocity by at
-    most k1 (1, y_e/Δ) along the path and by less than cap/Δ across it, whether the law is below its speed cap, at the
-    cap, or commands rest. This bound also holds for a command of an earlier instant.
+    Thrust limits do not enlarge a change of thrust. A change of position (x, y) by 1 m changes the commanded velocity
+    along the path by at most k1 (for x) or k1 y_e/Δ (for y), and across the path by less than cap/Δ; Δ is the lookahead
+    distance. This holds below the law's speed cap, at the cap, and when the law commands rest. This bound also holds
+    for a command of an earlier instant.
     """
     wide = (y + steady.aside + claim.place_error) / claim.lookahead
     slant = root_up(claim.k1**2 * (1 + wide**2) + (claim.cap / claim.lookahead) ** 2)
@@ -187,10 +190,10 @@ def _thrust_share(
     model_drag: tuple[Fraction, Fraction],
     radius: Fraction,
 ) -> Fraction:
-    """Return φ, the least share (F − |f|)/d of |δ| ≤ d that thrust limit F and trim force f leave on an axis n.
+    """Return φ = min (F − |f|)/d over all axes n: thrust limit F, trim force f, largest deviation d of the command.
 
-    The axis n runs over arcs. Every arc lies in the triangle of its two ends and the intersection of their tangents.
-    The function √(nᵀGn) is convex, so its largest value on the triangle is at a corner.
+    The unit vectors n are divided into arcs. Each arc lies in the triangle of its two ends and the intersection of the
+    tangents there. d = √(nᵀGn) is convex, so its largest value on the triangle is at a corner.
     """
     share = Fraction(1)
     size = len(covariance)

@@ -1,4 +1,4 @@
-"""Reader of the claim of a region certificate; it rejects missing or unknown keys and non-decimal numbers."""
+"""Reader of the claim of a region certificate; it rejects missing or unknown keys and numbers that are not decimal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EXCLUDES = (
     "waves and thrust errors act as a horizontal force of at most force_n; the current is the same everywhere and at "
     "all times, and at most current_m_per_s",
 )
-"""Restrictions of the claim; a certificate repeats them word for word."""
+"""Restrictions of the claim; a certificate repeats the restrictions word for word."""
 
 
 @dataclass(frozen=True)
@@ -34,21 +34,22 @@ class CruiseClaim:
     Attributes:
         mass: true m11 = m22 [kg].
         linear, quadratic: range of the true drag of surge and of sway [N s/m, N s²/m²].
-        asymmetry: largest |surge − sway| / mean, for the linear and for the quadratic drag coefficient.
-        thrust: least thrust limit of a horizontal axis, of the plant or of the law [N].
+        asymmetry: largest difference of the drag coefficients of surge and sway, divided by their mean; the bound holds
+            for the linear and for the quadratic coefficients.
+        thrust: least thrust limit among the horizontal axes of the vehicle and of the law [N].
         lag: time constant of the thrust [s]; (0, 0) for thrust without lag.
         mass_model, linear_model, quadratic_model: mass and drag in the law's model.
-        k1, lookahead, k_v, wait: gains [1/s, m, 1/s, m].
+        k1, lookahead, k_v, wait: the law's gains of these names [1/s, m, 1/s, m].
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
         period: time for which a command is held [s]; 0 for continuous commands.
-        yaw_rate: largest |r| [rad/s].
+        yaw_rate: largest yaw rate |r| [rad/s].
         current: largest speed of a constant current in any direction [m/s].
         force: largest horizontal disturbance force, which may vary arbitrarily [N].
         place_error, velocity_error: largest error of the measured position [m] and of the measured velocity [m/s]; the
             errors vary arbitrarily.
         rate: decay rate a of V̇ ≤ −a V [1/s].
-        offset: |y_e| [m] such that the point (x_e = 0, y_e) at the target's velocity lies in the region.
-        ultimate_bound: largest |x_e|, |y_e| [m] in the set that every motion reaches and does not leave.
+        offset: the region contains the points with x_e = 0, |y_e| = offset [m] and the target's velocity.
+        ultimate_bound: largest |x_e| and |y_e| [m] in the set that every motion reaches and then does not leave.
     """
 
     mass: tuple[Fraction, Fraction]
@@ -78,7 +79,7 @@ class CruiseClaim:
 
 
 def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
-    """Return `value` if it is an object with exactly the given keys; raise Rejected otherwise."""
+    """Return `value` if it is a JSON object with exactly the given keys; raise Rejected otherwise."""
     if not isinstance(value, dict) or set(value) != set(keys):
         actual = sorted(value) if isinstance(value, dict) else type(value).__name__
         raise Rejected(f"{where} must have exactly the keys {', '.join(sorted(keys))}, not {actual}")
@@ -86,7 +87,7 @@ def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
 
 
 def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Fraction:
-    """Return a number as its printed decimal; raise Rejected for a number < least (≤ least with `above`)."""
+    """Return the printed decimal of a number; raise Rejected if the number is < least (≤ least with `above`)."""
     whole = type(value) is int and abs(value) <= _LARGEST
     if not whole and not (type(value) is float and math.isfinite(value)):
         raise Rejected(f"{where} must be a finite number of at most {_LARGEST}")

@@ -1,4 +1,4 @@
-"""Linear algebra in exact rational numbers; a function that rounds states in its docstring whether up or down."""
+"""Linear algebra in exact rational numbers; if a function rounds, its docstring states in which direction."""
 
 from __future__ import annotations
 
@@ -117,12 +117,12 @@ def is_positive_definite(a: Matrix) -> bool:
 
 
 def root_up(value: Fraction) -> Fraction:
-    """Return a number ≥ √value, at most 2e-9 above it."""
+    """Return a number that is ≥ √value and at most 2e-9 above √value."""
     return Fraction(isqrt(-(-value.numerator * _DIGITS**2 // value.denominator)) + 1, _DIGITS)
 
 
 def root_down(value: Fraction) -> Fraction:
-    """Return a number ≤ √value, at most 2e-9 below it, and ≥ 0."""
+    """Return a number ≥ 0 that is ≤ √value and at most 2e-9 below √value."""
     return Fraction(isqrt(value.numerator * _DIGITS**2 // value.denominator), _DIGITS)
 
 
@@ -133,7 +133,7 @@ def largest_eigenvalue(g: Matrix) -> Fraction:
 
 
 def rounded_up(g: Matrix) -> Matrix:
-    """Return a symmetric 2 × 2 matrix ⪰ g with few digits: its raised diagonal covers the truncation of all entries."""
+    """Return a symmetric 2 × 2 matrix ⪰ g with short entries: after truncation, the diagonal is increased."""
     down = [[Fraction(int(entry * _DIGITS), _DIGITS) for entry in row] for row in g]
     # every entry is off by less than 1/_DIGITS, so that the error matrix is ⪰ −2/_DIGITS I
     return [[entry + Fraction(2 * (i == j), _DIGITS) for j, entry in enumerate(row)] for i, row in enumerate(down)]

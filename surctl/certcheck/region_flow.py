@@ -1,10 +1,11 @@
 """Bounds on the steady cruise in a constant current, over all currents, headings and true vehicles of a claim.
 
-At the steady cruise, the commanded minus the required force is a function of the current (c_x, c_y) and the heading ψ.
-This function has bounded second derivatives and is nearly affine in the true drag. On a grid, the largest norm at the
-corners of a cell bounds the norm of the multilinear interpolation. The function differs from the interpolation by at
-most Σ M_i h_i²/8, where M_i bounds the second derivative and h_i is the cell's width in variable i. The computation is
-in double precision, with a margin far above its rounding errors.
+At the steady cruise, the difference of commanded and required force is a function of the current (c_x, c_y) and the
+heading ψ. This function has bounded second derivatives and is nearly affine in the true drag. It is interpolated on a
+grid. In a cell of the grid, the norm of the multilinear interpolation is at most the largest norm at the corners. The
+function differs from the interpolation by at most Σ M_i h_i²/8, where M_i bounds its second derivative in variable i,
+and h_i is the cell's width in this variable. The computation is in double precision, with a margin far above its
+rounding errors.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _SHARE = float(MEAN_SHARE)
 
 
 def _flow_bounds(claim: CruiseClaim) -> tuple[Fraction, Fraction, Fraction, Fraction]:
-    """Return the range of ω_x [m/s], the largest |ω_y| [m/s], and the largest |commanded − required| force [N]."""
+    """Return the least and largest ω_x, the largest |ω_y| [m/s], and the largest |commanded − required force| [N]."""
     v, velocity_gain = float(claim.cruise), float(claim.mass_model * claim.k_v)
     hat, hat2, most = float(claim.linear_model), float(claim.quadratic_model), float(claim.current)
     x, y = np.meshgrid(np.linspace(-most, most, 2 * _SIDE + 1), np.linspace(0, most, _SIDE + 1))  # ±c_y: mirrored
@@ -82,7 +83,7 @@ def steady_trim(claim: CruiseClaim) -> Trim:
     """Return the bounds of the steady cruise over all parameters, headings and currents of the claim.
 
     Raises:
-        Rejected: the steady command would point backwards.
+        Rejected: the commanded velocity of the steady cruise would point backwards.
     """
     if not claim.current:
         return trim(claim)

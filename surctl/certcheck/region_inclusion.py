@@ -1,21 +1,32 @@
-"""The closed loop of a shell as a linear inclusion, and the matrix M whose negative definiteness gives V̇ ≤ −a V.
+"""The closed loop in a shell as a linear inclusion, and the matrix M: if M is negative definite, V̇ ≤ −a V.
 
-ξ̇ = A ξ + Σ B_j w_j, where each w_j (2,) is a force in the path frame [N] with a bound:
-w_1, feedforward drag: |w_1| ≤ r_1 |δW|; w_2, the thrust limit: |w_2| ≤ r_2 |δF_c|, where δF_c = C ξ + w_1 is the
-deviation of the commanded force; w_3, true drag: |w_3| ≤ r_3 |δU|; w_4, the command held since the last control
-instant; w_5, the force that changes with the heading: |w_5| ≤ κ_5 √V; w_6, with lag, the error of the trim force:
-|w_6| ≤ κ_6 √V. These bounds cover every heading: R diag(σ) Rᵀ with σ in [low, high] is the middle plus a matrix of
-norm (high − low)/2.
+In a shell, the deviation ξ from the steady cruise satisfies ξ̇ = A ξ + Σ B_j w_j. Each w_j (2,) is a force in the path
+frame [N] with a bound; δW, δU and δF_c = C ξ + w_1 are the deviations of the commanded velocity, the velocity and the
+commanded force:
 
-M = V̇ + a V + Σ λ_j (bound_j − |w_j|²) as a form in (ξ, w). Where M < 0, V̇ < −a V for every w within its bounds. M is
-affine in 1/m, 1/T and r; it is convex in (s, κ, κ y*) jointly or in each of s, κ, κ y*. So M < 0 at all vertices of the
-parameters implies M < 0 between them.
+- w_1, from the feedforward drag: |w_1| ≤ r_1 |δW|;
+- w_2, from the thrust limit: |w_2| ≤ r_2 |δF_c|;
+- w_3, from the true drag: |w_3| ≤ r_3 |δU|;
+- w_4, from the command that is held since the last control instant;
+- w_5, from the trim force, which changes with the heading: |w_5| ≤ κ_5 √V;
+- w_6, from the error of the trim force, for thrust with lag: |w_6| ≤ κ_6 √V.
 
-Held commands: W = V + (h − τ) ρ ∫ |ḟ|² over the τ seconds since the last control instant, where f is δF_c as it would
-be commanded in the held heading (Fridman 2010). W = V at the instants, W ≥ V, and e = f(then) − f(now) satisfies |e|² ≤
-τ ∫ |ḟ|². So Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|². With ḟ = −m k_v U̇ + (the effect of the position
-alone, ≤ c |δU|) and |w_4| ≤ (1 + r h)|e| + r h |δF_c|, the square of each sum is bounded by a sum of squares with fixed
-weights. With held commands, the shells are sets between two levels of W.
+The bounds on w_1 to w_3 hold at every heading: for slopes σ in [low, high] and a rotation R, the matrix R diag(σ) Rᵀ is
+(low + high)/2 times the identity plus a matrix of norm ≤ (high − low)/2.
+
+M is the matrix of the quadratic form V̇ + a V + Σ λ_j (bound_j² − |w_j|²) in (ξ, w), with multipliers λ_j ≥ 0. If M is
+negative definite, V̇ < −a V for all w_j within their bounds. M is affine in 1/m, 1/T (T is the time constant of the
+thrust) and the yaw rate r. M is convex in (s, κ, κ y*) jointly or in each of s, κ, κ y*, where s is the commanded speed
+along the path, κ is the slope of s with respect to −x_e, and y* is the steady offset. So it suffices that M < 0 at all
+vertices of the ranges of these parameters.
+
+If commands are held for the period h, the proof uses the functional W = V + (h − τ) ρ ∫ |ḟ|² (Fridman 2010). The
+integral is over the τ seconds since the last control instant, ρ is a weight, and f is the value of δF_c that the law
+would command at the heading of that instant. W ≥ V, and W = V at the control instants. The change e of f since the last
+control instant satisfies |e|² ≤ τ ∫ |ḟ|². So Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|² for a decay rate g.
+Here ḟ is −m k_v U̇ plus an effect of the position of at most c |δU|, where c is `Shell.desired_rate`, and
+|w_4| ≤ (1 + r h)|e| + r h |δF_c|. The square of each of these sums is bounded by a sum of squares with fixed weights.
+The shells are then sets between two levels of W.
 """
 
 from __future__ import annotations
@@ -39,13 +50,13 @@ _TURN_SPLIT = Fraction(1, 5)
 
 @dataclass(frozen=True)
 class Vertex:
-    """The loop at one vertex of the parameters.
+    """The linear inclusion ξ̇ = A ξ + Σ B_j w_j at one vertex of the parameter ranges.
 
     Attributes:
         A: system matrix (n, n).
         B: input matrices B_j (n, 2) by the number j of the input w_j.
-        desired: C (2, n) with δW = C ξ.
-        force: C (2, n) with δF_c = C ξ + w_1.
+        desired: matrix C (2, n) with δW = C ξ, the deviation of the commanded velocity.
+        force: matrix C (2, n) with δF_c = C ξ + w_1, the deviation of the commanded force.
     """
 
     A: Matrix
@@ -55,7 +66,7 @@ class Vertex:
 
 
 def vertices(claim: CruiseClaim, at: Shell, size: int, *, aside: Fraction, mirrored: bool) -> Iterator[Vertex]:
-    """Yield the loops at all vertices of a shell; with `mirrored`, yield only one of two mirror images."""
+    """Yield the inclusions at all vertices of a shell; with `mirrored`, omit those with negative offset or yaw rate."""
     lag = claim.lag[1] > 0
     masses = [1 / m for m in sorted(set(claim.mass))]
     lags = [1 / t for t in sorted(set(claim.lag))] if lag else [Fraction(0)]
@@ -81,7 +92,7 @@ def vertex(
     catch: Fraction,
     aside: Fraction,
 ) -> Vertex:
-    """Return the loop for the given values of 1/m, 1/T, r, s, κ and y*."""
+    """Return the inclusion for the given values of 1/m, 1/T, r, s, κ and y* (see the module's docstring)."""
     share = (1 + at.thrust_share) / 2
     force = force_rows(size, claim, middle(at.model_drag), steer, catch, aside)
     speed = velocity(size)
@@ -116,7 +127,7 @@ def vertex(
 def rate_matrix(
     claim: CruiseClaim, at: Shell, p: Matrix, loop: Vertex, multipliers: Sequence[Fraction], hold: Fraction
 ) -> Matrix:
-    """Return the symmetric M of (ξ, w) for multipliers λ_1, λ_2, λ_3, λ_5, λ_6 and the weight ρ = `hold`."""
+    """Return the symmetric matrix M for the multipliers λ_1, λ_2, λ_3, λ_5, λ_6 and the weight ρ = `hold`."""
     size, inputs = len(p), sorted(loop.B)
     factor = dict(zip((1, 2, 3, 5, 6), multipliers, strict=True))
     total = size + 2 * len(inputs)

@@ -1,8 +1,9 @@
-"""A second implementation of law and vehicle in rational numbers, compared with the proof's linear inclusion.
+"""A second implementation of law and vehicle in rational numbers, to compare with the proof's linear inclusion.
 
-At sampled positions, parameters and headings (rational points of the unit circle, positions with a rational slant
-√(y_e² + Δ²)/Δ) the true derivative must equal A ξ + Σ B_j w_j exactly, with every w_j within its bound. The comparison
-does not replace the derivation of the inclusion, but it reveals a wrong sign, frame or factor.
+At sampled positions, parameters and headings, the true derivative must equal A ξ + Σ B_j w_j exactly, and every w_j
+must lie within its bound (`region_inclusion` defines them). The headings are rational points of the unit circle, and
+the positions have a rational slant √(y_e² + Δ²)/Δ. The comparison does not replace the derivation of the inclusion, but
+it reveals a wrong sign, frame or factor.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _SAMPLES = 4
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One true vehicle: mass [kg]; drag of surge and sway; lag of the thrust [s]; yaw rate r [rad/s]; current [m/s]."""
+    """A true vehicle: mass, drag of surge and sway, time constant of the thrust, yaw rate, and current; SI units."""
 
     mass: Fraction
     linear: Pair
@@ -39,7 +40,7 @@ class Vehicle:
 
 
 def turned(heading: Pair, vector: Pair) -> Pair:
-    """Return R(ψ) vector, for heading = (cos ψ, sin ψ)."""
+    """Return the vector rotated by ψ, where heading = (cos ψ, sin ψ)."""
     c, s = heading
     return c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
 
@@ -54,13 +55,13 @@ def _drag(linear: Pair, square: Pair, v: Pair) -> Pair:
 
 
 def commanded_velocity(claim: CruiseClaim, x_e: Fraction, y_e: Fraction, slant: Fraction) -> Pair:
-    """Return the velocity of (8)–(12) in the path frame, with U ≥ 0 and the speed cap; slant = √(y_e² + Δ²)/Δ."""
+    """Return the velocity command in the path frame: equations (8)–(12) of the paper with U ≥ 0 and the speed cap."""
     along = min(max(claim.cruise - claim.k1 * x_e, Fraction(0)), claim.cap / slant)
     return along, -along * y_e / claim.lookahead
 
 
 def commanded_thrust(claim: CruiseClaim, desired: Pair, nu: Pair) -> Pair:
-    """Return τ = D(ν_d)ν_d + m k_v (ν_d − ν) in {B}, with each axis limited to its thrust limit."""
+    """Return the thrust D(ν_d)ν_d + m k_v (ν_d − ν) in the body frame {B}, with the thrust limit on each axis."""
     hat = _drag((claim.linear_model,) * 2, (claim.quadratic_model,) * 2, desired)
     free = (d + claim.mass_model * claim.k_v * (w - v) for d, w, v in zip(hat, desired, nu, strict=True))
     first, second = (min(max(f, -claim.thrust), claim.thrust) for f in free)
@@ -70,13 +71,14 @@ def commanded_thrust(claim: CruiseClaim, desired: Pair, nu: Pair) -> Pair:
 def true_rate(
     claim: CruiseClaim, boat: Vehicle, heading: Pair, state: list[Fraction], slant: Fraction
 ) -> list[Fraction]:
-    """Return d/dt of (x_e, y_e, U_x, U_y[, F_x, F_y]) by (2), (3) in {B}, without held commands, for m11 = m22.
+    """Return d/dt of (x_e, y_e, U_x, U_y[, F_x, F_y]) by equations (2), (3) of the paper, without held commands.
 
     Args:
         claim: the claim, which holds the law's parameters.
-        boat: the true vehicle.
-        heading: (cos ψ, sin ψ) of the angle from the path.
-        state: full values, not deviations: U is the ground velocity and F the thrust, both in the path frame.
+        boat: the true vehicle, with m11 = m22.
+        heading: (cos ψ, sin ψ), where ψ is the angle from the path to the heading.
+        state: the state itself, not its deviation; U is the velocity over ground and F the thrust, both in the path
+            frame.
         slant: √(y_e² + Δ²)/Δ.
     """
     x_e, y_e, speed = state[0], state[1], (state[2], state[3])
@@ -101,7 +103,7 @@ def check_identity(claim: CruiseClaim, at: Shell, steady: Trim, covariance: Matr
     """Compare the law with the inclusion at sampled points of V ≤ level.
 
     Raises:
-        Rejected: law and inclusion differ, or a quantity exceeds its bound.
+        Rejected: the law differs from the inclusion, or a force w_j exceeds its bound.
     """
     draw, p = random.Random(f"{size}/{level}"), inverse(covariance)
     for _ in range(_SAMPLES):
@@ -146,7 +148,7 @@ def _norm(vector: Pair) -> Fraction:
 def _place(
     claim: CruiseClaim, p: Matrix, level: Fraction, draw: random.Random, aside: Fraction
 ) -> tuple[list[Fraction], Fraction]:
-    """Return a deviation with V ≤ level, and the slant of its y_e = aside + y, which is a rational number."""
+    """Return a sample of the deviation with V ≤ level, and its rational slant √(y_e² + Δ²)/Δ at y_e = aside + y."""
     raw = [Fraction(draw.randint(-1000, 1000), 1000) * 1000 / root_up(p[k][k] * 10**6) for k in range(len(p))]
     if draw.random() < 0.5:
         raw = [entry if k == 1 else entry / 50 for k, entry in enumerate(raw)]
@@ -237,7 +239,7 @@ def _compare(
 
 
 def _trim_slope(claim: CruiseClaim, omega: Fraction, heading: Pair) -> Pair:
-    """Return the derivative of the trim force in {B} with respect to the heading [N/rad]."""
+    """Return the derivative of the trim force in the body frame {B} with respect to the heading [N/rad]."""
     c, s = heading
     speed = claim.cruise + omega
     a = claim.mass_model * claim.k_v * omega + claim.linear_model * speed

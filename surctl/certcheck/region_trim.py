@@ -1,10 +1,10 @@
-"""Bounds on the steady cruise of a region claim: its command, and the force error that depends on the heading.
+"""Bounds on the steady cruise of a region claim: on the commanded speed, and on the error of the commanded force.
 
-In the path frame the steady velocity is U* = (v, 0), and the steady command is W* = (v + ω, 0). With ψ the angle
-between {B} and the path, c = |cos ψ| and s = |sin ψ|, the axes of {B} carry the drag of surge at v c and the drag of
-sway at v s, and each drag is a linear plus a quadratic term. ω is affine in the true drag. So the remaining force error
-is also affine in the true drag, up to a term in ω². The norm of an affine function is convex; so for each arc of the
-heading, its largest value is at a vertex of the parameters.
+In the path frame, the steady velocity is U* = (v, 0), and the commanded velocity of the steady cruise is W* = (v + ω,
+0). ψ is the angle between the body frame {B} and the path, c = |cos ψ| and s = |sin ψ|. The drag of surge is that at
+speed v c, the drag of sway that at speed v s, each with a linear and a quadratic term. ω is affine in the true drag. So
+the remaining force error is also affine in the true drag, up to a term in ω². The norm of an affine function is convex.
+So, on each arc of headings, the largest error is at a vertex of the parameter ranges.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from surctl.certcheck.region_exact import middle, root_up
 __all__ = ["MEAN_SHARE", "Trim", "axis_pairs", "drift_speed", "offset_speed", "quarter", "trim"]
 
 MEAN_SHARE = Fraction(17, 20)
-"""Mean share of the quadratic drag that acts along the path: the share is 1 at ψ = 0 and 0.71 at ψ = 45°."""
+"""Mean share, over the heading ψ, of the quadratic drag that acts along the path: 1 at ψ = 0, and 0.71 at ψ = 45°."""
 
 _ARCS = 96
 
 
 @dataclass(frozen=True)
 class Trim:
-    """Bounds of the steady cruise over all true parameters and headings.
+    """Bounds on the steady cruise over all true parameters and headings.
 
     Attributes:
         omega: least and largest ω [m/s], the difference of commanded speed and cruise speed.
         command: least and largest commanded speed v + ω [m/s].
-        linear, quadratic: coefficients [N] of the commanded trim force `linear` c + `quadratic` c² per axis, at the
-            largest ω.
+        linear, quadratic: coefficients [N] of the commanded trim force at the largest ω, which on a body axis is
+            `linear` c + `quadratic` c², with c the cosine of the axis to the path.
         backward: largest backward trim force [N] at the least ω; 0 if the trim force points forward.
-        total: largest |commanded − required| force [N].
-        drift: largest |ω_y| [m/s], the commanded speed across the path against a current.
-        aside: largest |y*| [m], the steady offset from the path that produces ω_y.
-        across: trim force [N] that the commanded speed ω_y adds to an axis across the path.
+        total: largest |commanded − required force| [N].
+        drift: largest |ω_y| [m/s]; ω_y is the commanded speed across the path, against a current.
+        aside: largest |y*| [m]; y* is the steady offset from the path at which the law commands ω_y.
+        across: trim force [N] that the commanded speed ω_y adds on a body axis perpendicular to the path.
         tilt: ratio of |ω_y| to the commanded speed along the path.
     """
 
@@ -54,12 +54,12 @@ class Trim:
     tilt: Fraction = Fraction(0)
 
     def along(self, c: Fraction, s: Fraction) -> Fraction:
-        """Return the largest |trim force| [N] on an axis with direction cosines ≤ c to the path, ≤ s to its normal."""
+        """Return the largest |trim force| [N] on an axis with direction cosines ≤ c along and ≤ s across the path."""
         return max(self.linear * c + self.quadratic * (c + self.tilt * s) ** 2, self.backward) + self.across * s
 
     @property
     def turning(self) -> Fraction:
-        """Return a bound on the derivative of the trim force in {B} by the heading [N/rad], from 2 √2 c s ≤ 3/2."""
+        """Return a bound on the derivative of the trim force in {B} with respect to the heading [N/rad]."""
         return max(abs(self.linear), self.backward) + self.quadratic * Fraction(3, 2)
 
 
@@ -82,7 +82,7 @@ def axis_pairs(least: Fraction, largest: Fraction, asymmetry: Fraction) -> list[
 
 
 def offset_speed(claim: CruiseClaim, linear: Fraction, quadratic: Fraction) -> Fraction:
-    """Return ω [m/s] for true drag coefficients that are the means of surge and sway."""
+    """Return ω [m/s] for true drag coefficients that are means over surge and sway."""
     v = claim.cruise
     stiffness = claim.mass_model * claim.k_v + claim.linear_model + 2 * MEAN_SHARE * claim.quadratic_model * v
     missing = (linear - claim.linear_model) * v + MEAN_SHARE * (quadratic - claim.quadratic_model) * v * v
@@ -92,7 +92,7 @@ def offset_speed(claim: CruiseClaim, linear: Fraction, quadratic: Fraction) -> F
 def drift_speed(
     claim: CruiseClaim, linear: Fraction, quadratic: Fraction, flow: tuple[Fraction, Fraction], speed: Fraction
 ) -> tuple[Fraction, Fraction]:
-    """Return (ω_x, ω_y) [m/s] for the velocity through the water `flow` = (v − c_x, −c_y) and its size `speed`."""
+    """Return (ω_x, ω_y) [m/s] for the velocity through the water `flow` = (v − c_x, −c_y) with norm `speed`."""
     v, velocity_gain = claim.cruise, claim.mass_model * claim.k_v
     pull = linear + MEAN_SHARE * quadratic * speed
     fed = claim.linear_model + MEAN_SHARE * claim.quadratic_model * v
@@ -111,7 +111,7 @@ def _parabola(slope: Fraction, bend: Fraction, low: Fraction, high: Fraction) ->
 
 
 def _largest(axes: Iterator[tuple[tuple[Fraction, Fraction], tuple[Fraction, Fraction]]]) -> Fraction:
-    """Return the largest norm of a force with components slope x + bend x², for x = cos and x = sin of one angle."""
+    """Return the largest norm over α of a force with one term slope x + bend x² for x = cos α and one for x = sin α."""
     most, points = Fraction(0), quarter(_ARCS)
     for (a1, b1), (a2, b2) in axes:
         for (c_high, s_low), (c_low, s_high) in pairwise(points):

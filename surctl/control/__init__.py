@@ -1,4 +1,4 @@
-"""The controller: gain files, velocity control, and control laws, each as one object."""
+"""The controller: gain files, velocity control, and control laws (each law is one object)."""
 
 from surctl.control.baselines import Situation
 from surctl.control.build import MODES, build_law, build_law_of

@@ -36,7 +36,7 @@ class Around(NamedTuple):
 
 
 def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
-    """Return axis, apex and half angle of each sonar's cone, reduced to the part that the hull does not block."""
+    """Return axis, apex and half angle of each sonar's beam, without the part of the beam that the hull blocks."""
     axes, apexes, halves = [], [], []
     for i, azimuth in enumerate(array.azimuths):
         offset, half = array.cones[i][0]
@@ -51,7 +51,7 @@ def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], 
 
 
 def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Return two vectors (n,) of expected ranges [m]: for echoes of the walls, and for echoes of moving obstacles."""
+    """Return the range [m] that each sonar should measure: (n,) for echoes of the walls, (n,) for moving obstacles."""
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
@@ -81,7 +81,7 @@ def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapp
 
 
 def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
-    """Return the samples without the known bias and scale; a sample without an echo is returned unchanged."""
+    """Return the range samples, corrected for known bias and scale; samples without an echo are returned unchanged."""
     if array.scale == 1.0 and array.bias == 0.0:
         return samples
     top = array.maximum - 0.5 * array.resolution
@@ -93,9 +93,9 @@ def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
 def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, repeats: int) -> ca.SX:
     """Return for each sonar whether its firing (one measurement) may change the map.
 
-    A firing may not change the map if the sensor is stuck or late, if the sensor reads less than its shortest range or
-    more than the distance of a wall, or if it repeats the samples of another sensor. A firing of a sensor whose
-    readings jump may change the map, because only three successive readings clear a cell.
+    A firing may not change the map in these cases: the sensor is stuck or late; its reading is below its shortest range
+    or beyond a wall; or its samples equal those of another sensor. If only the readings of a sensor jump, its firings
+    may change the map, because it takes three successive readings to clear a cell.
     """
     state = ranging.state
     reading, least = ranging.reading[sensor], array.lowest / array.scale

@@ -61,7 +61,7 @@ _STEP_INPUTS = ("J", "reference", "rows", "box")
 _SOURCES = tuple(
     f"surctl.{name}" for name in ("control", "errors", "guidance", "ir", "priority", "sensing", "tasks", "vehicle")
 )
-"""Packages whose source code determines the instructions of a law."""
+"""Packages whose source code determines the instruction list of a law."""
 
 
 def build_law(
@@ -80,30 +80,32 @@ def build_law(
     depths: bool = False,
     fallback: str = "exact",
 ) -> Law:
-    """Return a law, assembled in this call or taken from the cache; the gains remain inputs of the law.
+    """Build a law, or load it from the cache; the values of its gains are inputs of the law, not part of it.
 
     Args:
         law: `guarded`, the paper's law `paper`, `closed_form`, or a textbook law: `apf`, `dwa`, `vo`, `cbf`; or a law
             of the user's own, FILE.py:FUNCTION (see `law_ref`).
-        avoidance: form of equation (20); all laws except `paper` accept only `corrected`.
+        avoidance: form of the avoidance velocity, equation (20) of the paper; all laws except `paper` accept only
+            `corrected`.
         mode: priority mode: `nsb` ignores limits; `filter`, `projected` and `lexicographic` respect them.
         dt: control period [s].
-        contacts: number of slots for known obstacles; the number does not change the result as long as there is a slot
-            for each known obstacle.
+        contacts: number of known obstacles that the law's input can hold; a larger number than needed does not change
+            the commands.
         sonar: whether the law uses the sonars; a law without sonars needs true obstacle positions as input.
         equipment: the sensors that a law with sonars assumes; the law `paper` always uses the paper's four sonars.
-        moving: whether known obstacles may move; False gives the same result as long as no obstacle moves.
+        moving: whether known obstacles may move; if no obstacle moves, the commands are equal with True and False.
         guidance: path following: `los`, `ilos` or `alos`; `ilos` and `alos` adapt to a steady disturbance (see
             `guidance.crosstrack`).
-        barrier: bound of law `guarded` on its closing speed. `simple` uses the braking distance s²/(2a) + s t.
-            `inertia` uses the closed form of `guidance.braking` for the worst case of the vehicle's parameter ranges.
-            With sonars and `inertia`, the robot cannot pass through the pool, where clearances are a few centimetres.
+        barrier: bound of law `guarded` on its closing speed s. `simple` uses the braking distance s²/(2a) + s t with
+            the deceleration a and the reaction time t. `inertia` uses the closed form of `guidance.braking` for the
+            worst case of the vehicle's parameter ranges. With sonars and `inertia`, the robot cannot pass through the
+            pool, where clearances are a few centimetres.
         movers: how law `guarded` avoids moving obstacles. `predict` predicts their paths and evades sideways; `barrier`
-            uses only the barrier.
-        depths: whether `guarded` may leave a dead end at another depth; then the law needs the free water above and
-            below as input `column` (see `control.layers`). All other laws always stay at the path's depth.
-        fallback: what modes `filter` and `projected` do if they cannot satisfy all limits and task 1: `exact` or
-            `bounded`; `bounded` gives a safe result within a fixed number of operations and sets `DEGRADED` in the
+            only limits the closing speed.
+        depths: whether law `guarded` may leave a dead end at another depth; if so, its input `column` must give the
+            free water above and below the hull (see `control.layers`). All other laws always stay at the path's depth.
+        fallback: how modes `filter` and `projected` proceed if they cannot satisfy all limits and task 1: `exact` or
+            `bounded`. `bounded` computes a safe command in a fixed number of operations and sets `DEGRADED` in the
             status.
 
     Raises:
@@ -173,7 +175,7 @@ def build_law(
 
 @dataclass(frozen=True)
 class _Configuration:
-    """The checked arguments of `build_law`; equal arguments give the same law object."""
+    """The arguments of `build_law` after their check; for equal arguments, `build_law` returns the same law object."""
 
     law: str
     avoidance: AvoidanceForm
@@ -194,7 +196,7 @@ class _Configuration:
 def _cached_law(chosen: _Configuration) -> Law:
     """Return the law from the cache on disk, or build it if no process with this source code has stored it.
 
-    A law of the user's own is built in every process: a digest of its file does not cover what the file imports.
+    A law of the user's own is built again in every process, because the modules that its file imports may have changed.
     """
     if is_own(chosen.law):
         try:
@@ -217,7 +219,7 @@ def _cached_law(chosen: _Configuration) -> Law:
 
 
 def build_law_of(source: LawSource) -> Law:
-    """Return the law of a source for true positions, in its first priority mode; it is not cached.
+    """Build the law of a source for exact obstacle positions, in its first priority mode; the law is not cached.
 
     Example:
         >>> from surctl.control import LAWS, build_law_of
@@ -252,9 +254,9 @@ def _with_perception(decide: Law, perception: PerceptionStage) -> Law:
 def _decide(
     source: LawSource, chosen: _Configuration, inputs: Layout, *, sonar: bool = False, moving: bool = True
 ) -> Law:
-    """Return the law without perception; for a law that scans with sonars, this is the part after perception.
+    """Return the law without perception; if the law has a sonar map, this is the part that runs after perception.
 
-    In a law with perception, the decision assumes that every contact may move.
+    In a law with perception, the decision assumes that every obstacle may move.
     """
     avoidance, mode, dt, guidance = chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
@@ -363,7 +365,7 @@ def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
 
 
 def _step_inputs(levels: list[TaskLevel], rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
-    """Return J row by row; references; limit rows (a, lower, upper, whether it may be relaxed); velocity box."""
+    """Return the solver's inputs: J by rows; references; constraints (a, lower, upper, relaxable?); velocity box."""
     flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
     box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
     J = ca.vertcat(*(level.J for level in levels))

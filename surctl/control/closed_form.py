@@ -1,10 +1,12 @@
-"""The law `closed_form`, the smallest law that avoids obstacles: the paper's tasks for one known obstacle.
+"""The law `closed_form`, the smallest law that avoids an obstacle: the paper's tasks for one known obstacle.
 
-The law combines guidance (8)-(12), one sensor sub-task, the corrected course (20), the depth task and the heading task
-by the null-space projection (16). The position of the obstacle is an input, and the path must avoid the walls. Equation
-(20) needs no angle: with r = sat((v_o·n + κ l) / u), the velocity of (20) is u (r n + λ2 √(1 − r²) n⊥). Every
-denominator has a lower bound and every direction component stays within [−1, 1], so interval arithmetic can prove that
-the C code has no run-time errors.
+The law combines the guidance (8)–(12) of the paper, one sensor sub-task, the corrected avoidance course (20), the depth
+task and the heading task by the null-space projection (16). The position of the obstacle is an input, and the path must
+avoid the walls. The law evaluates equation (20) without angles: its velocity is u (r n + λ2 √(1 − r²) n⊥) with r =
+sat((v_o·n + κ l) / u). Here u is the speed, n the unit vector to the obstacle, n⊥ its normal, l the clearance beyond
+the margin, v_o the obstacle's velocity, κ a gain, and λ2 = ±1 the passing side. Every denominator has a positive lower
+bound and every component of a direction stays within [−1, 1], so interval arithmetic can prove that the C code has no
+run-time errors.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from surctl.vehicle import planar_rotation
 __all__ = ["CLOSED_FORM_PORTS", "DAMPING", "closed_form_law", "known_obstacle"]
 
 DAMPING = 1e-3
-"""λ of the damped projection; the relative error of a velocity is λ²."""
+"""Damping λ of the null-space projection; it changes a task velocity by the relative error λ²."""
 
 CLOSED_FORM_PORTS = tuple(port for port in DECISION_PORTS if port.name == "side")
 
@@ -34,13 +36,12 @@ _NEAR = 1e-3  # [m] smallest distance to the obstacle's centre at which its dire
 
 
 def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception:
-    """Return a perception that contains only the obstacle of input `contacts` (1, 6) and no walls.
+    """Return a `Perception` that contains only the obstacle in input `contacts` (1, 6), and no walls.
 
-    The components of the direction are clamped to [-1, 1], so that a rounding error cannot take them outside this
-    interval.
+    The components of the direction to the obstacle are clamped to [-1, 1], because rounding errors could exceed 1.
 
     Raises:
-        InputError: the law does not have exactly one obstacle slot.
+        InputError: the input does not hold exactly one obstacle.
     """
     slots = u["contacts"].shape[0] if "contacts" in u else 0
     if slots != 1:
@@ -59,14 +60,14 @@ def known_obstacle(u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]) -> Perception
 def closed_form_law(
     desired: DesiredMotion, perceived: Perception, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]
 ) -> Decision:
-    """Return the decision of the law `closed_form`, for the damped projection.
+    """Return the decision of the law `closed_form`; its tasks are combined by a damped null-space projection.
 
     Args:
         desired: the motion along the path without obstacles.
         perceived: the result of `known_obstacle`.
-        x: state, with the port `side`.
+        x: state, with the entry `side` (passing side).
         eta: (4, 1) pose.
-        p: gains `margin`, `kappa`, mission `cruise`, `cap`.
+        p: parameters; the function uses the gains `margin`, `kappa` and the mission's `cruise`, `cap`.
     """
     (contact,) = perceived.known
     n, left = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])

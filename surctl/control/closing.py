@@ -1,4 +1,4 @@
-"""The last part of every law: it computes thrust, status and telemetry from the priority solver's velocity."""
+"""The last part of every law: it computes thrust, status and telemetry from the priority solver's velocity ν."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from surctl.priority.solver.fallback import RELAXED
 __all__ = ["CLIMB", "Closing", "Memory", "Thrust", "yaw_limit"]
 
 Thrust: TypeAlias = Callable[[ca.SX, ca.SX, ca.SX, Mapping[str, ca.SX], float], tuple[ca.SX, ca.SX]]
-"""Velocity controller of a law: (velocity reference (4, 1), measured velocity (4, 1), its state (4, 1), parameters by
-name, control period [s]) → (thrust before limits (4, 1) [N, N m], next state (4, 1))."""
+"""Velocity controller of a law. It maps (velocity reference (4, 1), measured velocity (4, 1), controller state (4, 1),
+parameters by name, control period [s]) to (thrust before limits (4, 1) [N, N m], next controller state (4, 1))."""
 
 _CLIPPED = 1e-9  # [N, N m] smallest difference that counts as a reached thrust limit
 
@@ -32,7 +32,7 @@ def _has_degraded(flags: ca.SX) -> ca.SX:
 
 
 def yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
-    """Return the steady yaw rate [rad/s] that 85 % of the largest yaw moment sustains against drag."""
+    """Return the steady yaw rate [rad/s] at which the drag moment equals 85 % of the largest yaw moment."""
     moment, linear, quadratic = YAW_SHARE * p["thrust_limit"][3], p["linear_drag"][3], p["quadratic_drag"][3]
     root = ca.sqrt(linear * linear + 4 * quadratic * moment)
     # this form of the root avoids a difference of nearly equal numbers, and works without quadratic drag
@@ -40,10 +40,10 @@ def yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
 
 
 class Memory(NamedTuple):
-    """The values that the law knows before the priority solver runs.
+    """The values that the law has computed before the priority solver runs.
 
-    `carried` is the next state without the new integral, `reported` is the telemetry after `nu_reference`, and `flags`
-    holds the status bits.
+    `carried` is the next state before the velocity integral is updated, `reported` is the telemetry except
+    `nu_reference`, and `flags` is the sum of the status bits.
     """
 
     carried: ca.SX
@@ -53,7 +53,7 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class Closing:
-    """The last part of a law: it limits the velocity reference, controls the velocity, and assembles the outputs."""
+    """The last part of a law: it limits the velocity reference, computes the thrust, and assembles the outputs."""
 
     state: Layout
     outputs: Layout
@@ -65,7 +65,7 @@ class Closing:
     thrust: Thrust | None = None
 
     def block(self) -> Block:
-        """Return a block: (u, p, carried, reported, flags, nu_reference, stage) → (tau, x_next, status, telemetry)."""
+        """Return `outputs_of` as an instruction list or routine with the vectors u and p as further inputs."""
         sizes = (self.state.size, self.outputs.size - 8, 1)
         memory = Memory(*(ca.SX.sym(name, size) for name, size in zip(Memory._fields, sizes, strict=True)))
         nu_reference, stage = ca.SX.sym("nu_reference", 4), ca.SX.sym("stage")
@@ -75,7 +75,7 @@ class Closing:
     def outputs_of(self, memory: Memory, nu_reference: ca.SX, stage: ca.SX) -> dict[str, ca.SX]:
         """Return tau, x_next, status and telemetry for a velocity reference.
 
-        `stage` is the fallback stage of the priority solver, 0 if the solver did not run.
+        `stage` says which fallback of the priority solver computed `nu_reference`; 0 if the solver did not run.
         """
         carried = self.state.split(memory.carried)
         tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"])

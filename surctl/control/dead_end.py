@@ -1,11 +1,11 @@
-"""Detection of dead ends: without progress for too long, the law reports a dead end and the robot holds its position.
+"""Detection of dead ends: after too long without progress, the law reports a dead end and holds the position.
 
-Progress is one of two events: the projection on the path moves further than before, or the box around all positions
-since the last such move grows. A search that goes back and forth between the arms of a U-shaped obstacle causes neither
-event. The law counts the time without progress. The count pauses while a moving obstacle is near, at the end of the
-path, and while the law stops because it does not know what is ahead (the output `stopped` reports this). After
-`patience` the status `TRAPPED` is permanent: the robot holds its position and still avoids moving obstacles. If other
-depths are allowed, the robot tries them first (`control.layers`).
+Progress is either of two events: the robot's projection on the path moves further than before, or the box around all
+positions since the last such event grows. A robot that moves back and forth between the arms of a U-shaped obstacle
+causes neither event. The law counts the time without progress. The count pauses while a moving obstacle is near, at the
+end of the path, and while the law stops because it does not know what is ahead (the output `stopped` reports this).
+After the time `patience` without progress, the law sets the status `TRAPPED` permanently: the robot holds its position
+and still avoids moving obstacles. If other depths are allowed, the robot tries these depths first (`control.layers`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ DEAD_END_PORTS = (
 
 
 def standing(desired: DesiredMotion, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> DesiredMotion:
-    """Return the desired motion, which holds the robot's position after a dead end and during a change of depth.
+    """Return the desired motion; after a dead end and during a change of depth, the robot holds its position.
 
     Args:
         desired: the motion along the path.
@@ -64,7 +64,7 @@ def dead_end_next(
     *,
     dt: float,
 ) -> dict[str, ca.SX]:
-    """Return the values of `DEAD_END_PORTS` after one control period, and of `LAYER_PORTS` if depths may change.
+    """Return the next values of the state entries `DEAD_END_PORTS`, and of `LAYER_PORTS` if depths may change.
 
     Args:
         desired: the desired motion of this step.
@@ -72,9 +72,9 @@ def dead_end_next(
         x: state of the law.
         eta: (4, 1) pose in {E}.
         stopped: 1 while the law stops because it does not know what is ahead.
-        p: `patience` (0: never report a dead end) and `waypoints`; for other depths also the inputs of
-            `layers.aimed_depth`.
-        nu: (4, 1) velocity in {B}; required for other depths.
+        p: parameters `patience` (0: never report a dead end) and `waypoints`; if other depths are allowed, also the
+            parameters of `layers.aimed_depth`.
+        nu: (4, 1) velocity in {B}; required if other depths are allowed.
         column: (2, 1) free water above and below the hull [m]; None: only the path's depth is allowed.
         dt: control period [s].
     """

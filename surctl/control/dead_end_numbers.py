@@ -1,6 +1,6 @@
-"""Reference implementation of dead ends and layers in plain Python.
+"""Reference implementation of the detection of dead ends and of the change of depth, in plain Python.
 
-This module gives the same numbers as `control.dead_end` and `control.layers`, but with independent code that handles
+This module computes the same numbers as `control.dead_end` and `control.layers`, but with independent code that handles
 each case separately.
 """
 
@@ -18,10 +18,10 @@ __all__ = ["Aim", "DeadEnd", "Mission", "Mover", "Place", "aim", "dead_end_step"
 
 @dataclass(frozen=True, kw_only=True)
 class Mission:
-    """Gains, vehicle model and mission numbers of the law, under their names in `PARAMETERS`.
+    """Gains, vehicle model and mission parameters of the law, with the names that they have in `PARAMETERS`.
 
     Attributes:
-        acceleration: brake · largest heave thrust / heave mass [m/s²].
+        acceleration: largest heave acceleration for braking: brake · largest heave thrust / heave mass [m/s²].
         end: (2,) end of the path in {E} [m].
     """
 
@@ -37,13 +37,13 @@ class Mission:
 
     @property
     def pitch(self) -> float:
-        """Return the depth difference between adjacent layers [m]."""
+        """Return the depth difference between adjacent layers (depths that the robot may use) [m]."""
         return 2 * self.hull + self.margin
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Position and surroundings of the robot in one step.
+    """Position and surroundings of the robot in one control step.
 
     Attributes:
         eta, nu: (4,) pose in {E}, and (4,) velocity in {B}.
@@ -66,7 +66,7 @@ class Place:
         return x * x + y * y > FAST**2
 
     def free(self, rise: float, margin: float) -> bool:
-        """Return whether the water is free for a rise of this height [m]; a negative rise is a descent."""
+        """Return whether there is free water for a rise by `rise` [m]; a negative rise is a descent."""
         assert self.column is not None
         return abs(rise) <= (self.column[0] if rise > 0 else self.column[1]) - margin + SLACK
 
@@ -81,7 +81,7 @@ class Mover:
 
 @dataclass(frozen=True)
 class DeadEnd:
-    """The values of the state ports `DEAD_END_PORTS` and `LAYER_PORTS`."""
+    """The values of the law's state entries `DEAD_END_PORTS` and `LAYER_PORTS`."""
 
     furthest: float = -100.0
     searched: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -98,7 +98,7 @@ class Aim:
 
     Attributes:
         velocity: (2,) velocity towards the position to hold [m/s] in {E}; None: the desired velocity does not change.
-        layer: z of the layer [m].
+        layer: z of the present layer; during a change of depth, of the next layer [m].
         depth: reference z of the depth task [m].
     """
 

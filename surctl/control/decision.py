@@ -1,4 +1,4 @@
-"""The decision of a law (tasks by priority, barriers and next state), and expressions that all laws share."""
+"""The decision of a law (tasks by priority, barriers and next state), and symbolic expressions that all laws use."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DECISION_PORTS = (
 
 
 class TaskLevel(NamedTuple):
-    """A priority level as symbolic expressions: J ν should equal `reference` (k, 1) [unit]; J has shape (k, 4)."""
+    """A task of one priority: J ν should equal `reference` (k, 1) [unit]; J is (k, 4), and ν is the velocity (4, 1)."""
 
     name: str
     J: ca.SX
@@ -31,7 +31,7 @@ class TaskLevel(NamedTuple):
 
     @staticmethod
     def of(task: Task) -> TaskLevel:
-        """Return the priority level of a task."""
+        """Return the task as a priority level."""
         return TaskLevel(task.name, task.jacobian(), task.reference(), task.rate_unit)
 
 
@@ -40,12 +40,12 @@ class Decision:
     """The priority problem and the next state that a law decides on.
 
     Attributes:
-        levels: tasks, highest priority first; a level with zero Jacobian and zero reference has no effect.
-        rows: limit rows of the barriers on ν, for the priority modes with inequalities.
+        levels: tasks, highest priority first; a task with zero Jacobian and zero reference has no effect.
+        rows: barriers as linear inequalities on the velocity ν, for the priority modes with inequalities.
         velocity: commanded horizontal velocity (2, 1) in {E} [m/s].
-        avoiding: 1 while a contact changes the desired velocity.
-        degraded: 1 if no course satisfies the bounds of all contacts.
-        state: next state by port name; a port that is not named keeps its value.
+        avoiding: 1 while an obstacle changes the desired velocity.
+        degraded: 1 if no course satisfies the speed bounds of all obstacles.
+        state: next values of the state entries by name; an entry that is not named does not change.
         stopped: 1 while the robot stops, or nearly stops, because it does not know what is ahead.
 
     Example:
@@ -66,12 +66,12 @@ class Decision:
     stopped: ca.SX = field(default_factory=lambda: ca.SX(0))
 
     def task_levels(self) -> list[TaskLevel]:
-        """Return the levels, each task as its Jacobian and reference."""
+        """Return the levels, with each `Task` replaced by its Jacobian and reference."""
         return [level if isinstance(level, TaskLevel) else TaskLevel.of(level) for level in self.levels]
 
 
 class Scan(NamedTuple):
-    """The inputs, other than the contacts, of a law that scans with sonars; see `ports.scan_inputs`."""
+    """The inputs, except obstacle points, of a law with a sonar map; see `ports.scan_inputs`."""
 
     unknown: ca.SX
     sonars: ca.SX
@@ -81,10 +81,11 @@ class Scan(NamedTuple):
 def lower_levels(
     eta: ca.SX, desired: DesiredMotion, p: Mapping[str, ca.SX], scan: Scan | None = None
 ) -> tuple[TaskLevel, TaskLevel]:
-    """Return the priority levels below the velocity task: depth, then heading.
+    """Return the tasks with lower priority than the velocity task: depth, then heading.
 
-    A law with sonars turns all the time instead of holding a heading. Its yaw rate is `spin`, or less if the yaw
-    thrusters cannot sustain this rate. While the robot does not know its position, it keeps its depth rate at 0.
+    With a sonar map, the robot turns continuously instead of holding a heading. The yaw rate is the gain `spin`, or
+    less if the yaw thrusters cannot sustain this rate. While the robot does not know its position, its commanded depth
+    rate is 0.
     """
     depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
     if scan is None:
@@ -95,5 +96,5 @@ def lower_levels(
 
 
 def weakest_acceleration(p: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the least horizontal acceleration [m/s²] at full thrust: smaller thrust limit divided by larger mass."""
+    """Return the least horizontal acceleration at full thrust [m/s²]: the smaller thrust limit over the larger mass."""
     return ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])

@@ -1,4 +1,4 @@
-"""Perception of a law without a map; its contacts are known obstacles, unexplained sonar echoes, and walls."""
+"""Perception of a law without a map; obstacle points are known obstacles, unexplained sonar echoes, and walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FILTER = SensorFilter(array=_ARRAY)
 
 
 def perception_ports(dt: float, *, sonar: bool = True) -> tuple[Port, ...]:
-    """Return the state ports of sonar filters and echo memory for control period `dt` [s]; no ports without sonars."""
+    """Return the state entries of the sonar filters for control period `dt` [s]; empty for a law without sonars."""
     if not sonar:
         return ()
     return (*_FILTER.ports("sonar_"), *ContactMemory(dt=dt).ports("sonar_"))
@@ -26,14 +26,15 @@ def perception_ports(dt: float, *, sonar: bool = True) -> tuple[Port, ...]:
 
 @dataclass(frozen=True)
 class Perception:
-    """The contacts around the robot, and the next state of the filters.
+    """The obstacle points around the robot, and the next state of the sonar filters.
 
     Attributes:
         known: obstacles known from the base station.
-        echoes: one contact per sonar, at clearance `FAR` if its echo is missing or explained; empty without sonars.
+        echoes: one obstacle point per sonar; empty without sonars. Its clearance is `FAR` if there is no echo, or if a
+            wall or a known obstacle explains the echo.
         walls: the site's four walls.
         ranges: filtered ranges (4, 1) [m]; the maximum range without sonars.
-        state: next state by port name.
+        state: next values of the state entries by name.
     """
 
     known: list[Contact]
@@ -44,20 +45,20 @@ class Perception:
 
     @property
     def all(self) -> list[Contact]:
-        """Return all contacts in one list."""
+        """Return all obstacle points in one list."""
         return [*self.known, *self.echoes, *self.walls]
 
 
 def perceive(x: Mapping[str, ca.SX], u: Mapping[str, ca.SX], p: Mapping[str, ca.SX], *, dt: float) -> Perception:
-    """Filter the sonar ranges, remove echoes that walls and known obstacles explain, and return all contacts.
+    """Filter the sonar ranges, remove echoes that walls or known obstacles explain, and return all obstacle points.
 
     Without input `contacts` no obstacle is known; without input `samples` the law has no sonars.
 
     Args:
-        x: state by port name, with the ports of `perception_ports`.
-        u: input ports of the law; the function uses `eta`, `contacts`, `samples` and `fresh`.
-        p: parameters by port name; the function uses the gains `lambda1`, `lms_step` and `beta_max`, the model's `hull`
-            and the mission's `walls`.
+        x: state entries by name, including those of `perception_ports`.
+        u: inputs of the law by name; the function uses `eta`, `contacts`, `samples` and `fresh`.
+        p: parameters by name; the function uses the gains `lambda1`, `lms_step` and `beta_max`, the model's `hull` and
+            the mission's `walls`.
         dt: control period [s].
     """
     position, hull, rows = u["eta"][:2], p["hull"], u.get("contacts", ca.SX.zeros(0, 6))

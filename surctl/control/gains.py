@@ -1,4 +1,4 @@
-"""Gain files, which hold every tunable number of a law by name, with unit and meaning."""
+"""Gain files, which contain every tunable number of a law with its name, unit and meaning."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ LIBRARY = Path(__file__).parent / "library"
 class GainSpec:
     """Unit and meaning of a gain, and its bounds.
 
-    If `zero_allowed` is False, the gain must be greater than 0. A file may omit a gain that has a `default`. `range` is
-    the range that sweeps and tuning search unless a gain file states another.
+    If `zero_allowed` is False, the gain must be greater than 0. A gain file may omit a gain that has a `default`.
+    `range` is the range in which sweeps and tuning vary the gain, unless the gain file states another range.
 
     Example:
         >>> from surctl.control import GainSpec
@@ -83,7 +83,7 @@ class _GainFile(Strict):
 
 @dataclass(frozen=True)
 class Gains:
-    """A named, complete set of gains in SI units: the values by name, and the ranges from the gain file.
+    """A complete set of gains in SI units, with a name: the values of the gains, and the ranges from the gain file.
 
     `own` describes the gains of a law that are not in `GAINS`; `specs` describes all gains of the set.
     """
@@ -106,7 +106,7 @@ class Gains:
         return self.values[name]
 
     def with_own(self, own: Mapping[str, GainSpec]) -> Gains:
-        """Return this set for a law with the gains `own`; a gain that the set does not have takes its default."""
+        """Return this set extended by the gains `own` of a law; a gain that the set lacks gets its default value."""
         if self.own == own:
             return self
         shared = {name: value for name, value in self.values.items() if name in GAINS}
@@ -118,7 +118,7 @@ class Gains:
     def with_values(
         self, values: Mapping[str, float], *, provenance: str | None = None, how: str | None = None
     ) -> Gains:
-        """Return a copy with some gains changed and checked; `how` is appended to the name of the gain set."""
+        """Return a copy with new, checked values of some gains; `how` is appended to the name of the gain set."""
         for name, value in values.items():
             check_name(name, self.source, self.specs)
             check_value(name, float(value), self.source, self.specs)
@@ -150,11 +150,11 @@ def check_value(name: str, value: float, source: object, specs: Mapping[str, Gai
 
 
 def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) -> Gains:
-    """Load a built-in gain file by name or another gain file by path; a file must contain all gains without default.
+    """Load a built-in gain file by name, or a gain file by path; a file must contain every gain that has no default.
 
     Args:
-        name_or_path: name of a built-in gain file, or path of another.
-        own: further gains that the file may contain, those of a law of the user's own (`LawSource.gains`).
+        name_or_path: name of a built-in gain file, or path of a gain file.
+        own: further gains that the file may contain: the gains of a law of the user's own (`LawSource.gains`).
 
     Raises:
         InputError: the file is unreadable, a gain is unknown or missing, a unit is wrong, or a value is out of bounds.
@@ -206,7 +206,7 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
 def write_gains(gains: Gains, *, warning: str = "") -> str:
     """Return the text of a gain file with the values of `gains`; `load_gains` reads the same values from it.
 
-    A range that does not contain its value is omitted. `warning` becomes a comment in the first line.
+    A range that does not contain the gain's value is omitted. `warning` becomes a comment in the first line.
 
     Example:
         >>> from pathlib import Path

@@ -1,8 +1,9 @@
-"""The guarded law: follow the path at a velocity that respects the braking barrier of every contact.
+"""The guarded law: follow the path at a velocity from which the robot can brake before every obstacle.
 
-Its tasks, in order of priority, are the free velocity nearest to the desired one, the depth, and the heading. In the
-priority modes with inequalities, the barriers are also limit rows of the priority problem. With sonars, the robot turns
-all the time instead of holding a heading, and it stops before unknown space.
+Its tasks, in order of priority, are the velocity nearest to the desired velocity that no obstacle forbids, the depth,
+and the heading. In the priority modes with inequalities, the barriers (speed bounds towards obstacles) are also
+inequality constraints of the priority problem. With sonars, the robot turns continuously instead of holding a heading,
+and it stops before unknown space.
 """
 
 from __future__ import annotations
@@ -64,10 +65,10 @@ def guarded_law(
     scan: Scan | None = None,
     moving: bool = True,
 ) -> Decision:
-    """Return the decision of the guarded law: the free velocity nearest to the desired velocity along the path.
+    """Return the decision: of all velocities that no obstacle forbids, the one nearest to the desired velocity.
 
-    The braking distance to each contact limits the closing speed. With sonars, the robot turns all the time, and it
-    moves only as fast as it can stop before unknown space.
+    The braking distance to each obstacle limits the closing speed. With sonars, the robot turns continuously, and its
+    speed is limited so that it can stop before unknown space.
     """
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0
@@ -150,10 +151,10 @@ def guarded_law(
 
 
 def _back_first(desired: DesiredMotion, velocity: ca.SX, caution: Bounds, bounds: Bounds) -> ca.SX:
-    """Return a velocity reduced to the caution bounds; its component back to the path is reduced separately.
+    """Return a velocity within the speed bounds `caution`; its component back to the path is reduced separately.
 
-    The component back to the path need not wait for unknown space ahead. The separate reduction changes the course, so
-    the other bounds are applied again.
+    Unknown space ahead need not slow down the component back to the path. The separate reduction changes the course, so
+    the speed bounds of the obstacles (`bounds`) are applied again.
     """
     sideways = ca.vertcat(-desired.tangent[1], desired.tangent[0])
     across = ca.dot(sideways, velocity)
@@ -163,7 +164,7 @@ def _back_first(desired: DesiredMotion, velocity: ca.SX, caution: Bounds, bounds
 
 
 def _strays(desired: DesiredMotion, velocity: ca.SX, stop: Stop) -> ca.SX:
-    """Return whether a velocity leads away from the path faster than the robot could stop within `_BESIDE` of it."""
+    """Return whether a velocity away from the path is too fast for the robot to stop within `_BESIDE` of the path."""
     across = desired.tangent[0] * velocity[1] - desired.tangent[1] * velocity[0]
     distance = _BESIDE - ca.if_else(across < 0, -desired.y_e, desired.y_e)
     return ca.fabs(across) > ca.fmax(stop(distance, ca.SX(0)), 0)
@@ -185,9 +186,9 @@ def _cautious_bounds(scan: Scan, stop: Stop, p: Mapping[str, ca.SX]) -> list[tup
 def _movers(
     contacts: Sequence[Contact], desired: DesiredMotion, eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop
 ) -> tuple[list[Sector], list[Cone]]:
-    """Return sectors and cones of the contacts that may move.
+    """Return, for obstacles that may move, the sectors of blocked courses and the collision cones.
 
-    The robot evades a contact by its collision cone, or keeps its braking distance from it.
+    The robot either avoids the obstacle's collision cone, or limits its closing speed by the braking distance.
     """
 
     def both(row: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -207,9 +208,9 @@ def _movers(
 def _standing(
     contacts: Sequence[Contact], eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop, *, retreat: float
 ) -> list[Sector]:
-    """Return the sectors of contacts at rest, from their braking distance.
+    """Return, for obstacles at rest, the sectors of courses that the braking distance blocks.
 
-    If a contact is closer than the margin, the robot moves away from it with at most `retreat` [m/s].
+    If an obstacle is closer than the margin, the robot moves away from the obstacle at no more than `retreat` [m/s].
     """
 
     def one(row: ca.SX) -> tuple[ca.SX]:

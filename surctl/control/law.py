@@ -1,9 +1,9 @@
-"""The law: sonar filters, guidance, tasks, priority and velocity control as one object with explicit state.
+"""The control law: sonar filters, guidance, tasks, priorities and velocity control as one object with explicit state.
 
-The block `closed` solves the priorities by the closed form (16). In the modes that respect limits, the law has three
-parts: the block `pre`, then the priority solver as a routine with bounded loops, then the block `post`. In every mode
-`block` is the complete law that runs and that is exported as C. Python, C, verification and tuning all use the same
-instruction list.
+A block is an instruction list or a routine of `surctl.ir`. The block `closed` solves the task priorities by the closed
+form, equation (16) of the paper. In the modes that respect limits, the law has three parts: the block `pre`, then the
+priority solver as a routine with bounded loops, then the block `post`. In every mode, `block` is the complete law that
+runs and that is exported as C. Python, C, verification and tuning all use this one block.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ DEPTH_PORT = Port(
 
 
 def scan_telemetry(sensors: int) -> tuple[Port, ...]:
-    """Return the telemetry ports of a law that scans with `sensors` sonars."""
+    """Return the telemetry entries (`Port`) of a law with a sonar map and `sensors` sonars."""
     return (
         *(port for port in TELEMETRY if port.name != "ranges"),
         Port("ranges", (sensors,), "m", "filtered sonar ranges"),
@@ -67,9 +67,9 @@ class LawStep(NamedTuple):
     Attributes:
         tau: thrust command (4,) [N, N m] in {B}.
         x_next: next state as a flat vector.
-        status: 0, or a sum of the bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`; or `NONFINITE`, and then tau
-            is 0 and the state does not change.
-        telemetry: flat vector of all ports of `Law.outputs` except the first one, tau.
+        status: 0, or a sum of the bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`; or `NONFINITE`, in which case
+            tau is 0 and the state does not change.
+        telemetry: flat vector of all entries of `Law.outputs` except the first, which is tau.
     """
 
     tau: Vector
@@ -79,15 +79,16 @@ class LawStep(NamedTuple):
 
 
 class Stages:
-    """Parts of a law, each built when it is first used; they call libm functions such as sin.
+    """Parts of a law; each part is built when it is first used, and calls libm functions such as sin.
 
     Attributes:
-        closed: (x, u, p) → (tau, x_next, status, telemetry) by the closed form (16), in every mode of the law.
-        pre: (x, u, p) → (J row by row, references, limit rows of the priority problem, velocity box (8,), carried,
-            reported, flags). `carried` is the next state without the integral, `reported` the telemetry after
-            `nu_reference`, and `flags` holds the status bits.
-        post: (u, p, carried, reported, flags, nu_reference, fallback stage of the priority solver) → (tau, x_next,
-            status, telemetry).
+        closed: complete law with the closed form, equation (16) of the paper, in every mode; it maps (x, u, p) to (tau,
+            x_next, status, telemetry).
+        pre: part before the priority solver; it maps (x, u, p) to (J row by row, references, inequality constraints,
+            velocity bounds (8,), carried, reported, flags). `carried` is the next state before the velocity integral is
+            updated, `reported` is the telemetry except `nu_reference`, and `flags` is the sum of the status bits.
+        post: part after the priority solver; it maps (u, p, carried, reported, flags, nu_reference, number of the
+            solver's fallback) to (tau, x_next, status, telemetry).
     """
 
     def __init__(self, closed: Callable[[], Block], pre: Callable[[], Block], post: Callable[[], Block]) -> None:
@@ -95,7 +96,7 @@ class Stages:
 
     @cached_property
     def closed(self) -> Block:
-        """Return the law with the closed form (16)."""
+        """Return the complete law with the closed form, equation (16) of the paper."""
         return self._closed()
 
     @cached_property
@@ -111,23 +112,23 @@ class Stages:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A controller, which maps (state, input, parameters) to (τ, next state, status, telemetry).
+    """A controller, which maps (state, input, parameters) to (thrust command τ, next state, status, telemetry).
 
     Attributes:
         name: name of the law, a C identifier.
         ref: reference of the law's source, see `law_ref`.
-        avoidance: form of equation (20).
+        avoidance: form of the avoidance velocity, equation (20) of the paper.
         mode: priority mode.
         dt: control period [s].
         state, inputs, gains, outputs: layouts of the flat vectors.
-        block: (x, u, p) → (tau, x_next, status, telemetry). In mode nsb `block` is `closed`; in other modes `block`
-            combines `pre`, the priority solver and `post`. `block` needs no libm functions, because sin, cos and atan2
-            are replaced by elementary operations.
-        stages: the law in closed form, and its parts before and after the priority solver.
-        levels: (name, number of rows of J, unit) of each priority level, highest first.
-        rows: names of the limit rows: first those of the velocity box, then those of the barriers.
-        perception: the part of the law that runs before the decision, or None. In a law with perception, x and u of
-            `stages` are the state of the decision and the outputs of perception.
+        block: the complete law, which maps (x, u, p) to (tau, x_next, status, telemetry). In mode nsb it is `closed`;
+            in other modes it combines `pre`, the priority solver and `post`. It calls no libm functions: sin, cos and
+            atan2 are replaced by elementary operations.
+        stages: the law in closed form (`closed`), and its parts before and after the priority solver (`pre`, `post`).
+        levels: (name, number of rows of J, unit) of each task, highest priority first.
+        rows: names of the inequality constraints: first the velocity bounds, then the barriers.
+        perception: the part of the law that runs before the decision, or None. In a law with perception, the inputs x
+            and u of `stages` are the state of the decision and the outputs of perception.
         guidance, barrier, movers, fallback: the arguments of `build_law`.
     """
 
@@ -152,7 +153,7 @@ class Law:
 
     @cached_property
     def function(self) -> ca.Function:
-        """Return the law in closed form as a CasADi function, for expressions, derivatives and numbers."""
+        """Return the law in closed form as a CasADi function, which takes symbols or numbers and is differentiable."""
         return to_casadi(self.stages.closed)
 
     def initial_state(self) -> Vector:
@@ -178,9 +179,9 @@ class Law:
 
     @cached_property
     def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
-        """Return the law as a function of vectors: CasADi for the closed form, compiled C for a routine with loops.
+        """Return the law as a function of NumPy vectors: CasADi runs the closed form, compiled C a routine with loops.
 
-        Without a compiler the routine runs in Python, which gives the same numbers more slowly.
+        Without a compiler, the routine runs in Python, which gives equal numbers more slowly.
         """
         closed = self.mode == "nsb" and self.perception is None
         return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block)
@@ -196,12 +197,12 @@ class Law:
         return runnable(self.perception.block)
 
     def telemetry_slice(self, name: str) -> slice:
-        """Return the slice of an output port in the telemetry vector, which does not contain tau."""
+        """Return the index range of an output in the telemetry vector, which does not contain tau."""
         where = self.outputs.slice(name)
         return slice(where.start - 4, where.stop - 4)
 
     def problem(self, x: Vector, u: Vector, p: Vector) -> PriorityProblem:
-        """Return the priority problem of one control step, with a name for every limit row.
+        """Return the priority problem of one control step, with a name for every inequality constraint.
 
         Raises:
             InputError: a vector does not have the size of its layout, or the problem contains a non-finite number.
@@ -226,9 +227,9 @@ class Law:
         return PriorityProblem(tuple(levels), tuple(limits))
 
     def decision_inputs(self, x: Vector, u: Vector, p: Vector) -> Vector:
-        """Return the inputs of the decision in one control step as a flat vector in the layout `perception.outputs`.
+        """Return the inputs of the decision in one control step: a flat vector with the layout `perception.outputs`.
 
-        A law without perception returns u.
+        For a law without perception, these inputs are u.
 
         Raises:
             InputError: a vector does not have the size of its layout.
@@ -241,10 +242,10 @@ class Law:
         return np.asarray(outputs, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
-        """Solve the priority problem of one control step in NumPy; the solution names tasks, limit rows and causes.
+        """Solve the priority problem of one control step in NumPy; the solution names tasks, constraints and causes.
 
         Raises:
-            InputError: the law has the bounded fallback, whose result can differ from that of `solve`.
+            InputError: the law has the fallback `bounded`, whose velocity can differ from that of `solve`.
         """
         if self.fallback != "exact":
             raise InputError("is not explained", key="fallback", value=self.fallback, remedy="use the exact fallback")

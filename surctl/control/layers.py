@@ -5,13 +5,13 @@ horizontal escapes. If `control.dead_end` finds a dead end, the robot changes it
 diameter plus a margin. The robot stops, moves up or down in place, deletes its sonar map of the old depth, and searches
 for a path again. The robot tries all layers that it can reach above, the nearest first, then the layers below. After
 the last layer the robot gives up. The robot returns to the path's depth in the same way as soon as two conditions hold:
-it has passed the dead end by one hull diameter plus a margin along its path, and the water back to the path's depth is
-free.
+along its path, it is beyond the dead end by at least one hull diameter plus a margin, and the water between it and the
+path's depth is free.
 
-The horizontal sonars do not measure the water above or below. The robot moves only through water that its echo sounders
-measure as free (`column`), at a speed from which it can stop within that water, and holds its horizontal position. A
-change of depth is safe if the sounders detect everything above or below the hull, and if the mission allows the new
-depth.
+The horizontal sonars do not measure the water above or below. During a change of depth, the robot holds its horizontal
+position. It moves only through water that its echo sounders measure as free (input `column`), at a speed from which it
+can stop within that water. A change of depth is safe if the sounders detect everything above or below the hull, and if
+the mission allows the new depth.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def _fast(eta: ca.SX, nu: ca.SX) -> ca.SX:
 def aimed_depth(
     x: Mapping[str, ca.SX], eta: ca.SX, nu: ca.SX, column: ca.SX, p: Mapping[str, ca.SX]
 ) -> tuple[ca.SX, ca.SX]:
-    """Return z of the present layer (during a change, of the next layer), and reference z of the depth task [m].
+    """Return z of the present layer (during a change of depth, of the next layer), and z for the depth task [m].
 
-    The reference is limited such that at gain `k2`, the robot can always stop within the free water.
+    The z for the depth task is limited such that, with the depth gain `k2`, the robot can always stop in free water.
 
     Args:
-        x: state with `LAYER_PORTS`.
+        x: state of the law, including the entries `LAYER_PORTS`.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
         column: (2, 1) free water above and below the hull [m].
         p: parameters: `depth`, `hull`, `margin`, `k2`, `brake`, `reaction`, thrust and mass.
@@ -84,7 +84,7 @@ def aimed_depth(
 
 
 def forgetting(state: Layout) -> Program:
-    """Return an instruction list that computes `anew` from the decision's state.
+    """Return an instruction list that computes the number `anew` from the decision's state.
 
     `anew` is 1 in the step after the robot has reached another depth; in this step the map is cleared.
     """
@@ -103,11 +103,12 @@ def layers_next(
     reached: ca.SX,
     ended: ca.SX,
 ) -> dict[str, ca.SX]:
-    """Return the values of `dead_end.DEAD_END_PORTS` and `LAYER_PORTS` after one control period.
+    """Return the next values of the state entries `dead_end.DEAD_END_PORTS` and `LAYER_PORTS`.
 
     Args:
-        dead_end: the values of `DEAD_END_PORTS` without layers; `trapped` means a dead end at the present layer.
-        x: state.
+        dead_end: the next values of `DEAD_END_PORTS` that would hold if the depth could not change; `trapped` means a
+            dead end at the present layer.
+        x: state of the law.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
         column: (2, 1) free water above and below the hull [m].
         p: see `aimed_depth`.

@@ -1,7 +1,7 @@
-"""The paper's law: sub-tasks σ_i = l_dm,i of the sensors in order of urgency, then velocity, depth and heading.
+"""The paper's law: obstacle tasks of the four sensors (most urgent first), then velocity, depth and heading.
 
-While the robot avoids a contact, the velocity task uses the avoidance velocity (20), otherwise the cruise velocity
-(III-B to III-D).
+The variable of sensor i's task is its distance to the obstacle, σ_i = l_dm,i. While the robot avoids an obstacle, the
+velocity task uses the avoidance velocity (20) of the paper, otherwise the cruise velocity (sections III-B to III-D).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def paper_law(
     *,
     dt: float,
 ) -> Decision:
-    """Return the decision of the paper's law (sensor sub-tasks by urgency, velocity, depth, heading)."""
+    """Return the decision of the paper's law: the sensor tasks by urgency, then velocity, depth and heading."""
     heading = ca.vertcat(ca.cos(eta[3]), ca.sin(eta[3]))
     left = ca.vertcat(-heading[1], heading[0])
     sensed = nearest_in_quadrants(perceived.all, [heading, left, -heading, -left])
@@ -93,7 +93,10 @@ def _avoidance_velocity(
     *,
     dt: float,
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the velocity of (20) within the window (19), and the next λ2; λ2 does not change during an encounter."""
+    """Return the avoidance velocity (20) within the limits (19) of the paper, and the next passing side λ2.
+
+    λ2 does not change during an encounter with an obstacle.
+    """
     met = encounter_side(desired.velocity - contact.velocity, contact.normal)
     side = ca.if_else(ca.fabs(x["side"]) > 0.5, x["side"], met)
     speed = ca.fmin(p["cap"], ca.fmax(p["cruise"], ca.sqrt(ca.sumsqr(contact.velocity)) + _OVERTAKE))
@@ -132,9 +135,9 @@ def _window(speed: ca.SX, course: ca.SX, last: ca.SX, radius: ca.SX, p: Mapping[
 def _by_urgency(
     sensed: Sequence[Contact], closing: Sequence[ca.SX], lower: ca.SX, eta: ca.SX, p: Mapping[str, ca.SX]
 ) -> list[TaskLevel]:
-    """Return the sensor sub-tasks sorted by time to contact (ties: front, left, rear, right).
+    """Return the sensor tasks sorted by time to contact; equal times are sorted front, left, rear, right.
 
-    The Jacobian and reference of an inactive sub-task are zero.
+    The Jacobian and reference of an inactive task are zero.
     """
     to_body = planar_rotation(eta[3]).T
     entries = []

@@ -2,8 +2,9 @@
 
 Perception estimates four things: the robot's own state, from delayed position fixes; moving obstacles, from delayed
 messages; the range of every sonar, with an error bound; and the map of `sensing.mapping`. The nearest marks (occupied
-cells) of the map become contacts, in addition to the contacts from the base station. Echoes that walls or known
-obstacles explain are not marked in the map. The radius of every contact includes its uncertainty.
+cells) of the map become obstacle points, in addition to the obstacles from the base station. An echo that a wall or a
+known obstacle explains is not marked in the map. The radius of every obstacle point includes the uncertainty of its
+position.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from surctl.vehicle import planar_rotation
 __all__ = ["CELLS_A_HULL", "LAST_THRUST", "PERCEPTION", "PerceptionStage", "build_perception"]
 
 CELLS_A_HULL = 4.0
-"""Number of map cells per hull radius (*chosen*): the cell size is 6.75 cm in the tank and 5 cm in the pool."""
+"""Number of map cells per hull radius (*chosen*); the cell size is 6.75 cm in the tank and 5 cm in the pool."""
 
 LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before")
-"""The first state port; the decision writes it, and the filter of the robot's own state reads it."""
+"""The first entry of the state; the decision writes it, and the filter of the robot's own state reads it."""
 
 PERCEPTION = "perception"
 """Name of the block of a `PerceptionStage`."""
@@ -54,8 +55,9 @@ class PerceptionStage:
         state: layout of the perception state, with `LAST_THRUST` first.
         inputs: layout of the perception inputs.
         outputs: layout of the perception outputs, which are the inputs of the decision.
-        block: (state, inputs, parameters) → (next state without the thrust, outputs). If other depths are allowed, the
-            block has a fourth input, which is 1 in a step in which the map is cleared.
+        block: instruction list or routine that maps (state, inputs, parameters) to (next state without `LAST_THRUST`,
+            outputs). If other depths are allowed, it has a fourth input, which is 1 in a step in which the map is
+            cleared.
     """
 
     state: Layout
@@ -65,7 +67,7 @@ class PerceptionStage:
 
 
 def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float) -> PerceptionStage:
-    """Assemble the perception of a law.
+    """Assemble the perception of a law for its sensors.
 
     Args:
         equipment: the sensors that the law assumes.
@@ -74,7 +76,7 @@ def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, d
         dt: control period [s].
 
     Raises:
-        InputError: the hull splits the beam of a sonar in two.
+        InputError: the hull divides the beam of a sonar into two parts.
     """
     return _Builder(equipment, inputs, outputs, dt).build()
 

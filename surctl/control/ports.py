@@ -1,4 +1,4 @@
-"""Input and parameter ports of the law; simulation, verification and the exported header use equal port names."""
+"""Names, sizes and units of a law's inputs and parameters, also for simulation, verification and exported C."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ YAW_SHARE = 0.85
 _WIDER_SIDE = 0.1  # [m] offset of the site's middle from the path's first segment that makes a side wider
 
 SECTORS = 16
-"""Number of direction sectors; in each, a law that scans knows the nearest marked and the nearest unknown place."""
+"""Number of direction sectors; in each, a law with a map knows the nearest occupied and the nearest unknown cell."""
 
 _POSE = (
     Port("eta", (4,), "m, rad", "measured position x, y, z and heading psi in {E} (z up, psi counter-clockwise)"),
@@ -55,7 +55,7 @@ def law_inputs(contacts: int = CONTACT_SLOTS, *, sonar: bool = True, depths: boo
     """Return the layout of the inputs of a law in each control step.
 
     Args:
-        contacts: number of slots (entries of the input) for known obstacles, 0 or more.
+        contacts: number of known obstacles that the input can hold, 0 or more.
         sonar: whether the law uses the sonars.
         depths: whether the law may leave a dead end at another depth; then the robot needs echo sounders that look up
             and down.
@@ -91,7 +91,7 @@ INPUTS = law_inputs()
 
 
 def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths: bool = False) -> Layout:
-    """Return the layout of the inputs, in each control step, of a law that scans with sonars.
+    """Return the layout of the inputs in each control step, for a law with a sonar map.
 
     Args:
         equipment: the sensors of the robot.
@@ -123,10 +123,10 @@ def sonar_inputs(equipment: Equipment, *, contacts: int = CONTACT_SLOTS, depths:
 
 
 def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
-    """Return the layout of the outputs of perception, which are the inputs of the decision of a law that scans.
+    """Return the layout of perception's outputs, which are the inputs of the decision, for a law with a sonar map.
 
     Args:
-        contacts: total number of contacts, from the base station and from the map.
+        contacts: total number of obstacle points, from the base station and from the map.
         sensors: number of sonars.
         depths: see `law_inputs`.
     """
@@ -190,7 +190,7 @@ PARAMETERS = Layout(
 
 
 def parameter_ports(own: Mapping[str, GainSpec]) -> Layout:
-    """Return the parameters of a law with the gains `own`: `PARAMETERS`, then these gains."""
+    """Return the layout of the parameters of a law: `PARAMETERS`, then the law's own gains `own`."""
     return Layout(
         (*PARAMETERS, *(Port(name, (1,), spec.unit, spec.meaning, spec.default or 0.0) for name, spec in own.items()))
     )
@@ -200,8 +200,8 @@ def _spin_side(path: Path, walls: tuple[float, float, float, float]) -> int:
     """Return the direction in which a law with sonars turns: +1 left, −1 right.
 
     The robot turns towards the side on which the site is wider beside the first segment of the path, or left if both
-    sides are equally wide. The robot may have to pass an obstacle near the start on the wider side; with this direction
-    of turning, the edges of the beams scan the wider side first.
+    sides are equally wide. The sonar beams then scan this side first; an obstacle near the start may have to be passed
+    on this side.
     """
     start, leg = path.waypoints[0], path.waypoints[1] - path.waypoints[0]
     x, y = (walls[0] + walls[1]) / 2 - start[0], (walls[2] + walls[3]) / 2 - start[1]
@@ -221,7 +221,7 @@ def law_parameters(
     launch: float = 0.0,
     visit: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Return the flat parameter vector: gains, the controller's vehicle model, the mission, and the law's own gains.
+    """Return the flat parameter vector of a law: its gains, the vehicle model of the controller, and the mission.
 
     Args:
         gains: complete gain set.
@@ -229,10 +229,11 @@ def law_parameters(
         path: reference path in {E}.
         depth: desired z [m], negative below the surface.
         cruise: desired speed U_d along the path [m/s].
-        cap: largest commanded horizontal speed [m/s].
+        cap: largest horizontal speed that the law commands [m/s].
         walls: x_min, x_max, y_min, y_max of the site in {E} [m].
-        launch: width of the water around the hull that is known to be free at the start [m].
-        visit: distance to a corner of the path within which the corner counts as visited [m]; 0: corners may be cut.
+        launch: distance from the hull within which the water is known to be free at the start [m].
+        visit: distance to a corner of the path [m], at or below which the corner counts as visited; 0: corners may be
+            cut.
 
     Example:
         >>> from surctl.control import PARAMETERS, law_parameters, load_gains

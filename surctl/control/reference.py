@@ -36,11 +36,11 @@ class DesiredMotion:
     Attributes:
         velocity: desired velocity (2, 1) [m/s] in {E}.
         heading: ψ_d [rad], the direction of the path.
-        progress: next arc length of the target point on the path [m].
-        x_e, y_e: along-track and cross-track error of (8) [m].
+        progress: arc length of the target point on the path in the next step [m].
+        x_e, y_e: along-track and cross-track error, equation (8) of the paper [m].
         along: commanded speed along the path [m/s].
         tangent: (2, 1) unit tangent of the path in {E}.
-        arriving: 1 while the robot approaches a target point at rest, at the end of the path or a corner to visit.
+        arriving: 1 while the robot approaches a target point at rest: the end of the path or a corner to visit.
     """
 
     velocity: ca.SX
@@ -62,16 +62,16 @@ def path_following(
     guidance: Guidance = "los",
     memory: ca.SX | None = None,
 ) -> DesiredMotion:
-    """Return the desired motion: tracking law (8)–(12), with a proportional approach to the end and corners to visit.
+    """Return the desired motion by the tracking law, equations (8)–(12) of the paper.
 
     Args:
         eta: (4, 1) measured pose in {E}.
-        progress: arc length of the target point on the path [m].
+        progress: present arc length of the target point on the path [m].
         p: parameters by name: gains `k1`, `lookahead`, `wait`, `k_v`, `brake`, `reaction`; the vehicle model; mission
             `waypoints`, `visit`, `cruise`, `cap`.
         dt: control period [s].
         guidance: `los`, `ilos` or `alos`; see `guidance.crosstrack`.
-        memory: disturbance estimate of guidance `ilos` or `alos`; None for `los`.
+        memory: present disturbance estimate of guidance `ilos` or `alos`; None for `los`.
     """
     point, tangent, length = path_target(p["waypoints"], progress)
     x_e, y_e = path_error(eta[:2], point, tangent)
@@ -115,16 +115,16 @@ def learnt(
 ) -> ca.SX:
     """Return the disturbance estimate of guidance `ilos` or `alos` after one control period.
 
-    The estimate does not change while the robot avoids a contact, is far behind the target point, arrives, or returns
-    to the path at half the commanded speed or more. In these cases no steady disturbance causes the cross-track error,
-    so an update of the estimate would lead to overshoot.
+    The estimate does not change while the robot avoids an obstacle, is far behind the target point, approaches a target
+    point at rest, or returns to the path at half the commanded speed or more. In these cases the cross-track error does
+    not come from a steady disturbance, so an update of the estimate would lead to overshoot.
 
     Args:
         guidance: `ilos` or `alos`.
         desired: the desired motion of this step.
         memory: present disturbance estimate; see `guidance.crosstrack`.
         eta, nu: (4, 1) pose in {E} and velocity in {B}.
-        avoiding: 1 while a contact changes the desired velocity.
+        avoiding: 1 while an obstacle changes the desired velocity.
         p: parameters by name; see `path_following`.
         dt: control period [s].
     """

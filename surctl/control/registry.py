@@ -1,4 +1,4 @@
-"""The sources of all built-in laws by name, and of laws of the user's own by FILE.py:FUNCTION."""
+"""Look-up of a law's source: built-in laws by name, laws of the user's own by FILE.py:FUNCTION."""
 
 from __future__ import annotations
 
@@ -75,18 +75,18 @@ _KEY = "law"
 
 
 def law_ref(text: str, *, file: object = None, folder: Path | None = None, trust: bool = True, key: str = _KEY) -> str:
-    """Return the reference of a law, as `Case`, `build_law` and recordings carry it.
+    """Return the reference of a law: the text by which `Case`, `build_law` and recordings name the law.
 
     Args:
         text: name of a built-in law, or FILE.py:FUNCTION for a function that returns a `LawSource`.
         file: the file that contains the text, if any.
         folder: folder of a relative FILE.py; None: the working folder.
-        trust: whether the code of FILE.py may run.
-        key: option or key that holds the text, for error messages.
+        trust: whether the code in FILE.py may be executed.
+        key: option or file key whose value is the text, for error messages.
 
     Raises:
-        InputError: the name is unknown; or FILE.py cannot be read, may not run, or does not return a `LawSource` with a
-            name of its own.
+        InputError: the name is unknown; or FILE.py cannot be read or may not be executed; or the function does not
+            return a `LawSource` whose name differs from the built-in laws.
 
     Example:
         >>> from surctl.control import law_ref

@@ -30,7 +30,7 @@ def limited(
     fallback: Fallback = "exact",
     real: Real = "float64",
 ) -> Block:
-    """Return the routine that runs `pre`, the priority solver (tolerances for the number type `real`), and `post`."""
+    """Return the routine that runs `pre`, the priority solver with tolerances for number type `real`, and `post`."""
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
     # the law does not report which limit rows limit task 1, so `named` is off
     step = priority_step(
@@ -47,7 +47,7 @@ def limited(
 
 
 def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routine:
-    """Return the routine that runs perception and then the decision; `state` is the layout of the decision's state."""
+    """Return the routine that runs perception, then the decision; `state` is the layout of the decision's state."""
     whole = Layout((*state.ports, *perception.state.ports))
     x = ca.SX.sym("x", whole.size)
     own = state.size
@@ -75,10 +75,10 @@ def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routin
 
 
 def in_real(law: Law, real: Real) -> Law:
-    """Return the law with the solver tolerances and the polynomials for the number type `real`.
+    """Return the law with the solver tolerances, and the polynomials for sin, cos and atan2, of number type `real`.
 
-    With the tolerances for double, a search in float would never end, because rounding errors in float exceed these
-    tolerances. A law in mode nsb or lexicographic is returned unchanged, because it does not use solver tolerances.
+    With the tolerances for double, the solver would never stop in float, because the rounding errors of float exceed
+    these tolerances. A law in mode nsb or lexicographic is returned unchanged, because it uses no solver tolerances.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""The source of a law: everything that distinguishes one law from another, built-in or of the user's own."""
+"""The source of a law: everything that distinguishes one law (built-in or of the user's own) from the other laws."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from surctl.tasks import Task
 __all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "decision_of", "thrust_of"]
 
 PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoidance (20)", "barrier"
-"""Parts of a law that the library's claims and linear models are about: it follows the path by (8)-(12); its linear
-loop is the cascade of path following and velocity control; it avoids by (20); it has the barrier on closing speeds."""
+"""Parts of a law for which the library has claims and linear models: path following by equations (8)–(12) of the paper;
+the linear cascade of path following and velocity control; avoidance by equation (20); the barrier on closing speeds."""
 
 _VELOCITIES = 4
 _ALWAYS = frozenset({"progress", "integral", "drift"})
@@ -33,25 +33,29 @@ _LATCHED = frozenset(port.name for port in DECISION_PORTS)
 
 @dataclass(frozen=True, eq=False)
 class LawSource:
-    """What a law decides and remembers, its gains, and what it supports; the rest of the control loop is shared.
+    """Decision, state, gains and supported options of a law; all laws use the same code for the rest of the loop.
 
     Attributes:
         name: name of the law, a C identifier; prefix of exported files.
         decide: function from the symbolic `Situation` of a control step to the law's `Decision`.
         gains: gains of this law in addition to `GAINS`, each with a default.
-        state: state ports of this law; `decide` returns their next values in `Decision.state`.
-        thrust: velocity controller (see `closing.Thrust`); None: drag feedforward, proportional and integral action.
+        state: entries (name, size, initial value) of this law's state; `decide` returns their next values in
+            `Decision.state`.
+        thrust: velocity controller (see `closing.Thrust`); None: the default, with drag feedforward, proportional and
+            integral action.
         sensing: kinds of sensing that the law supports, `truth` (exact positions) and `sonar`.
-        modes: priority modes that the law supports; None: all.
-        options: options of `build_law` that the law has, of `avoidance`, `barrier`, `movers` and `depths`.
-        latches: whether the state contains the ports `side`, `blocker` and `last_velocity` of a latched passing side.
-        scans: whether the law, if it has sonars, scans with the vehicle's array and keeps a map; if not, it has the
-            four sonars of the paper.
+        modes: priority modes that the law supports; None: all modes.
+        options: which of the options `avoidance`, `barrier`, `movers` and `depths` of `build_law` the law supports.
+        latches: whether the law remembers on which side it passes an obstacle, in the state entries `side`, `blocker`
+            and `last_velocity`.
+        scans: whether the law, if it uses sonars, builds a map from the vehicle's own sonar array; if not, it uses the
+            four sonars of the paper, without a map.
         gives_up: whether the law recognises dead ends.
-        slots: number of slots for known obstacles, if it is fixed.
-        perceive: function (inputs, parameters) → contacts, if the law does not use the shared perception.
-        damping: damping of the closed-form projection (16).
-        parts: parts of the law that the library's claims and linear models are about; none: not judged.
+        slots: number of known obstacles that the input holds, if the law fixes this number.
+        perceive: function that returns the `Perception` from inputs and parameters, if the law does not use the shared
+            perception.
+        damping: damping of the closed-form null-space projection, equation (16) of the paper.
+        parts: parts of the law for which the library has claims and linear models; empty if there are none.
 
     Raises:
         InputError: a name is not a C identifier or is reserved, or a gain has no default within its bounds.
@@ -84,7 +88,7 @@ class LawSource:
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """Return the state ports that `decide` computes: those of the latched passing side, then the law's own."""
+        """Return the state entries that `decide` computes: those of `latches`, if True, then the law's own."""
         return (*(DECISION_PORTS if self.latches else ()), *self.state)
 
     def __post_init__(self) -> None:
@@ -114,7 +118,7 @@ def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -
 
 
 def decision_of(source: LawSource, situation: Situation, reference: str) -> Decision:
-    """Return what the law decides; a mistake in a law of the user's own is one line that names its file."""
+    """Return the law's decision; an error in a law of the user's own is reported in one line that names its file."""
     if not is_own(reference):
         return source.decide(situation)
     decision = called(reference, source.decide, situation)
@@ -124,7 +128,7 @@ def decision_of(source: LawSource, situation: Situation, reference: str) -> Deci
 
 
 def thrust_of(source: LawSource, reference: str) -> Thrust | None:
-    """Return the velocity controller of the law, with checks if it is of the user's own."""
+    """Return the law's velocity controller; one from the user is wrapped in checks of its returned values."""
     thrust = source.thrust
     if thrust is None or not is_own(reference):
         return thrust
@@ -137,7 +141,7 @@ def thrust_of(source: LawSource, reference: str) -> Thrust | None:
 
 
 def _check_decision(decision: object, source: LawSource, *, file: object) -> None:
-    """Raise InputError with one line unless a law's decision has the shapes, units and names of the law.
+    """Raise InputError, in one line, unless the decision has the shapes, units and names that its law requires.
 
     Args:
         decision: what the function `decide` returned.
@@ -175,7 +179,7 @@ def _check_decision(decision: object, source: LawSource, *, file: object) -> Non
 
 
 def _check_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:
-    """Return what a law's function `thrust` returned, if it is thrust (4, 1) and next state (4, 1).
+    """Return `returned` (from a law's function `thrust`) if it is a thrust (4, 1) and a next state (4, 1).
 
     Raises:
         InputError: the function returned anything else.

@@ -1,4 +1,4 @@
-"""Bounds of the guarded law on its closing speed (barriers `simple` and `inertia`), and braking above a bound."""
+"""The guarded law's bounds on the closing speed (barriers `simple` and `inertia`), and its braking above a bound."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Movers = Literal["predict", "barrier"]
 MOVERS: tuple[Movers, ...] = get_args(Movers)
 
 BRAKE = 4.0
-"""The command is reduced by this multiple of the excess speed, because the velocity loop alone brakes too slowly."""
+"""The speed command is reduced by this multiple of the excess speed; the velocity loop alone brakes too slowly."""
 
 HARD = 0.02
 """Excess over a speed bound [m/s] at which all thrust is used for braking."""
@@ -30,13 +30,14 @@ Bounds: TypeAlias = Sequence[tuple[ca.SX, ca.SX]]
 """Speed bounds: pairs of a unit normal (2, 1) in {E} and the largest speed along it [m/s]."""
 
 Stop: TypeAlias = Callable[[ca.SX, ca.SX], ca.SX]
-"""(clearance minus margin [m], v_o·n of the contact [m/s], negative if it approaches) → largest n·v [m/s]."""
+"""Function of clearance minus margin [m] and obstacle speed v_o·n [m/s] (negative if approaching): largest n·v."""
 
 
 def _simple(p: Mapping[str, ca.SX], dt: float) -> Stop:
-    """Return the bound from the braking distance s²/(2a) + s t to a contact at rest.
+    """Return the bound on the closing speed s by the braking distance s²/(2a) + s t to an obstacle at rest.
 
-    For an approaching contact, the distance that it travels in the reaction time t is subtracted from the clearance.
+    a is the deceleration. The distance that an approaching obstacle travels in the reaction time t is subtracted from
+    the clearance.
     """
     least = p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1])
     deceleration, reaction = least / ca.fmax(p["mass"][0], p["mass"][1]), p["reaction"]
@@ -70,15 +71,16 @@ BARRIERS: Mapping[Barrier, Callable[[Mapping[str, ca.SX], float], Stop]] = Mappi
 def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float = 1.0) -> ca.SX:
     """Return a velocity command that brakes harder than the velocity loop alone, if the robot exceeds a speed bound.
 
-    Thrust is clipped on each axis separately, so a simultaneous sideways command can halve the braking force. The more
-    the robot exceeds the bound, the closer the sideways command comes to the present sideways velocity, as far as the
-    other bounds allow it.
+    The thrust limit acts on each axis separately, so a simultaneous sideways command can halve the braking force.
+    Therefore, the more the robot exceeds the bound, the closer the commanded sideways velocity is to the present
+    sideways velocity, as far as the other bounds allow.
 
     Args:
         velocity: desired velocity (2, 1) in {E} [m/s].
         now: velocity over ground (2, 1) in {E} [m/s].
-        bounds: bounds on the speed.
-        calm: 0 while the robot must evade a moving contact; then the robot brakes and keeps the sideways command.
+        bounds: bounds on the speed along unit vectors (`Bounds`).
+        calm: 0 while the robot must evade a moving obstacle, so that braking does not change the sideways command;
+            otherwise 1.
     """
     excess, normal = _worst(now, bounds)
     straight = now + ca.dot(velocity - now, normal) * normal

@@ -1,8 +1,8 @@
 """Storage of an assembled law as bytes, so that another process can load the law instead of assembling it again.
 
-The first line is JSON, which describes the law and gives the length of the text of each routine. The texts of the
-routines follow. The cache checks a digest of all bytes, and each routine has a digest of its own text, so a changed
-file is not loaded.
+The first line is JSON that describes the law and gives the length of each routine's text. The texts of the routines
+follow. The cache checks a digest of all bytes, and each text contains a digest of its routine, so an altered file is
+not loaded.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def law_bytes(law: Law) -> bytes:
 
 
 def law_from(stored: bytes) -> Law:
-    """Load a law from the bytes that `law_bytes` wrote; the parts of the law are parsed when they are first used."""
+    """Load a law from the bytes of `law_bytes`; each part of the law is parsed when it is first used."""
     first, _, rest = stored.decode().partition("\n")
     head = json.loads(first)
     texts = []

@@ -1,9 +1,9 @@
 """Velocity controller with drag feedforward at the desired velocity, proportional action and thrust limits.
 
-The controller does not cancel Coriolis forces or the true drag. A body that turns while it translates needs no force to
-keep its inertial velocity (a force that cancels m u r would be 9–14 N, but only 5 N are available), and the true drag
-adds damping. With equal gains in surge and sway, properties of the closed loop can be proved. The feedback uses the
-velocity over ground, so a constant current causes only a small steady error.
+The controller cancels neither Coriolis forces nor the true drag. A body that turns while it translates needs no force
+to hold its inertial velocity. To cancel the Coriolis force m u r, the thrusters would have to provide 9–14 N, but only
+5 N are available. The true drag adds damping. Because the gains in surge and sway are equal, properties of the closed
+loop can be proved. The feedback uses the velocity over ground, so a constant current causes only a small steady error.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ def velocity_control(
     k_i: ca.SX,
     dt: float,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the limited thrust τ = D(ν_d)ν_d + M (K (ν_d − ν) + ξ), the next integral ξ, and whether τ is saturated.
+    """Return the limited thrust, the next integral ξ, and whether a limit is reached.
+
+    Before the limits, the thrust is D(ν_d)ν_d + M (K (ν_d − ν) + ξ) with the drag D, the mass matrix M and the gains K.
 
     Args:
         nu_reference: ν_d (4, 1) [m/s, rad/s] in {B}.
@@ -35,13 +37,14 @@ def velocity_control(
         model: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit` of the controller's model, each (4, 1).
         k_v: bandwidth in surge, sway and heave [1/s].
         k_r: bandwidth in yaw [1/s].
-        k_i: integral gain [1/s²]; the integral does not change while its axis is saturated (conditional anti-windup).
+        k_i: integral gain [1/s²]; the integral of an axis does not change while the thrust of this axis is saturated
+            (conditional anti-windup).
         dt: control period [s].
 
     Returns:
-        thrust (4, 1) [N, N m] within the limits, next integral (4, 1), saturated flag (0 or 1). Each axis is limited
-        separately: if the horizontal force were scaled as a vector, a large sideways command would remove most of the
-        braking force.
+        The thrust (4, 1) [N, N m] within the limits, the next integral (4, 1), and 1 if the thrust of an axis is
+        saturated, otherwise 0. Each axis is limited separately, because a common scaling of the horizontal force would
+        allow a large sideways command to remove most of the braking force.
     """
     error = nu_reference - nu
     gain = ca.vertcat(k_v, k_v, k_v, k_r)

@@ -1,4 +1,4 @@
-"""Intermediate representation: a symbolic function as a list of instructions with bounded loops, and its back ends."""
+"""Intermediate representation of symbolic functions (instruction lists with bounded loops), and its back ends."""
 
 from surctl.ir.angles import nearby_angles
 from surctl.ir.batch import Batch, compile_batch

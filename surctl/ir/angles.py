@@ -12,12 +12,12 @@ _COS = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800)
 
 
 def nearby_angles(program: Program, source: int, entry: int) -> Program:
-    """Replace sin and cos of a + d, where a is an input entry, by the angle-sum formula with a Taylor series in d.
+    """Replace sin(a + d) and cos(a + d), where a is an entry of an input, by the angle-sum formula and a series in d.
 
-    This formula costs a third of a general sine. The formula is meant for the stages of a Runge-Kutta integrator, whose
-    angle changes little within a call. The errors of the series are |d|¹¹ / 11! and |d|¹² / 12!, less than a unit in
-    the last place of 1 up to d = 0.18, and 1e-11 at d = 0.5. Only sines and cosines of sums that contain a are
-    replaced.
+    The formula costs a third of a general sine. It is meant for the stages of a Runge-Kutta integrator, because there
+    the angle changes little within a call. The errors of the Taylor series for sin d and cos d are |d|¹¹ / 11! and
+    |d|¹² / 12!. They are less than a unit in the last place of 1 up to d = 0.18, and below 1e-11 at d = 0.5. Only sines
+    and cosines of sums that contain a are replaced.
 
     Args:
         program: the instruction list.
@@ -56,7 +56,7 @@ def nearby_angles(program: Program, source: int, entry: int) -> Program:
 
 
 def _turned(text: Numbering, op: str, angle: int, distance: int) -> int:
-    """Return the list position of sin or cos of angle + distance."""
+    """Return the position in the instruction list of sin or cos (`op`) of angle + distance."""
     square = text.add("sq", (distance,))
 
     def series(coefficients: tuple[float, ...]) -> int:

@@ -29,7 +29,7 @@ _TURN = 0.05  # s; approximate length of one call into C; interrupts are handled
 
 
 class Batch:
-    """A compiled simulation step, (state, parameters) → next state, for any number of runs.
+    """A compiled simulation step for any number of runs; it computes the next state from state and parameters.
 
     Attributes:
         step: the program or routine that was compiled.
@@ -49,11 +49,11 @@ class Batch:
         """Return the final states; a run ends after the first step that sets its flag, or after `steps` steps.
 
         Args:
-            state: (runs, n); entry 0 of each run is its flag: 0 while the run continues. If the flag is set at the
-                start, no step is computed.
-            parameters: (runs, m).
+            state: (runs, n); entry 0 of a run's state is the flag of this run, 0 while the run continues. If the flag
+                is not 0 at the start, no step is computed.
+            parameters: parameters of each run (runs, m).
             steps: largest number of steps.
-            threads: number of threads; the resulting bytes do not depend on it.
+            threads: number of threads; the final states do not depend on this number.
 
         Returns:
             The final states (runs, n).
@@ -80,7 +80,7 @@ class Batch:
 
 
 def _blocks(runs: int, threads: int, lanes: int) -> Iterator[tuple[int, int]]:
-    """Yield groups of consecutive runs as (first run, run after the last)."""
+    """Yield groups of consecutive runs as pairs (index of the first run, index after the last run)."""
     size = runs if threads == 1 else max(lanes, min(1024, runs // (16 * threads)))
     for first in range(0, runs, max(1, size)):
         yield first, min(runs, first + size)
@@ -147,11 +147,12 @@ def compile_batch(
     """Compile a simulation step for many runs, or load the compiled step from the cache.
 
     Args:
-        step: inputs (state (n,), parameters (m,)), output (state (n,)); entry 0 of the state is the flag.
+        step: program or routine with the inputs state (n,) and parameters (m,), and with the next state (n,) as output;
+            entry 0 of the state is the flag that ends a run.
         lanes: number of runs that one thread processes in parallel: 1, 2, 4 or 8; None selects the vector width of this
-            machine. The resulting bytes do not depend on this number, unless the step uses libm functions such as sin
-            (see `without_libm`).
-        flags: additional compiler flags; none may change results.
+            machine. The final states do not depend on this number, unless the step uses libm functions such as sin (see
+            `without_libm`).
+        flags: additional compiler flags; flags that change numerical results are refused.
         folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
 
     Raises:

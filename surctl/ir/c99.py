@@ -47,11 +47,11 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
 def identifier(name: str) -> str:
-    """Return the name if generated C may use it.
+    """Return the name if it is permitted as an identifier in generated C.
 
     Raises:
         InputError: the name is not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63
-            characters), is a keyword of C or C++, or is defined by the standard headers.
+            characters), or it is a keyword of C or C++, or the standard headers define it.
 
     Example:
         >>> from surctl.ir import identifier
@@ -75,7 +75,7 @@ def identifier(name: str) -> str:
 
 
 def c_literal(value: float, real: Real = "float64") -> str:
-    """Return a C99 literal of exactly this value (rounded to `real`), in decimal if exact and short, else hexadecimal.
+    """Return a C99 literal of exactly this value (rounded to `real`): decimal if exact and short, else hexadecimal.
 
     Example:
         >>> from surctl.ir import c_literal
@@ -97,16 +97,17 @@ def c_literal(value: float, real: Real = "float64") -> str:
 
 
 def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Sequence[Move] = ()) -> str:
-    """Write `static void <symbol>(const double *in0, …, double *out0, …)` with one local variable on each line.
+    """Return a C function `static void <symbol>(const double *in0, …, double *out0, …)`, one local variable per line.
 
-    The text contains only locals and exact literals. All outputs are computed before any is stored, so outputs may
-    alias inputs. The C text needs <math.h> and, for identical bytes, the compiler flag `-ffp-contract=off`.
+    The function uses only local variables and exact literals. It computes all outputs before it stores any of them, so
+    an output may be the same array as an input. The C text needs <math.h>. For results with identical bytes, it needs
+    the compiler flag `-ffp-contract=off`.
 
     Args:
-        program: the instruction list, without dead instructions (`lower` leaves none).
+        program: the instruction list, without instructions whose value is not used (`lower` removes them).
         symbol: name of the C function, checked by `identifier`.
         real: "float32" writes float instead of double, with literals and functions of type float.
-        moves: pieces of inputs to copy as a whole, see `handed_on`; if there are any, no output may alias an input.
+        moves: pieces of inputs to copy as a whole, see `handed_on`; if there are any, no output may overlap an input.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
@@ -139,14 +140,14 @@ def emit_c99(program: Program, *, symbol: str, real: Real = "float64", moves: Se
 
 
 def head(program: Program, symbol: str, c_type: str, *, apart: bool = False) -> list[str]:
-    """Return comment and signature of a program's C function; `apart` means that no output may alias an input."""
+    """Return comment and signature of a program's C function; `apart` means that no output may overlap an input."""
     alias = "" if apart else "; outputs may alias inputs"
     read, written = ([size for _, size in arrays] for arrays in (program.inputs, program.outputs))
     return [f"/* {program.operations} operations{alias} */", *signature(f"static void {symbol}", read, written, c_type)]
 
 
 def signature(start: str, inputs: Sequence[int], outputs: Sequence[int], c_type: str) -> list[str]:
-    """Return the lines of a function's signature: in0 … and out0 …, each with its number of entries."""
+    """Return the lines of a C function's signature, with arrays in0 … and out0 … and the size of each array."""
     arguments = [f"const {c_type} {_array(f'in{k}', size)}" for k, size in enumerate(inputs)]
     arguments += [f"{c_type} {_array(f'out{k}', size)}" for k, size in enumerate(outputs)]
     return broken(f"{start}(", arguments or ["void"], ")")
@@ -157,7 +158,7 @@ def _array(name: str, size: int) -> str:
 
 
 def broken(start: str, items: Sequence[str], end: str, *, indent: str = "    ") -> list[str]:
-    """Return lines of `start`, the items separated by commas, and `end`; all lines but the first are indented.
+    """Return `start`, the items separated by commas, and `end`, as lines; all lines except the first are indented.
 
     Example:
         >>> from surctl.ir.c99 import broken

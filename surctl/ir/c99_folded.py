@@ -1,9 +1,9 @@
-"""Writer of an instruction list as readable, compact C99: nested expressions instead of a variable per operation.
+"""Writer of an instruction list as short, readable C99, with nested expressions instead of a variable per operation.
 
-A value that is used once is inlined at its use, truth values are `int`, and one declaration covers several locals. The
-computed numbers equal those of the C text of `emit_c99`, operation by operation, if double is computed as double
-(FLT_EVAL_METHOD 0). A C99 pragma keeps products and sums separate; GCC does not support this pragma and needs the flag
-`-ffp-contract=off`.
+A value that is used once is written as an expression at its use, truth values are `int`, and one declaration covers
+several local variables. The C text performs the same operations as that of `emit_c99`, with equal results, if the
+compiler evaluates double in double precision (FLT_EVAL_METHOD 0). A C99 pragma prevents the compiler from fusing
+products and sums; GCC does not support this pragma and needs the flag `-ffp-contract=off`.
 """
 
 from __future__ import annotations
@@ -75,14 +75,14 @@ def helpers(programs: Iterable[Program], real: Real = "float64") -> str:
 def emit_folded(
     program: Program, *, symbol: str, real: Real = "float64", moves: Sequence[Move] = (), apart: bool = False
 ) -> str:
-    """Write `static void <symbol>(const double *in0, …, double *out0, …)`; the text needs `preamble` before it.
+    """Return a C function `static void <symbol>(const double *in0, …, double *out0, …)`, to be preceded by `preamble`.
 
     Args:
-        program: the instruction list, without dead instructions.
+        program: the instruction list, without instructions whose value is not used.
         symbol: name of the C function, checked by `identifier`.
         real: type of the numbers.
         moves: pieces of inputs to copy as a whole, see `handed_on`; allowed only with `apart`.
-        apart: whether outputs never overlap inputs.
+        apart: whether it is certain that no output overlaps an input.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
@@ -111,14 +111,14 @@ def folded_lines(
     apart: bool = False,
     indent: str = "    ",
 ) -> list[str]:
-    """Return the C lines of an instruction list: the declarations of local variables, then the stores to outputs.
+    """Return the C lines of an instruction list: declarations of local variables, then assignments to outputs.
 
     Args:
         instructions: the instruction list.
-        stores: (left-hand side, list position of the value) of each store, in order.
-        address: returns the C text of an entry of an input.
+        stores: the assignments to outputs, in order: (C text of the left-hand side, list position of the value).
+        address: function of (index of the input, index of the entry) that returns the C text of the entry.
         real: type of the numbers.
-        apart: whether a store may read inputs, because no store overwrites an input.
+        apart: whether an assignment to an output may read inputs, because none of the assignments overwrites an input.
         indent: indentation of every line.
     """
     folder = _Folder(instructions, stores, address, real, apart)
@@ -175,7 +175,7 @@ class _Folder:
             self.texts.append(text)
 
     def _stays(self, at: int, instruction: Instruction, text: _Text) -> bool:
-        """Return whether the expression is inlined where it is used."""
+        """Return whether the expression is written where it is used, without a local variable."""
         if instruction.op == "const":
             return self.uses[at] < 2 or len(text.text) <= _LONG_LITERAL
         if at in self.named:

@@ -1,7 +1,8 @@
-"""Writer of an instruction list as C99 for several runs in parallel, with GNU vector types or an equivalent loop.
+"""Writer of an instruction list as C99 for several runs in parallel, with GNU vector types or a loop over the runs.
 
-Every SIMD lane, which computes one run, performs the operations of the scalar C text in the same order, so the vector
-text and the loop give the same bytes. Truth values are bit masks until a number is needed.
+A SIMD lane (one entry of the vectors) computes one run. Every lane performs the operations of the C text for a single
+run in the same order, so all forms of the text give results with equal bytes. Truth values are bit masks until a number
+is needed.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from surctl.ir.program import Instruction, Program
 __all__ = ["GUARD", "Feed", "chooses", "emit_lanes", "emit_straight"]
 
 GUARD = "defined(__GNUC__) && (defined(__AVX__) || defined(__ARM_NEON) || defined(__VSX__))"
-"""Preprocessor condition of the vector variant; on other machines vectors would be unrolled to scalars."""
+"""Preprocessor condition for the text with vector types; other machines have no vector instructions for these types."""
 
 _WIDTH = {"float64": 8, "float32": 4}
 _WHOLE = {"float64": "long long", "float32": "int"}
@@ -35,11 +36,11 @@ _PLAIN = {
 
 @dataclass(frozen=True)
 class Feed:
-    """How the SIMD lanes, one for each run, read one input of the program.
+    """The memory layout in which the SIMD lanes (one for each run) read one input of the program.
 
     Attributes:
-        kind: memory layout of the input. "lanes" stores entry by entry, with one number for each lane; "spread" stores
-            lane by lane, all entries of a lane together; "shared" stores one number for each entry, used by all lanes.
+        kind: "lanes": the numbers of all lanes for entry 0, then for entry 1, …; "spread": all entries of lane 0, then
+            of lane 1, …; "shared": one number for each entry, which all lanes use.
     """
 
     kind: str = "lanes"
@@ -54,15 +55,16 @@ def emit_lanes(
     real: Real = "float64",
     folded: bool = False,
 ) -> str:
-    """Write `static void <symbol>(const double *in0, …, double *out0, …)`, like `emit_c99`, for `lanes` runs at once.
+    """Return a C function like that of `emit_c99`, but for `lanes` runs in parallel.
 
-    Outputs are stored entry by entry, with one number for each lane (run). Outputs may alias inputs of kind "lanes".
+    An output contains the numbers of all lanes (runs) for entry 0, then for entry 1, and so on. An output may be the
+    same array as an input of kind "lanes".
 
     Args:
         program: the instruction list.
         symbol: name of the C function.
         lanes: number of runs in parallel, a power of 2.
-        feeds: for each input, how the lanes read it.
+        feeds: memory layout of each input.
         real: type of the numbers.
         folded: whether to write a loop over the lanes in the style of `c99_folded`, instead of vectors.
 
@@ -106,15 +108,15 @@ _CHOICES = frozenset({"select", "if_else_zero", "fmin", "fmax", "and", "or"})
 
 
 def chooses(program: Program) -> bool:
-    """Return whether a compiler might turn an operation of the program into a branch."""
+    """Return whether a compiler might translate an operation of the program to a branch."""
     return any(i.op in _CHOICES for i in program.instructions)
 
 
 def emit_straight(program: Program, *, symbol: str, real: Real = "float64") -> str:
-    """Write the function of `emit_c99` for two equal runs in parallel, so that choices become masks, not branches.
+    """Return the function of `emit_c99`, computed twice in parallel so that choices are bit masks instead of branches.
 
-    The processor mispredicts half of the branches that depend on the iterations of an active-set method. Each
-    misprediction costs as much as twenty operations.
+    Branches would be slow: the processor mispredicts half of those that depend on the iterations of an active-set
+    method, and each misprediction costs as much as twenty operations.
     """
     plain = emit_c99(program, symbol=symbol, real=real).splitlines()
     body = plain.index("{") + 1

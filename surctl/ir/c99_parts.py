@@ -1,4 +1,4 @@
-"""Writer of C99 in several files, where a large function shares its file with the functions that only it calls."""
+"""Writer of C99 in several files; a large function is in one file with the functions that only this function calls."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ _LEAST, _MOST = 16_000, 64_000  # smallest size of a separate file, and size bey
 
 @dataclass(frozen=True)
 class Parts:
-    """C text of a program or routine in several files.
+    """C text of a program or routine, divided into several files.
 
     Attributes:
-        files: C text of each file, by the name of its main function; the file of the last function has the name "".
-        prototypes: prototypes of the functions that other files call.
+        files: C text of each file, by the name of the file's main function; the file of the last function has the name
+            "".
+        prototypes: C prototypes of the functions that are called from another file.
     """
 
     files: Mapping[str, str]
@@ -33,10 +34,10 @@ class Parts:
 
 
 def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
-    """Return the folded C99 of `emit_block` in files; each large function takes along functions that only it calls.
+    """Return the folded C99 of `emit_block`, divided into files: one for each large function and its own callees.
 
-    Functions that another file calls have names that begin with `symbol`; all others are static. Before its text, each
-    file needs <math.h>, the pragma FP_CONTRACT and the prototypes.
+    A function that is called from another file has a name that begins with `symbol`; all other functions are static.
+    Each file must begin with <math.h>, the pragma FP_CONTRACT and the prototypes.
 
     Args:
         block: program or routine.
@@ -71,7 +72,7 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
 
 @dataclass(frozen=True)
 class _Node:
-    """C function to be written."""
+    """A C function that is to be written."""
 
     name: str
     size: int  # estimated length of the text
@@ -107,7 +108,7 @@ def _size(block: Block) -> int:
 
 
 def _parted(nodes: Mapping[str, _Node], root: str) -> dict[str, str]:
-    """Return the file of each function outside the root's file; the largest separable function moves first."""
+    """Return the file of each function outside the file of `root`; the largest separable function is moved first."""
     # a function with the root's name does the main work of the root, and stays in the root's file
     files: dict[str, str] = {}
     rest = set(nodes)

@@ -1,4 +1,4 @@
-"""Writer of a routine as C99: one static function for each inner block, `for` loops over local arrays."""
+"""Writer of a routine as C99: a static function for each inner program or routine, `for` loops over local arrays."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ _TARGET = re.compile(r"\b\w+\[[^\]]*\] = ")
 
 
 def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: bool = False) -> str:
-    """Write C99 for a program or routine and for all programs and routines that it calls, callees first.
+    """Return C99 for a program or routine and for all programs and routines that it calls, callees first.
 
-    The last function is `static void <symbol>(const double *in0, …, double *out0, …)`. No output of a routine may
-    overlap an input or another output: outputs are written before the last use of the inputs, which avoids copies (a
-    single program reads all its inputs before it writes, see `emit_c99`). Programs or routines with equal text become
-    one function. The largest stack holds the local arrays along the deepest chain of calls, see `memory`.
+    The last function is `static void <symbol>(const double *in0, …, double *out0, …)`. For a routine, no output may
+    overlap an input or another output, because the C code may write outputs before it has read all inputs. (The code of
+    a single program reads all inputs first, see `emit_c99`.) Programs or routines with equal text become one C
+    function. `memory` returns the size of the arrays along the deepest chain of calls.
 
     Args:
         block: program or routine.
         symbol: name of the last function, and prefix of the other names.
         real: "float32" writes float instead of double.
-        folded: True writes readable text with nested expressions for any C99 compiler (see `c99_folded`). This text has
-            a third of the length of the text for speed; a file can hold only one block in this form. False writes text
-            for speed, with vectors where the compiler supports them.
+        folded: True writes readable text with nested expressions for any C99 compiler (see `c99_folded`); it is a third
+            as long as the text for False, and a file can contain only one such text. False writes text for fast
+            execution, with vectors if the compiler supports them.
 
     Raises:
         InputError: `symbol` is not a valid C identifier.
@@ -85,7 +85,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
 
 
 def _with_function(block: Block) -> set[str]:
-    """Return the digests of the programs and routines called by name; objects with equal text share one function."""
+    """Return the digests of the programs and routines that need a C function; blocks with equal text share one."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
     return {
@@ -96,7 +96,7 @@ def _with_function(block: Block) -> set[str]:
 
 
 def run_alone(block: Block) -> set[str]:
-    """Return the digests of the programs and routines that a step other than a loop over SIMD lanes runs."""
+    """Return the digests of the programs and routines that are not only called by loops over SIMD lanes."""
     routines = [inner for inner in nested(block).values() if isinstance(inner, Routine)]
     steps = [step for routine in routines for step in routine.steps if not isinstance(step, Gather)]
     return {step.block.digest() for step in steps if isinstance(step, Call) or step.lanes == 1}
@@ -104,28 +104,30 @@ def run_alone(block: Block) -> set[str]:
 
 @dataclass
 class Part:
-    """The C functions of one file, callees first, and those of these functions that are programs."""
+    """The C functions of one file, callees first, and the programs among the blocks that these functions compute."""
 
     functions: list[str] = field(default_factory=list)
     programs: list[Program] = field(default_factory=list)
 
     @property
     def chunks(self) -> list[str]:
-        """Return the C functions, preceded by the macro that they need in addition to `preamble`."""
+        """Return the C functions, preceded by the macro that they need besides `preamble`."""
         apart = any("\nAPART " in text for text in self.functions)
         return [*[_APART] * apart, *self.functions]
 
 
 class Writer:
-    """Collects the C functions of a program or routine in files, and the name of each function by its key.
+    """Collects the C functions of a program or routine by file, and the name of each function by its key (`key_of`).
 
     Args:
         symbol: name of the last function.
         real: type of the numbers.
         folded: see `emit_block`.
-        inner: prefix of the names of all functions but the last; `symbol` if `inner` is empty.
-        files: file of a function by its key (`key_of`); a function without an entry goes to file "".
-        shared: keys of the functions that other files call; they are not static, and have the prefix `symbol`.
+        inner: prefix of the names of all functions except the last; if empty, the prefix is `symbol`.
+        files: name of the file of each function, by the function's key; a function without an entry is written to file
+            "".
+        shared: keys of the functions that are called from another file; these are not static, and have the prefix
+            `symbol`.
     """
 
     def __init__(
@@ -211,7 +213,7 @@ def _feeds(loop: Loop) -> tuple[Feed, ...]:
 
 
 def key_of(step: Call | Loop) -> str:
-    """Return the key of the function that a step calls: its digest and, for SIMD lanes, the layout of its inputs."""
+    """Return the key of the C function that a step calls: the block's digest and, for SIMD lanes, the input layouts."""
     if isinstance(step, Call) or step.lanes == 1:
         return step.block.digest()
     loop = step
@@ -220,7 +222,7 @@ def key_of(step: Call | Loop) -> str:
 
 
 def free_name(base: str, named: Mapping[str, str]) -> str:
-    """Return the name as a C identifier, with a number at the end if the name is already used."""
+    """Return a C identifier for the name, with a number at the end if the identifier is already used."""
     name, at = base, 2
     while name in named.values():
         name, at = f"{base}_{at}", at + 1
@@ -281,7 +283,7 @@ def _at(array: str, start: int) -> str:
 
 
 def _moved(step: Step, places: Places) -> list[str]:
-    """Return the copies that a call that only moves data still needs because source and destination differ."""
+    """Return C lines for a call that only moves data: the copies for which source and destination differ."""
     lines = []
     for move in inlined(step):
         assert isinstance(step, Call)
@@ -301,10 +303,10 @@ def _copy(to: str, source: str, size: int) -> str:
 
 
 def _stays(step: Step, places: Places, overlaps: Collection[tuple[int, int]]) -> dict[str, str]:
-    """Return, by result name, the inputs that a loop of at most one iteration leaves unchanged if it does not run.
+    """Return, by result name, the initial values that a loop of at most one iteration returns if it does not run.
 
-    No copy is needed for these inputs. The result must be a separate local array, because arrays that share memory with
-    the result would move too.
+    No copy is needed for these values. The result must be a separate local array, because arrays that share memory with
+    the result would also move.
     """
     if not isinstance(step, Loop) or step.count > 1 or step.until is None:
         return {}

@@ -1,7 +1,7 @@
-"""Writer of C99 for `LANES` runs in parallel, where every number becomes a vector with one entry for each run.
+"""Writer of C99 for `LANES` runs in parallel: every number becomes a vector with one entry for each run.
 
-The C text is the same for every vector width. A prelude defines its macros (LOAD, ADD, SELECT, …) for the vectors of
-the compiler, or for one number at a time. Entry e of run l in an array has index e · LANES + l.
+The C text is the same for every vector width. A prelude defines the macros of the text (LOAD, ADD, SELECT, …) for the
+vector types of the compiler, or for one number at a time. Entry e of run l in an array has index e · LANES + l.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class Wide:
     """C text of a program or routine for many runs in parallel.
 
     Attributes:
-        text: functions, callees first; the last is `static void <symbol>(const double *in0, …, double *out0, …,
-            double *work)`, whose outputs may alias its inputs.
-        work: required size of the argument `work`, in numbers for each run; `work` holds the arrays, so that the stack
-            stays small.
+        text: C functions, callees first; the last is `static void <symbol>(const double *in0, …, double *out0, …,
+            double *work)`. Its outputs may be the same arrays as its inputs.
+        work: required size of the argument `work`, in numbers for each run; the function stores its local arrays in
+            `work` instead of on the stack.
     """
 
     def __init__(self, text: str, work: int) -> None:
@@ -34,7 +34,7 @@ class Wide:
 
 
 def emit_wide(block: Block, *, symbol: str) -> Wide:
-    """Write a program or routine and all that it calls as C text; those with equal text become one function.
+    """Return C text of a program or routine and of all that it calls; blocks with equal text become one function.
 
     Args:
         block: program or routine.
@@ -80,7 +80,7 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
 
 
 def _strides(loop: Loop) -> tuple[int, ...]:
-    """Return the distance of entries in each input, then each output, of a loop body run in inner SIMD lanes."""
+    """Return the distance between entries in each input, then each output, of a body that runs in inner SIMD lanes."""
     own = loop.index + len(loop.carried) + len(loop.sliced)
     side = (loop.lanes,) * own
     return (
@@ -102,7 +102,7 @@ class _Writer:
         self.overlapping: set[str] = set()
 
     def see(self, block: Block) -> None:
-        """Note the programs that are called with one array as both an input and an output."""
+        """Record the programs that are called with one array as both an input and an output."""
         self.overlapping.add(_key(block, ()))
         for inner in nested(block).values():
             if isinstance(inner, Routine):
@@ -176,7 +176,7 @@ class _Text:
                 self._array(self.local[name], self.sizes[name])
 
     def function(self, symbol: str) -> tuple[str, int]:
-        """Return the C function, and the size of its own arrays in numbers for each run."""
+        """Return the C text of the function, and the size of the function's own arrays in numbers for each run."""
         routine, local = self.routine, self.local
         read = {name for step in routine.steps for name in reads(step)} | set(routine.results)
         idle = [f"    (void){name};" for name in dict.fromkeys(local[x] for x in local if x not in read)]

@@ -42,16 +42,16 @@ def head(block: Block, symbol: str, outputs: int, operations: int) -> list[str]:
 def program_text(
     program: Program, symbol: str, strides: tuple[int, ...] = (), *, overlapping: bool = True
 ) -> tuple[str, int]:
-    """Return the C function, and the size of the memory that it needs in numbers for each run.
+    """Return the C text of the function, and the size of the memory that the function needs, in numbers for each run.
 
-    Pieces of inputs that the program only copies are copied as a whole. If an output may be an input (`overlapping`),
-    these pieces are copied through `work`, since the function must read before it writes.
+    Pieces of inputs that the program only copies are copied as a whole. If an output may be the same array as an input
+    (`overlapping`), these pieces are copied through `work`, because the function must read them before it writes.
 
     Args:
         program: the instruction list.
         symbol: name of the function.
-        strides: distance between two entries of each input, then of each output, for a loop body that runs in inner
-            SIMD lanes; then nothing is copied as a whole. If empty, all distances are 1.
+        strides: for a loop body that runs in inner SIMD lanes, the distance between two entries of each input, then of
+            each output; nothing is then copied as a whole. If empty, all distances are 1.
         overlapping: whether the function is called with one array as both an input and an output.
     """
     moves = () if strides else handed_on(program)

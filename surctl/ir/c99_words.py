@@ -1,4 +1,4 @@
-"""Macros of the C text for parallel runs, defined for the vector types of the compiler in four dialects."""
+"""Macros of the C text for parallel runs, in four variants that the compiler and the processor select."""
 
 from __future__ import annotations
 
@@ -213,4 +213,4 @@ HELPER void keep(double *to, const double *fresh, const double *flag, int size)
     }
 }
 """
-"""C text that `emit_wide` needs before its own. LANES may be defined before it, as a power of 2."""
+"""C text that must precede the text of `emit_wide`. The macro LANES may be defined before it, as a power of 2."""

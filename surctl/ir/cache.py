@@ -1,4 +1,4 @@
-"""Cache on disk for results that are costly to build, such as shared libraries and laws; later processes read them.
+"""Cache on disk for objects that are costly to build, such as shared libraries and laws, for use by later processes.
 
 A cache entry is trusted only if it lies in a folder of this user to which nobody else may write, and if its digest
 equals the digest stored when the entry was built. Otherwise the entry is built again.
@@ -25,11 +25,11 @@ _NOTE = hashlib.sha256().digest_size  # size of the digest, stored before the en
 
 
 class CacheUnused(UserWarning):
-    """Warning that the cache on disk cannot be used, so each process builds its own results."""
+    """Warning that the cache on disk cannot be used, so each process builds its libraries and laws itself."""
 
 
 def cache_folder() -> Path:
-    """Return $SURCTL_CACHE, or $XDG_CACHE_HOME/surctl, or ~/.cache/surctl (XDG Base Directory Specification).
+    """Return the cache folder: $SURCTL_CACHE, or $XDG_CACHE_HOME/surctl, or ~/.cache/surctl (XDG specification).
 
     Example:
         >>> import os
@@ -47,17 +47,17 @@ def cache_folder() -> Path:
 
 
 def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: Path | None = None) -> bytes:
-    """Return the bytes that `build` returns now, or returned when this key was first used.
+    """Return the bytes of the cache entry `key`; if there is no such entry, store and return the bytes of `build`.
 
-    If several processes build one entry at the same time, each process uses its own result, and the last result is
-    stored.
+    If several processes build one entry at the same time, each process uses the bytes that it built itself, and the
+    bytes of the last process are stored.
 
     Args:
-        key: hexadecimal digest of everything that the result depends on.
+        key: hexadecimal digest of everything on which the bytes depend.
         suffix: suffix of the entry's file, with the dot.
         build: function that is called if no cache entry can be trusted; its exceptions are passed on.
-        folder: cache folder; `cache_folder()` if None. A folder that cannot be written to, or to which another user
-            could write, is not used; the warning `CacheUnused` reports this.
+        folder: cache folder; `cache_folder()` if None. A folder is not used if this process cannot write to it or
+            another user can; then the warning `CacheUnused` is issued.
 
     Example:
         >>> from pathlib import Path
@@ -87,7 +87,7 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
         source: the C text.
         flags: additional compiler flags, after `FLAGS`, `further_flags` and `tuned_flags`.
         folder: cache folder, as in `cached_bytes`.
-        wide: whether to use the widest vectors of the processor, see `tuned_flags`.
+        wide: whether to use the processor's widest vector instructions, see `tuned_flags`.
 
     Returns:
         The bytes of the library, so that the caller can load exactly the library that was checked.
@@ -143,7 +143,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def _write(path: Path, body: bytes) -> str:
-    """Store the cache entry, and return "" or the reason why it cannot be stored."""
+    """Store the cache entry; return "", or the reason why the entry cannot be stored."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_ours(path.parent):

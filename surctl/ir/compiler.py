@@ -1,4 +1,4 @@
-"""Search for the system's C compiler, and strict compilation without options that change results."""
+"""Search for the system's C compiler, and compilation without options that change numerical results."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _X86 = ("x86_64", "amd64", "i386", "i686")
 
 
 def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
-    """Return compiler flags that use all instructions of this machine's processor but do not change results.
+    """Return flags that allow all instructions of this machine's processor but do not change numerical results.
 
-    errno is switched off, so that a square root is one instruction. AVX-512 is left out unless `wide`. For vectors of
-    four numbers, the masks of AVX-512 make a solution of the QP a tenth slower than AVX2; vectors of eight numbers need
-    AVX-512. For wide code, instructions are scheduled again before register allocation, which saves an eighth of the
-    time of a closed loop.
+    The flags switch errno off, so that a square root is one instruction. They exclude AVX-512 unless `wide`: vectors of
+    eight numbers need AVX-512, but with vectors of four numbers the masks of AVX-512 make the QP solver a tenth slower
+    than AVX2. For `wide`, the compiler also schedules instructions before register allocation, which saves an eighth of
+    the run time of a closed loop.
 
     Example:
         >>> from surctl.ir import tuned_flags
@@ -47,7 +47,7 @@ def tuned_flags(*, wide: bool = False) -> tuple[str, ...]:
 
 
 def further_flags() -> tuple[str, ...]:
-    """Return the compiler flags in $SURCTL_CFLAGS, used after `FLAGS`; e.g. "-O1" compiles faster, with equal results.
+    """Return the compiler flags in $SURCTL_CFLAGS, which follow `FLAGS`; e.g. "-O1" compiles faster with equal results.
 
     Raises:
         InputError: a quote is not closed, or a flag changes results.
@@ -77,7 +77,7 @@ _REFUSED = (
 
 
 def find_compiler() -> str:
-    """Return the command of the C compiler: $CC (may include arguments), or the first of cc, gcc, clang.
+    """Return the command of the C compiler: $CC, which may include arguments, or the first available of cc, gcc, clang.
 
     Raises:
         ToolMissing: $CC does not name a program, or there is no compiler.
@@ -129,7 +129,7 @@ def _refuse(flags: Sequence[str], *, key: str = "flags") -> None:
 def compile_program(
     sources: Sequence[Path], output: Path, *, flags: Sequence[str] = (), compiler: str | None = None
 ) -> Path:
-    r"""Compile and link `sources` to `output`; with "-c" in `flags`, compile one source to an object file.
+    r"""Compile and link `sources` to the file `output`; with "-c" in `flags`, compile one source to an object file.
 
     Args:
         sources: C sources or object files.
@@ -143,7 +143,7 @@ def compile_program(
     Raises:
         ToolMissing: there is no compiler.
         InputError: `flags` or $SURCTL_CFLAGS contains a flag that changes results, such as -ffast-math.
-        SurctlError: the compiler reports an error; the message has its first error line.
+        SurctlError: the compiler reports an error; the message contains the first line of the error.
 
     Example:
         >>> import subprocess
@@ -177,7 +177,7 @@ def _first_error(text: str) -> str:
 
 
 def compiler_version(compiler: str | None = None) -> str:
-    """Return the first line of the compiler's --version; `compiler` None means the compiler of `find_compiler`.
+    """Return the first line of the compiler's `--version` output; None means the compiler of `find_compiler`.
 
     Example:
         >>> from surctl.ir import compiler_version

@@ -1,4 +1,4 @@
-"""Replacement of several divisions by an equal divisor with one division and several products."""
+"""Replacement of several divisions by the same number with one division and several products."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ __all__ = ["shared_divisors"]
 def shared_divisors(program: Program) -> Program:
     """Replace x / d by x · (1 / d) for every d that is the divisor of more than one division.
 
-    A division occupies a vector unit as long as thirty products. If 1 / d is a normal number, a quotient changes by at
-    most two units in the last place. `lower` keeps divisions, since it must not change any bit; CasADi itself turns x ·
-    (1 / d) back into x / d.
+    A division takes a vector unit as long as thirty products. If 1 / d is a normal number, the replacement changes a
+    quotient by at most two units in the last place. `lower` does not make this replacement, because it must not change
+    any bit; and CasADi would convert x · (1 / d) back to x / d.
 
     Example:
         >>> import casadi as ca

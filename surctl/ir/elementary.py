@@ -1,18 +1,18 @@
-"""sin, cos, atan2 and acos from exact operations only, so that their bytes are the same on every machine.
+"""sin, cos, atan2 and acos from exactly defined operations only, so that their values have equal bytes on all machines.
 
-The arguments are reduced by the method of Cody and Waite (1980), to |r| ≤ π/4 for sin and cos and to |t| ≤ tan(π/8) for
+Arguments are reduced by the method of Cody and Waite (1980): to |r| ≤ π/4 for sin and cos, and to |t| ≤ tan(π/8) for
 atan2. The polynomials in the square of the reduced argument interpolate (sin r / r − 1) / r², (cos r − 1 + r²/2) / r⁴
 and (atan t / t − 1) / t² at Chebyshev nodes. The polynomials were computed with 60 digits and rounded to double; their
-errors are below 3e-17, 2e-18 and 4e-17. Shorter polynomials for float have errors below 1e-8, 1e-9 and 1e-9, and use
-three parts of π/2. They cost half as much, and do not change the errors for float stated below in the digits shown.
+errors are below 3e-17, 2e-18 and 4e-17. For float there are shorter polynomials, with errors below 1e-8, 1e-9 and 1e-9,
+and π/2 is split into three numbers. The float versions cost half as much.
 
-Errors in double: 2e-16 for sin and cos with |x| ≤ 1e6, and 5e-16 for atan2 and acos, which is two to three units in the
-last place near 1. In float: 1.5e-7 for sin and cos with |x| ≤ 3000 (beyond, half a unit in the last place of x), and
-4e-7 for the other two.
+In double, the error is 2e-16 for sin and cos with |x| ≤ 1e6, and 5e-16 for atan2 and acos, which is two to three units
+in the last place near 1. In float, the error is 4e-7 for atan2 and acos. For sin and cos in float, the error is 1.5e-7
+if |x| ≤ 3000, and half a unit in the last place of x for larger |x|.
 
-Undefined values are NaN: sin and cos of a NaN, of an infinity and of |x| > 2²⁰, atan2 with a NaN or of two infinities,
-acos outside [−1, 1]. atan2 treats a zero of either sign as +0, so that it lies in (−π, π] and is 0 at the origin; sin
-keeps the sign of a zero. The sum of |y| and |x| must not overflow.
+The value is NaN for sin and cos of a NaN, of an infinity and of |x| > 2²⁰, for atan2 of a NaN or of two infinities, and
+for acos outside [−1, 1]. atan2 treats −0 as +0, so that its values lie in (−π, π] and atan2(0, 0) = 0; the sine of −0
+is −0. For atan2, the sum of |y| and |x| must not overflow.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _ATAN = (
 
 
 class _Series(NamedTuple):
-    """Polynomial coefficients and parts of π/2 that suffice for one floating-point type."""
+    """Coefficients of the polynomials, and the numbers that add up to π/2, for one floating-point type."""
 
     sin: tuple[float, ...]
     cos: tuple[float, ...]
@@ -82,9 +82,9 @@ _SERIES: Mapping[Real, _Series] = MappingProxyType(
 def without_libm(block: Block, real: Real = "float64") -> Block:
     """Return the program or routine with sin, cos, atan2 and acos replaced by exact operations.
 
-    A block (program or routine) without these functions is returned unchanged. The docstring of the module `elementary`
-    states the errors and the results for zeros, infinities and NaN. Common parts of several functions, such as the
-    reduction of one angle, are computed once.
+    A block without these functions is returned unchanged. The docstring of the module `elementary` states the errors,
+    and the values for zeros, infinities and NaN. If several functions need the same intermediate value, such as a
+    reduced angle, this value is computed once.
 
     Args:
         block: program or routine.
@@ -117,7 +117,7 @@ def _program(program: Program, *, series: _Series) -> Program:
 
 
 class _Formulas(Numbering):
-    """Instruction list under construction; a float operand is a constant, an int operand a list position."""
+    """Instruction list under construction; an operand of type float is a constant, one of type int a list position."""
 
     def __init__(self, series: _Series) -> None:
         super().__init__()
@@ -146,7 +146,7 @@ class _Formulas(Numbering):
         return k, r
 
     def wave(self, x: int) -> tuple[int, int, int]:
-        """Return list positions of the quadrant (0 to 3), and of sin x and cos x up to their signs."""
+        """Return the list positions of the quadrant (0 to 3) of x, and of sin x and cos x up to their signs."""
         k, r = self.reduced(x)
         z = self.do("sq", r)
         sine = self.do("mul", r, self.do("add", self.do("mul", z, self.polynomial(z, self.series.sin)), 1.0))

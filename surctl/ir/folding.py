@@ -1,4 +1,4 @@
-"""Constant folding: known numbers replace an input, and every value that depends only on constants is computed once."""
+"""Constant folding: numbers replace an input, and values that depend only on constants are computed in advance."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ __all__ = ["with_constants"]
 
 
 def with_constants(program: Program, source: int, values: Sequence[float]) -> Program:
-    """Return the program with constants for an input's entries, and with all results of constants computed.
+    """Return the program with constants instead of the entries of an input, and with the constant results computed.
 
-    The input stays in the signature but is not read. For finite numbers the results equal those of the original program
-    with `values` as input, except for the sign of a zero: x + 0 becomes x, 0 · x becomes 0. Constants are folded in
-    double, and rounded once if the program is evaluated in another precision.
+    The input remains in the program's list of inputs but is not read. For finite numbers, the outputs equal those of
+    the original program with `values` as input, except for the sign of a zero, because x + 0 becomes x and 0 · x
+    becomes 0. Constant values are computed in double; if the program is evaluated in another precision, they are then
+    rounded to it.
 
     Args:
         program: the instruction list, without libm functions such as sin.
@@ -28,7 +29,7 @@ def with_constants(program: Program, source: int, values: Sequence[float]) -> Pr
         values: one number for each entry.
 
     Raises:
-        InputError: the number of values differs from that of the entries, a value is not finite, or the program uses
+        InputError: the number of values differs from the number of entries, a value is not finite, or the program uses
             libm functions such as sin, whose last bits depend on the machine.
 
     Example:
@@ -81,7 +82,7 @@ class _Folding(Numbering):
         return self.instructions[at].args
 
     def is_true(self, at: int) -> int:
-        """Return the list position of the value converted to the truth value 0 or 1."""
+        """Return the list position of the value's truth value: 0 if the value is 0, otherwise 1."""
         return at if self.is_truth(at) else self.folded("ne", (at, self.constant(0.0)))
 
 
@@ -112,7 +113,7 @@ def _difference(text: _Folding, args: tuple[int, ...]) -> int | None:
 
 
 def _one_condition(text: _Folding, op: str, args: tuple[int, ...]) -> int | None:
-    """Return the sum or difference of two `if_else_zero` with one condition as one `if_else_zero`, else None."""
+    """Return the sum or difference of two `if_else_zero` with equal conditions as one `if_else_zero`, or None."""
     if all(text.op(a) == "if_else_zero" for a in args) and text.args(args[0])[0] == text.args(args[1])[0]:
         inner = text.folded(op, tuple(text.args(a)[1] for a in args))
         return text.folded("if_else_zero", (text.args(args[0])[0], inner))

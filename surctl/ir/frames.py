@@ -1,4 +1,4 @@
-"""Stack size of emitted C, from the compiler's own report: the frames along the deepest chain of calls."""
+"""Stack size of generated C from the compiler's report: the sum of the frames along the deepest chain of calls."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CALL = re.compile(r"\b(\w+)\(")
 
 
 def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = ("-Os",)) -> int:
-    """Return the bytes of stack that the folded C of a program or routine uses on this machine, including all calls.
+    """Return how many bytes of stack the folded C of a program or routine uses on this machine, including its calls.
 
     Args:
         block: program or routine.
@@ -28,7 +28,7 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
         flags: compiler flags in addition to those of `compile_program`.
 
     Raises:
-        ToolMissing: there is no compiler, or it does not report its frames (`-fstack-usage`).
+        ToolMissing: there is no compiler, or the compiler does not report stack frames (`-fstack-usage`).
         SurctlError: the compiler reports an error, or a frame has no fixed size.
 
     Example:
@@ -55,10 +55,10 @@ def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = 
 
 
 def stack_of(text: str, entry: str, *, flags: Sequence[str] = ("-Os",), compiler: str | None = None) -> int:
-    r"""Return the bytes of stack that a C function uses with all its calls; the C text must not be recursive.
+    r"""Return how many bytes of stack a C function uses, including its calls; the C text must not be recursive.
 
-    Every function must begin on its own line. libm functions such as sin are not counted. A function that
-    the compiler inlined counts as part of its caller's frame.
+    The definition of every function must begin on a line of its own. The stack of libm functions such as sin is not
+    counted. An inlined function is part of the stack frame of its caller.
 
     Example:
         >>> from surctl.ir import stack_of
@@ -83,8 +83,8 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
     r"""Return the stack size as `stack_of` does, from the report of an earlier compilation with `-fstack-usage`.
 
     Args:
-        report: text of the compiler's report for one object, or for several objects end to end.
-        text: the C text, including the text of its own headers.
+        report: text of the compiler's report for one object file, or the concatenated reports for several object files.
+        text: the C text, including the text of its own header files.
         entry: name of the function.
 
     Raises:

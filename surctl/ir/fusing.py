@@ -1,4 +1,4 @@
-"""Fusion of a product and the sum that uses it into one operation with one rounding (`fma`)."""
+"""Fusion of a product and a sum that uses the product into one operation with one rounding (`fma`)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ __all__ = ["fused"]
 def fused(block: Block) -> Block:
     """Replace a b + c, a b - c and c - a b by `fma` if only sums and differences use the product a b.
 
-    The argument and the result are programs or routines. Fusion changes the rounding of results, so `lower` does not
-    fuse. The results have the same bytes on every machine, since `fma` is exact. A machine without an instruction for
-    `fma` calls the C library's function, which is slow.
+    Fusion changes rounding, so `lower` does not fuse. The outputs of the fused program or routine have equal bytes on
+    every machine, because IEEE 754 defines the rounding of `fma`. On a machine without an instruction for `fma`, the
+    code calls the function of the C library, which is slow.
 
     Example:
         >>> import casadi as ca

@@ -1,4 +1,4 @@
-"""Conversion of a CasADi function to the instruction list."""
+"""Conversion of a CasADi function to an instruction list (`Program`)."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _NAMES: Mapping[int, str] = MappingProxyType(
 def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
     """Return the instruction list of a function of dense vectors.
 
-    Equal subexpressions are computed once. The four operations of `if_else` become one `select`, which, unlike the sum
-    that CasADi evaluates, keeps the sign of a zero. Instructions that no output needs are dropped. Structural zeros of
-    an output become the constant 0.
+    Equal subexpressions are computed once. The four operations of CasADi's `if_else` become one `select`; it preserves
+    the sign of a zero, whereas the sum that CasADi evaluates does not. Instructions that no output needs are removed.
+    Structural zeros of an output become the constant 0.
 
     Args:
         function: SX function, or an MX function that expands to one.
-        reciprocals: whether to replace several divisions by an equal divisor by products with its inverse, which is
-            faster but rounds once more. CasADi by itself turns every such product into a division.
+        reciprocals: whether several divisions by the same divisor become products with its inverse, which is faster but
+            rounds once more. (CasADi itself converts such products to divisions.)
 
     Raises:
         UnsupportedOperation: an operation is not in `surctl.ir.ops.OPERATIONS`; the message names a substitute.
@@ -65,7 +65,7 @@ def lower(function: ca.Function, *, reciprocals: bool = False) -> Program:
 
 
 def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX | float]) -> Program:
-    """Return the instruction list of named outputs as functions of named input columns; outputs are made dense.
+    """Return the instruction list that computes the named outputs from the named input columns; outputs become dense.
 
     Example:
         >>> import casadi as ca
@@ -83,7 +83,7 @@ def lower_named(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca
 
 
 def _with_reciprocals(old: _Builder) -> tuple[_Builder, list[int]]:
-    """Return the list with each shared divisor inverted once, and the new list position of each instruction."""
+    """Return the list in which each shared divisor is inverted once, and the new list position of each instruction."""
     divisors = [i.args[1] for i in old.instructions if i.op == "div"]
     shared = {at for at in divisors if divisors.count(at) > 1}
     new, moved = _Builder(old.name), list[int]()
@@ -131,7 +131,7 @@ def _dense_refs(
 
 
 def _walk(function: ca.Function, builder: _Builder) -> dict[tuple[int, int], int]:
-    """Pass every instruction to the builder; return the list position of each (output, nonzero)."""
+    """Pass every instruction to the builder; return the list position of each (output, index of the nonzero)."""
     slot: dict[int, int] = {}  # CasADi reuses work slots: each write gives a slot a new value
     stored: dict[tuple[int, int], int] = {}
     identity, operands, results = function.instruction_id, function.instruction_input, function.instruction_output

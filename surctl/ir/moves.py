@@ -1,4 +1,4 @@
-"""Moves: long pieces of a program's inputs that it copies to its outputs unchanged."""
+"""Moves: long pieces of a program's inputs that the program copies to its outputs unchanged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LEAST_LOOP = 4  # from this many entries on, one loop that copies is shorter th
 
 @dataclass(frozen=True)
 class Move:
-    """Entries `to`, `to` + `to_step`, … of an output are the entries `start`, `start` + `step`, … of an input."""
+    """Copy of entries `start`, `start` + `step`, … of an input to entries `to`, `to` + `to_step`, … of an output."""
 
     output: int
     to: int
@@ -28,12 +28,12 @@ class Move:
 
     @property
     def entries(self) -> range:
-        """Indices of the entries in the output."""
+        """Return the indices of the entries in the output."""
         return range(self.to, self.to + self.to_step * self.count, self.to_step)
 
 
 def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
-    """Return the moved pieces of at least 8 entries, by output; with `strided`, of at least 4 entries at any step."""
+    """Return the moves of at least 8 entries, in output order; with `strided`, of at least 4 entries and any step."""
     return tuple(
         move
         for output in range(len(program.outputs))
@@ -42,7 +42,7 @@ def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
 
 
 def only_moves(program: Program) -> tuple[Move, ...]:
-    """Return the program as a few moves, in output order; empty if it computes a value or has too many moves."""
+    """Return the moves, in output order, of a program that is only a few moves; return () for any other program."""
     if any(i.op != "input" for i in program.instructions) or not all(program.output_refs):
         return ()
     moves = tuple(move for output in range(len(program.outputs)) for move in _of(program, output, 1))
@@ -66,7 +66,7 @@ def _of(program: Program, output: int, least: int = _LEAST) -> Iterator[Move]:
 
 
 def _strided(program: Program, output: int) -> Iterator[Move]:
-    """Yield the pieces that an output copies from inputs, as long as possible, with step 1 in input or output."""
+    """Yield the longest possible moves to an output, with step 1 in the input or in the output."""
     loads = {
         at: i.args
         for at, ref in enumerate(program.output_refs[output])
@@ -97,7 +97,7 @@ def _strided(program: Program, output: int) -> Iterator[Move]:
 def remaining(
     program: Program, moves: Sequence[Move]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
-    """Return the program without the moves, as instructions and as (output, entry, list position of the value)."""
+    """Return the program without the moves: instructions, and (output, entry, list position) of each other value."""
     moved = {(m.output, e) for m in moves for e in m.entries}
     stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
     refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
@@ -114,13 +114,13 @@ def move_lines(moves: Sequence[Move]) -> list[str]:
 
 
 def entry(array: str, first: int, step: int = 1) -> str:
-    """Return the start of an array entry's C text; the caller appends the loop counter and the closing bracket."""
+    """Return the start of the C text of an array entry; the caller appends the loop counter and the closing bracket."""
     return "".join([array, "[", f"{first} + " if first else "", f"{step} * " if step != 1 else ""])
 
 
 def copy_loop(to: str, source: str, count: int) -> str:
-    """Return a C99 loop that copies `count` numbers; `to` and `source` are results of `entry`.
+    """Return a C99 loop that copies `count` numbers; `to` and `source` are texts returned by `entry`.
 
-    The comment is for Frama-C, which treats an array as fully written only after it has unrolled the loop.
+    The comment in the loop is for Frama-C, which regards an array as fully written only after it has unrolled the loop.
     """
     return f"    /*@ loop unroll {count}; */\n    for (int k = 0; k < {count}; ++k) {{ {to}k] = {source}k]; }}"

@@ -1,4 +1,4 @@
-"""Compiled programs and routines that are called from Python with little overhead."""
+"""Compiled programs and routines that Python can call with little overhead."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _SYMBOL = "surctl_block"
 
 
 class Workspace:
-    """Buffers of one caller, bound to a compiled function: write `inputs`, call `run`, read `outputs`.
+    """Input and output buffers for a compiled function: write to `inputs`, call `run`, then read `outputs`.
 
-    Do not share a workspace between threads; `Native.workspace` creates any number of workspaces.
+    A workspace must not be shared between threads; `Native.workspace` creates as many workspaces as needed.
 
     Attributes:
-        inputs, outputs: for each named input or output, a view of the common buffer, in the order of the compiled
-            function.
+        inputs, outputs: arrays of the inputs and of the outputs, in the order of the compiled function; all are views
+            of one buffer.
         run: the compiled function, which has no arguments and returns None.
     """
 
@@ -54,8 +54,8 @@ class Native:
     """A program or routine compiled by the system's C compiler.
 
     Attributes:
-        block: the program or routine that was compiled. Without `libm` operations, its results have the bytes of
-            `replay`.
+        block: the program or routine that was compiled. If it has no `libm` operations, its outputs have the same bytes
+            as those of `replay`.
         dtype: type of every array, np.float64 or np.float32.
     """
 
@@ -70,18 +70,21 @@ class Native:
         self._library.surctl_run_many.argtypes = [ctypes.c_long, *[ctypes.c_void_p] * count]
 
     def workspace(self) -> Workspace:
-        """Return a workspace: new buffers, bound to the compiled function."""
+        """Return a new workspace for the compiled function."""
         return Workspace(self)
 
     def bound(self, memory: Array) -> Callable[[], None]:
-        """Return the function bound to a flat buffer (all inputs, then all outputs) that the caller must keep."""
+        """Return a function that reads and writes the flat buffer `memory` (all inputs, then all outputs).
+
+        The caller must hold a reference to `memory` as long as the function is used.
+        """
         if memory.dtype != self.dtype or not memory.flags.c_contiguous:
             raise InputError(f"is not a contiguous {self.dtype} buffer", key=self.block.name)
         function: Any = self._library.surctl_run
         return partial(function, ctypes.c_void_p(memory.ctypes.data))
 
     def __call__(self, *inputs: ArrayLike) -> list[Array]:
-        """Evaluate the compiled function; inputs (n,) or (batch, n) give outputs (m,) or (batch, m), as in `replay`."""
+        """Evaluate the compiled function; inputs (n,) or (batch, n) give outputs of shape (m,) or (batch, m)."""
         expected = self._inputs
         if len(inputs) != len(expected):
             raise InputError(f"takes {len(expected)} inputs, got {len(inputs)}", key=self.block.name)
@@ -98,7 +101,7 @@ class Native:
 
 
 def loaded(library: bytes) -> ctypes.CDLL:
-    """Load a shared library from its bytes; the file that this writes is not needed after loading."""
+    """Load a shared library from its bytes; the temporary file for this is deleted."""
     try:
         with tempfile.TemporaryDirectory(prefix="surctl-") as folder:
             path = Path(folder) / "block.so"
@@ -120,13 +123,13 @@ def compile_block(
 
     Args:
         block: program or routine.
-        flags: additional compiler flags; none may change results.
+        flags: additional compiler flags; flags that change numerical results are refused.
         folder: cache folder (`surctl.ir.cache.cache_folder()` if None).
         real: "float32" computes in float and rounds the inputs to float.
 
     Raises:
         ToolMissing: there is no compiler, or no folder from which a library can be loaded; use `replay` instead.
-        InputError: a flag changes results.
+        InputError: a flag changes numerical results.
         SurctlError: the compiler reports an error.
 
     Example:
@@ -141,7 +144,7 @@ def compile_block(
 
 
 def runnable(block: Block) -> Callable[..., list[Array]]:
-    """Return the compiled program or routine; without a compiler, return its slower `replay`, with equal numbers.
+    """Return the compiled program or routine; without a compiler, return a slower function with equal results.
 
     Example:
         >>> import casadi as ca

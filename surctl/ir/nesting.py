@@ -1,7 +1,7 @@
-"""Conversion of a flat instruction list with loop regions to nested routines: programs, loops, and arrays.
+"""Conversion of a flat instruction list with traced loops to nested routines of programs, loops and arrays.
 
-Inside a loop body, the inner loops divide the instructions into programs. Numbers pass from one program or loop to the
-next in arrays. An array that several loops read is assembled once and passed as a whole.
+The loops inside a loop body divide the other instructions of the body into programs. Programs and loops exchange
+numbers in arrays. An array that several loops read is assembled once and passed as a whole.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key]
 
     Args:
         name: name of the routine.
-        program: the instruction list; its first `inputs` inputs are the inputs of the routine, the others represent the
-            state of loops and the rows of the tables that loops read.
-        inputs: number of inputs of the routine, see `program`.
-        outputs: positions of the entries of each output.
-        loops: in the order in which they were traced, so that a loop follows the loops that it depends on.
+        program: the instruction list; its first `inputs` inputs are the inputs of the routine. Its other inputs
+            represent the state of loops and the table rows that loops read.
+        inputs: number of inputs of the routine.
+        outputs: for each output by name, the list positions of its entries.
+        loops: the traced loops, in the order of tracing, so that each loop follows the loops on which it depends.
     """
     regions = Regions(program, inputs, outputs, loops)
     return _Emitter(regions, name, outputs).root()
@@ -34,7 +34,7 @@ def routine(name: str, program: Program, inputs: int, outputs: Mapping[str, Key]
 
 @dataclass(frozen=True)
 class _Arguments:
-    """Arrays that a loop reads."""
+    """The arrays that a loop reads."""
 
     state: tuple[Key, ...]
     tables: tuple[Key, ...]  # one row for each iteration
@@ -84,7 +84,7 @@ class _Emitter:
         return self._known.setdefault(block.digest(), block)
 
     def _fixed(self, k: int) -> Iterator[Key]:
-        """Yield outer arrays that the loop body reads: whole arrays of inner loops, then single numbers by region."""
+        """Yield the outer arrays that loop k reads: whole arrays for its inner loops, then single numbers by region."""
         regions = self.regions
         through: dict[Key, None] = {}
         single: dict[int, dict[int, None]] = {}
@@ -113,7 +113,7 @@ class _Emitter:
 
 
 class _Body:
-    """Builds one region as a program, or as a routine of programs and loops."""
+    """Builds one region (a loop body, or the code outside all loops) as a program, or as a routine with loops."""
 
     def __init__(
         self,
@@ -215,7 +215,7 @@ class _Body:
         return node not in self.place and self.regions.code[node].op not in ("input", "const")
 
     def _whole_result(self, key: Key) -> bool:
-        """Return whether the array is a result of a loop."""
+        """Return whether the array `key` as a whole is the result of a loop."""
         first = self.regions.code[key[0]] if key else None
         return (
             first is not None

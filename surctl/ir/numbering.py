@@ -9,10 +9,10 @@ __all__ = ["Numbering"]
 
 
 class Numbering:
-    """Value numbering: an instruction that the list contains is not added again; no bit of a finite result changes.
+    """Value numbering: an instruction that the list already contains is not added again. Finite results do not change.
 
     Attributes:
-        instructions: the instruction list so far.
+        instructions: the instructions added so far.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class Numbering:
         return self._append(key, Instruction("const", (), value)) if at is None else at
 
     def add(self, op: str, args: tuple[int, ...]) -> int:
-        """Return the list position of an operation on earlier values, or of the load of an input entry."""
+        """Return the list position of an operation on earlier values, or of the instruction for an input entry."""
         if op not in LEAVES and OPERATIONS[op].commutative:
             args = tuple(sorted(args))
         key = (op, args)
@@ -35,7 +35,7 @@ class Numbering:
         return self._append(key, Instruction(op, args)) if at is None else at
 
     def copy(self, instruction: Instruction, moved: list[int]) -> int:
-        """Return the position of another list's instruction, whose operands have the positions `moved` in this list."""
+        """Return the position of a copy of an instruction from another list; `moved` maps old to new positions."""
         if instruction.op == "const":
             return self.constant(instruction.number)
         if instruction.op == "input":
@@ -43,7 +43,7 @@ class Numbering:
         return self.add(instruction.op, tuple(moved[a] for a in instruction.args))
 
     def rewritten(self, program: Program, moved: list[int]) -> Program:
-        """Return the program rewritten with this list (its instructions at `moved`), without unneeded instructions."""
+        """Return the program with this list's instructions that it needs; `moved` maps old to new positions."""
         refs = [tuple(moved[r] for r in group) for group in program.output_refs]
         instructions, output_refs = drop_dead(self.instructions, refs)
         return Program(program.name, program.inputs, program.outputs, instructions, output_refs)

@@ -1,8 +1,8 @@
-"""The operations of the instruction list: for each operation its arity, its meaning in NumPy, and its C99 text.
+"""The operations of the instruction list: for each, its number of operands, its NumPy function, and its C99 text.
 
-All operations except those in `LIBM` are exact: IEEE 754 defines their result to the last bit, so every back end gives
-the same bytes. `fma` is a product and a sum with one rounding. Truth values are numbers, 1 for true and 0 for false;
-any nonzero number is true (also a NaN, as in C).
+IEEE 754 defines the value of every operation to the last bit, except for the operations in `LIBM`. So every back end
+computes the same bytes. `fma` is a product and a sum with one rounding. Operations return 1 for true and 0 for false,
+and treat any nonzero number as true (also a NaN, as in C).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["LEAVES", "LIBM", "OPERATIONS", "SUBSTITUTES", "Operation"]
 Value = NDArray[np.floating[Any]]  # () or (batch,), of the replay's dtype
 
 LEAVES = frozenset({"const", "input"})
-"""Instructions without operands: `const` has a `value`, `input` has (index of the input, index of the entry)."""
+"""Instructions without operands: `const` has a `value`; `args` of `input` are the indices of input and entry."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Operation:
     """One operation of the instruction list.
 
     Attributes:
-        name: name in the instruction list (CasADi's, in lower case, and `select`).
+        name: name in the instruction list: CasADi's name in lower case, or `select`.
         arity: number of operands.
         numpy: NumPy function that performs the operation on arrays of one dtype; a bool result represents 0 and 1.
         c99: C expression with {0}, {1}, … for the operands, which are identifiers.
-        commutative: whether swapping the operands changes no bit of a finite result.
+        commutative: whether the operands can be swapped without a change of any bit of a finite result.
     """
 
     name: str
@@ -158,4 +158,4 @@ SUBSTITUTES: Mapping[str, str] = MappingProxyType(
         "tanh": "write x/sqrt(1 + x*x) or a clamp",
     }
 )
-"""Replacement to suggest for each operation that the instruction list does not support."""
+"""For operations that the instruction list does not support, the replacement that an error message suggests."""

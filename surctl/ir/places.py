@@ -1,12 +1,12 @@
-"""Placement of the arrays of a routine: in its inputs, in its outputs, or in its own memory.
+"""Memory for the arrays of a routine: in the routine's inputs, in its outputs, or in its own memory.
 
-Every array is written once, by one step, so a copy is needed only if a step would overwrite data that is still used.
-The rules:
+Every array is written once, by one step. So a copy is needed only if a step would overwrite data that is still used. A
+call that only copies pieces of arrays (moves) is not a C function. The rules:
 
-- a piece that a program of moves takes out of an array is a pointer into that array;
-- the parts that such a program joins are written directly to their final place;
-- a result of the routine is written directly to its output;
-- a loop updates a carried array in place if nothing reads the array, or a piece of it, afterwards;
+- if moves copy a piece of an array to a new array, the new array is a pointer into the old array;
+- if moves join several arrays to one array, these arrays are written directly into the joined array;
+- a result of the routine is written directly to the routine's output;
+- a loop updates its carried state array in place if no later step reads the initial array or a piece of it;
 - arrays that are never needed at the same time share memory.
 """
 
@@ -23,14 +23,14 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 __all__ = ["Places", "carried_in_place", "inlined", "memory", "overlaid", "overlapping", "reads"]
 
 Overlaps = Mapping[str, frozenset[tuple[int, int]]]
-"""Digest of a block → pairs (output, input) for which a caller passes the same array."""
+"""For each block by its digest, the pairs (output, input) for which a caller passes the same array."""
 
 
 _WORTH_SHARING = 100  # sharing memory must save at least this many numbers
 
 
 def reads(step: Step) -> tuple[str, ...]:
-    """Names of the arrays that a step reads.
+    """Return the names of the arrays that a step reads.
 
     Example:
         >>> from surctl.ir import Gather, reads
@@ -47,14 +47,14 @@ def writes(step: Step) -> tuple[str, ...]:
 
 
 def inlined(step: Step) -> tuple[Move, ...]:
-    """Return the moves of a call that only moves data and therefore needs no C function; otherwise an empty tuple."""
+    """Return the moves of a call that only moves data and so needs no C function; return () for any other step."""
     if isinstance(step, Call) and isinstance(step.block, Program):
         return only_moves(step.block)
     return ()
 
 
 def overlapping(block: Block) -> Overlaps:
-    """Return the pairs (output, input) of each loop body that are one array, because the loop carries that array."""
+    """Return for each loop body the pairs (output, input) that share an array, because the loop updates it in place."""
     overlaps: dict[str, frozenset[tuple[int, int]]] = {}
     for inner in nested(block).values():
         for step in inner.steps if isinstance(inner, Routine) else ():
@@ -65,11 +65,11 @@ def overlapping(block: Block) -> Overlaps:
 
 
 def carried_in_place(routine: Routine, root: Callable[[str], str] = str) -> dict[str, str]:
-    """Return final carried array → array with its value before the loop, if only the loop reads this earlier array.
+    """Return, for each final state array of a loop that can share memory with its initial array, the initial array.
 
     Args:
-        routine: the routine with the loops; the arrays of a returned pair share memory without a copy.
-        root: returns the array that contains a given array as a piece; a whole array is its own root.
+        routine: the routine with the loops. Memory is shared if only the loop reads the initial array.
+        root: function that returns the array of which the given array is a piece; for a whole array, this array itself.
     """
     inputs = {name for name, _ in routine.inputs}
     origin: dict[str, str] = {}
@@ -87,11 +87,11 @@ def carried_in_place(routine: Routine, root: Callable[[str], str] = str) -> dict
 
 @dataclass(frozen=True)
 class Places:
-    """Assignment of the arrays of one routine to memory.
+    """The assignment of the arrays of one routine to memory.
 
     Attributes:
         routine: the routine whose arrays are placed.
-        overlaps: pairs (output, input) that may be the same array; all other pairs are distinct.
+        overlaps: pairs (output, input) of the routine that may be the same array; all other pairs are distinct arrays.
     """
 
     routine: Routine
@@ -104,18 +104,18 @@ class Places:
 
     @cached_property
     def of(self) -> dict[str, tuple[str, int]]:
-        """Return array name → (`in0` …, `out0` … or an own array of the routine, index of the first entry there)."""
+        """Return, for each array, its C array (`in0` …, `out0` … or an own array) and its start index there."""
         return {name: self._place(name) for name in self.sizes}
 
     @cached_property
     def own(self) -> dict[str, int]:
-        """Return the routine's own arrays with their sizes."""
+        """Return the sizes of the routine's own arrays by name."""
         arrays = {self.of[name][0]: self.sizes[name] for name in self.sizes if self.of[name] == (self._own(name), 0)}
         return arrays | {f"held{k}": self.sizes[self.routine.results[k]] for k in self.held}
 
     @cached_property
     def pool(self) -> tuple[dict[str, int], int]:
-        """Return the start of each own array in shared memory, and its size; no starts if each array is separate."""
+        """Return the start of each own array in shared memory (empty if nothing is shared), and the memory's size."""
         lives: dict[str, tuple[int, int, int]] = {}
         end = len(self.routine.steps)
         last = dict.fromkeys(self.routine.results, end)
@@ -131,13 +131,13 @@ class Places:
 
     @cached_property
     def held(self) -> tuple[int, ...]:
-        """Return the indices of outputs whose values are in an input that another output may overwrite."""
+        """Return the indices of the outputs whose values are in an input that another output may overwrite."""
         if not self.overlaps:
             return ()
         return tuple(k for k, name in enumerate(self.routine.results) if self.of[name][0].startswith("in"))
 
     def root(self, name: str) -> str:
-        """Return the array that contains the array `name` as a piece; a whole array is its own root."""
+        """Return the array of which the array `name` is a piece; for a whole array, return `name`."""
         while name in self._views or name in self._parts:
             name = (self._views.get(name) or self._parts[name])[0]
         return name
@@ -170,7 +170,7 @@ class Places:
 
     @cached_property
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Return, for each part written directly into a joined array, this array and the index of the first entry."""
+        """Return, for each part written directly into a joined array, the joined array and the part's start index."""
         parts: dict[str, tuple[str, int]] = {}
         excluded = {*(name for name, _ in self.routine.inputs), *self.routine.results, *self._views}
         for step in self.routine.steps:
@@ -188,12 +188,12 @@ class Places:
 
     @cached_property
     def _final(self) -> dict[str, str]:
-        """Return, for the first name of an array that loops update in place, the last name of the array."""
+        """Return, for each array that loops update in place, its last name by its first (a loop renames the array)."""
         return {first: name for name, first in self._in_place.items()}
 
     @cached_property
     def _direct(self) -> dict[str, int]:
-        """Return, for each result written directly to an output of the routine, the index of the output."""
+        """Return, for each array written directly to an output of the routine, the index of this output."""
         results = self.routine.results
         inputs = {name for name, _ in self.routine.inputs}
         direct = {name: results.index(name) for name in results if name not in inputs}
@@ -203,7 +203,7 @@ class Places:
         return direct
 
     def _harmless(self, result: str, source: str) -> bool:
-        """Return whether a result may overwrite an input: no step reads the input after the loop that carries it."""
+        """Return whether `result` may overwrite `source`: no step reads `source` after the loop that updates it."""
         first = min(at for at, step in enumerate(self.routine.steps) if self._inside(result, step))
         steps = self.routine.steps[first:]
         later = [*(self.root(name) for step in steps for name in reads(step)), *self.routine.results]
@@ -235,10 +235,10 @@ class Places:
 
 
 def overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int], int]:
-    """Return positions of arrays in shared memory, and its size; arrays needed at the same time do not overlap.
+    """Return the position of each array in shared memory, and the memory's size; arrays in use together do not overlap.
 
     Args:
-        lives: for each array: its size, the first step that needs it, and the last step that needs it.
+        lives: for each array, its size, the number of the first step that needs it, and the number of the last step.
     """
     starts: dict[str, int] = {}
     # large arrays first, since small ones fit into the gaps
@@ -258,9 +258,9 @@ def overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int],
 
 
 def memory(block: Block) -> int:
-    """Return the size, in numbers, of the arrays along the deepest chain of calls: inputs, outputs, and own arrays.
+    """Return how many numbers the inputs, outputs and own arrays along the deepest chain of calls contain.
 
-    In float32 each number has 4 bytes. Intermediate values of a program that a compiler keeps on the stack are not
+    A number has 8 bytes, or 4 bytes in float32. Intermediate values that the compiler stores on the stack are not
     included.
 
     Example:

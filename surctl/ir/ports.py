@@ -1,4 +1,4 @@
-"""Named parts of a flat vector; the law, the simulation and the exported header use the same names."""
+"""Named entries of a flat vector; the law, the simulation and the exported C header use equal names."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["Layout", "Port"]
 
 @dataclass(frozen=True)
 class Port:
-    """One named part of a flat vector.
+    """A named part of a flat vector, with its shape, unit, meaning and default value.
 
     Attributes:
         name: name that is a valid C identifier.
         shape: (n,) for a vector, or (rows, columns) for a matrix that is stored row by row.
         unit: SI unit as text without brackets, "1" if dimensionless.
         meaning: description, with the frame.
-        default: value of every entry if no value is given.
+        default: value of all numbers of the part if the caller supplies none.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Port:
 
     @cached_property
     def size(self) -> int:
-        """Return the number of entries of the port."""
+        """Return how many numbers the port contains."""
         return math.prod(self.shape)
 
 
@@ -70,13 +70,13 @@ class Layout:
         return self._slices[name]
 
     def port(self, name: str) -> Port:
-        """Return the port with this name; an unknown name raises an InputError that suggests a known one."""
+        """Return the port with this name; an unknown name raises an InputError that suggests a similar name."""
         if name in self._by_name:
             return self._by_name[name]
         raise InputError("no such field", key=name, remedy=nearest(name, self._slices))
 
     def pack(self, values: Mapping[str, object] | None = None) -> NDArray[np.float64]:
-        """Return a flat vector from values by port name; ports without a value have their default."""
+        """Return a flat vector from values by port name; a port without a value gets its default."""
         flat = self._defaults.copy()
         for name, value in (values or {}).items():
             port = self.port(name)
@@ -89,7 +89,7 @@ class Layout:
         return flat
 
     def unpack(self, flat: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """Return named arrays (views) of a flat vector."""
+        """Return the arrays of a flat vector by port name; the arrays are views."""
         return {p.name: flat[self._slices[p.name]].reshape(p.shape) for p in self.ports}
 
     def symbols(self, prefix: str = "") -> tuple[ca.SX, dict[str, ca.SX]]:

@@ -1,4 +1,4 @@
-"""The instruction list: a symbolic function as plain data, with one assignment on each line."""
+"""The instruction list: a function as plain data, a sequence of assignments."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ _ARITY = {name: operation.arity for name, operation in OPERATIONS.items()}
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """One assignment; its position in the list is its name.
+    """One assignment; other instructions refer to its value by its position in the list.
 
     Attributes:
         op: `const`, `input`, or a name in `surctl.ir.ops.OPERATIONS`.
-        args: operands as list positions of earlier instructions; for `input`: (index of the input, index of the entry).
+        args: list positions of the operands, which are earlier instructions; for `input`: (index of the input, index of
+            the entry).
         value: the number of a `const`, None otherwise.
     """
 
@@ -45,7 +46,7 @@ class Program:
         inputs: (name, number of entries) of each input vector.
         outputs: (name, number of entries) of each output vector.
         instructions: the instruction list; every operand precedes its use.
-        output_refs: for each output, the positions of the values of its entries.
+        output_refs: for each output, the list positions of the values of its entries.
 
     Raises:
         InputError: an unknown operation, an operand that is not computed before its use, an entry outside
@@ -89,16 +90,16 @@ class Program:
 
     @cached_property
     def libm(self) -> frozenset[str]:
-        """Return the names of the listed operations that call libm (such as sin), whose last bits vary by machine."""
+        """Return the names of the operations that call libm (such as sin), whose last bits depend on the machine."""
         return frozenset(i.op for i in self.instructions) & LIBM
 
     @cached_property
     def operations(self) -> int:
-        """Return the number of instructions that compute a value (all except constants and loads)."""
+        """Return the number of instructions that compute a value (all except constants and input entries)."""
         return sum(1 for i in self.instructions if i.op not in LEAVES)
 
     def text(self) -> str:
-        """Return the whole program as text; equal texts are equal programs, on any machine."""
+        """Return the whole program as text; programs with equal texts are equal, on any machine."""
         return self._text
 
     @cached_property
@@ -111,7 +112,7 @@ class Program:
         return "\n".join(lines) + "\n"
 
     def digest(self) -> str:
-        """Return the SHA-256 of `text`, in hexadecimal: the key of every cache and the identity of the function."""
+        """Return the SHA-256 of `text`, in hexadecimal; it identifies the program, for example as a key in caches."""
         return self._digest
 
     @cached_property
@@ -133,7 +134,7 @@ def _right_side(instruction: Instruction) -> str:
 def drop_dead(
     instructions: list[Instruction], refs: list[tuple[int, ...]]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, ...], ...]]:
-    """Return (instructions, output_refs) with only the instructions that outputs need, in unchanged order."""
+    """Return (instructions, output_refs) with only the instructions that the outputs need, in unchanged order."""
     live = bytearray(len(instructions))
     for group in refs:
         for ref in group:

@@ -1,9 +1,9 @@
-"""Assignment of the instructions of a flat list with traced loops to the loops in which they run.
+"""Assignment of the instructions of a flat list with traced loops to the loop in which each instruction runs.
 
-The flat list contains the results of the inputs and the body of every loop, with symbols for the loop's state and rows.
-An instruction belongs to the innermost loop whose symbols it depends on, so values that a loop does not change are
-computed before it. Values that only a conditional needs are moved into the conditional. (A conditional is a loop with
-one iteration that a flag can skip.)
+The flat list contains the instructions outside all loops and one copy of every loop body; input symbols represent the
+state of each loop and its table rows. An instruction belongs to the innermost loop on whose symbols it depends. So a
+value that does not change in a loop is computed before the loop. Values that only a conditional needs are moved into
+the conditional (a loop with one iteration that a flag can skip).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from surctl.ir.program import Program
 __all__ = ["ROOT", "Key", "Regions", "Traced", "postorder"]
 
 Key = tuple[int, ...]
-"""The values in an array, as positions in the list."""
+"""The values in an array, each as a position in the instruction list."""
 
 ROOT = -1
-"""The region of instructions outside all loops."""
+"""The number of the region that contains the instructions outside all loops."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,12 @@ class Traced:
         name: name of the loop body.
         depth: nesting depth when the loop was traced; 1 for an outermost loop.
         count: number of iterations.
-        own: inputs of the list that represent the state of the loop, then the table rows that an iteration reads.
-        results: inputs of the list that represent the final state of the loop, then its stacked arrays.
+        own: inputs of the list that represent the loop's state, then those for the table rows of the present iteration.
+        results: inputs of the list that represent the final state of the loop, then those for its stacked arrays.
         state, tables: initial state of the loop, and tables that the loop reads row by row.
-        next, rows: values that one iteration computes: `next` is the next state, `rows` the rows of the stacked arrays.
-        until: position, in the state, of the flag that ends the loop.
+        next, rows: values that one iteration computes: `next` is the next state, and `rows` are rows of the stacked
+            arrays.
+        until: position in the state of the flag that ends the loop; None if there is no flag.
     """
 
     name: str
@@ -60,7 +61,7 @@ class Traced:
 
 
 class Regions:
-    """Assignment of every value to the region (root or loop body) that computes it.
+    """Assignment of every value to the region that computes it: a loop body, or the root (the code outside all loops).
 
     Attributes:
         region: for each value, the loop whose body computes it.
@@ -84,22 +85,22 @@ class Regions:
             self._sink(outputs)
 
     def loop_of(self, value: int) -> int | None:
-        """Return the loop that has this value as a result, or None."""
+        """Return the loop of which this value is a result, or None."""
         instruction = self.code[value]
         return self.maker.get(instruction.args[0]) if instruction.op == "input" else None
 
     def is_constant(self, value: int) -> bool:
-        """Return whether the value is a constant, which every program may repeat."""
+        """Return whether the value is a constant; a constant needs no region, because every program may repeat it."""
         return self.code[value].op == "const"
 
     def of(self, value: int) -> int:
-        """Return the region (root or loop body) that computes a value."""
+        """Return the region that computes a value."""
         region = self.region[value]
         assert region is not None
         return region
 
     def deepest(self, values: Iterable[int]) -> int:
-        """Return the innermost of the regions that compute some values; these regions must be nested."""
+        """Return the innermost of the regions that compute the given values; these regions must be nested."""
         return max((self.of(v) for v in values if not self.is_constant(v)), key=self._depth, default=ROOT)
 
     def _depth(self, region: int) -> int:
@@ -132,7 +133,7 @@ class Regions:
             stack.pop()
 
     def _parent(self, k: int) -> int:
-        """Return the innermost region on which the loop depends."""
+        """Return the innermost region that computes a value on which loop k depends."""
         loop = self.loops[k]
         outside = [v for key in loop.before for v in key]
         stack, visited = [v for key in loop.after for v in key], set[int]()
@@ -211,7 +212,7 @@ class Regions:
 
 
 def postorder(roots: Iterable[int], children: Callable[[int], Iterable[int]]) -> Iterator[int]:
-    """Yield each node of a dependency graph once, after the nodes that it needs."""
+    """Yield each node of a dependency graph once, after the nodes on which it depends."""
     visited = set[int]()
     stack = [(root, False) for root in reversed(list(roots))]
     while stack:

@@ -1,4 +1,4 @@
-"""Evaluation of an instruction list in NumPy, operation by operation, with the semantics of C."""
+"""Evaluation of an instruction list in NumPy, operation by operation, with results equal to those of C."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ Value = NDArray[np.floating[Any]]
 def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[Value]:
     """Return the outputs of the program, with every intermediate value rounded to `real`.
 
-    The results are bit-equal to those of the emitted C for programs without `libm` operations; `libm` operations such
-    as sin differ in the last bits.
+    If the program has no `libm` operations, the outputs equal those of the generated C code to the last bit. The last
+    bits of `libm` operations such as sin can differ.
 
     Args:
         program: the instruction list, or a routine with loops.
@@ -34,7 +34,7 @@ def replay(program: Block, *inputs: ArrayLike, real: Real = np.float64) -> list[
         One array for each output, shape (m,) or (batch, m).
 
     Raises:
-        InputError: a wrong number of inputs, or an input of the wrong size.
+        InputError: the number of inputs or the size of an input is wrong.
 
     Example:
         >>> import casadi as ca
@@ -101,7 +101,7 @@ def _run_loop(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
 
 
 def _run_at_once(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    """Evaluate a loop with independent iterations, with the iterations as an additional axis of the batch."""
+    """Evaluate all iterations of a loop with independent iterations at once, as an additional axis of the batch."""
     numbers: Value = np.array([[turn] for turn in range(loop.count)], dtype=real)
     tables = [_rows(scope[name], loop.count) for name in (*loop.sliced, *loop.spread)]
     outputs = _run(
@@ -118,7 +118,7 @@ def _rows(array: Value, count: int) -> Value:
 
 
 def _run_lanes(loop: Loop, scope: dict[str, Value], real: Real) -> list[Value]:
-    """Evaluate a loop over SIMD lanes, with the lanes as an additional axis of the batch."""
+    """Evaluate a loop over SIMD lanes, with all lanes at once as an additional axis of the batch."""
     lanes = loop.lanes
     state = [_by_lane(scope[name], lanes) for name in loop.carried]
     pieces = [[_by_lane(x, lanes) for x in np.split(scope[name], loop.count, axis=-1)] for name in loop.sliced]
@@ -158,7 +158,7 @@ def _cut(array: Value, count: int, lanes: int) -> list[Value]:
 
 
 def _plain(source: Value, width: int, lanes: int) -> Value:
-    """Reorder groups of `lanes` pieces, stored entry by entry, to pieces that are stored one after another."""
+    """Return an array with one piece after another from groups of `lanes` pieces that are stored entry by entry."""
     if lanes == 1:
         return source
     blocks = source.reshape(*source.shape[:-1], -1, width, lanes)
@@ -201,16 +201,16 @@ _TEXTS = {
     **{"and": "{0} & {1}", "or": "{0} | {1}", "not": "~{0}", "select": "where({0}, {1}, {2})"},
     "if_else_zero": "where({0}, {1}, zero)",
 }
-"""Operations with Python text; all others are called as functions."""
+"""Python text of an operation, by its name; operations without such a text are called as functions."""
 
 _TRUE = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
-"""Operations whose result is a truth value."""
+"""Names of the operations that return a truth value."""
 
 _TAKE_TRUTHS = {"and": (0, 1), "or": (0, 1), "not": (0,), "select": (0,), "if_else_zero": (0,)}
 
 
 def _python(program: Program) -> Callable[[list[Value], list[Any], Real], list[Any]]:
-    """Return a Python function that computes the value of every instruction from inputs and constants."""
+    """Return a Python function that computes the values of all instructions from inputs and constants."""
     cached = program.__dict__.get("_python")
     if cached is None:
         lines, constants = ["def run(inputs, constants, real):", "    zero, one = real(0), real(1)"], 0

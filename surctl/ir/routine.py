@@ -1,8 +1,8 @@
-"""Bounded loops over nested programs, with fixed arrays, explicit carried state and no other memory.
+"""Routines: nested programs with bounded loops, arrays of fixed size, and no memory except the state of each loop.
 
-A routine is a list of steps over named arrays of fixed size. Every array is written by exactly one step, as a whole.
-Only the carried state of a loop changes from one iteration to the next. So a routine is plain data that can be printed,
-replayed in NumPy, differentiated by CasADi and written as C, and its cost is bounded.
+A routine is a list of steps that read and write named arrays of fixed size. Exactly one step writes an array, as a
+whole. Only the state of a loop (its carried arrays) changes from one iteration to the next. A routine is plain data: it
+can be printed, evaluated in NumPy, differentiated by CasADi and written as C, and its number of operations is bounded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["Block", "Call", "Gather", "Loop", "Routine", "Step"]
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A step that calls a program or routine: results = block(args), with one array for each input and output."""
+    """A step that calls a program or routine, results = block(args), with one array for each input and each output."""
 
     block: Block
     args: tuple[str, ...]
@@ -33,25 +33,25 @@ class Loop:
     """A step of a routine that runs a block (program or routine) for at most `count` iterations.
 
     In iteration k the inputs of the block are, in this order: the number k (1,) if `index`; the carried arrays; piece k
-    of each sliced array; a piece of each spread array; the fixed arrays. The outputs of the block are the next carried
-    arrays, then piece k of each stacked array.
+    of each sliced array; a piece of each spread array; the fixed arrays. The outputs of the block are the next values
+    of the carried arrays, then piece k of each stacked array.
 
     Attributes:
         block: the body, a program or a routine (loops can be nested).
         count: largest number of iterations, at least 1.
-        carried: arrays with the state before the first iteration.
-        sliced: arrays of `count` equal pieces; iteration k reads piece k.
-        fixed: arrays that every iteration reads as a whole.
-        results: names of the final carried arrays, then of the stacked arrays.
+        carried: names of the arrays with the loop's state before the first iteration.
+        sliced: names of arrays that are divided into `count` equal pieces; iteration k reads piece k.
+        fixed: names of arrays that every iteration reads as a whole.
+        results: names of the carried arrays after the last iteration, then of the stacked arrays.
         index: whether the number of the iteration is an input of the body.
-        until: position in `carried` of a flag of size 1. The loop ends before the first iteration at which the flag is
-            not 0 (also for a NaN), so a flag that is set at the start skips all iterations. A loop with a flag cannot
-            have stacked arrays.
-        spread: arrays of `count` · `lanes` equal pieces; SIMD lane l of iteration k reads piece k · `lanes` + l.
-        lanes: number of SIMD lanes: parallel evaluations of the body, each with its own numbers. The body must be a
-            program, without `until`. Carried arrays, stacked arrays and pieces of sliced arrays have `lanes` numbers
-            for each entry, stored entry by entry. The fixed arrays are shared, and the index of lane l is k · `lanes` +
-            l.
+        until: position in `carried` of a flag of size 1, or None. The loop ends before the first iteration at whose
+            start the flag is not 0 (a NaN counts as not 0). A loop with a flag cannot have stacked arrays.
+        spread: names of arrays that are divided into `count` · `lanes` equal pieces; SIMD lane l of iteration k reads
+            piece k · `lanes` + l.
+        lanes: number of SIMD lanes, i.e. of parallel evaluations of the body with different numbers. If it is greater
+            than 1, the body must be a program, and `until` must be None. Carried arrays, stacked arrays and pieces of
+            sliced arrays contain `lanes` numbers for each entry, one entry after another. All lanes read the same fixed
+            arrays, and the index of lane l is k · `lanes` + l.
     """
 
     block: Block
@@ -68,11 +68,12 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Gather:
-    """A step that copies piece `index` of the source, which is divided into pieces of `width`.
+    """A step that copies piece number `index` of the array `source`, which is divided into pieces of `width` numbers.
 
-    The index (1,) is rounded down; an index outside the array selects the nearest piece, and a NaN selects piece 0.
-    With `lanes`, the source is an array stacked by a loop with as many SIMD lanes. The source then consists of groups
-    of `lanes` pieces, and each group is stored entry by entry.
+    The index (1,) is rounded down; an index outside the array selects the nearest piece, and a NaN selects piece 0. If
+    `lanes` is greater than 1, `source` is a stacked array of a loop with this number of SIMD lanes. It then consists of
+    groups of `lanes` pieces, and a group contains the first entries of all its pieces, then the second entries, and so
+    on.
     """
 
     source: str
@@ -89,7 +90,7 @@ class Routine:
     Attributes:
         name: C identifier.
         inputs: (name, number of entries) of each input array.
-        steps: the steps, run in this order.
+        steps: the steps, in the order in which they run.
         results: names of the arrays that are the outputs.
 
     Raises:
@@ -108,7 +109,7 @@ class Routine:
             _size(self._sizes, name, self.name)
 
     def sizes(self) -> dict[str, int]:
-        """Return the number of entries of every array: inputs first, then in the order of writing."""
+        """Return the number of entries of every array: inputs first, then the arrays that the steps write, in order."""
         return dict(self._sizes)
 
     @cached_property
@@ -129,16 +130,16 @@ class Routine:
 
     @cached_property
     def operations(self) -> int:
-        """Return the number of operations if every loop runs all its iterations, which is the worst case."""
+        """Return the largest number of operations, which occurs if every loop runs all its iterations."""
         return sum(_turns(step) * step.block.operations for step in self.steps if not isinstance(step, Gather))
 
     @cached_property
     def libm(self) -> frozenset[str]:
-        """Return names of the routine's operations that call libm (such as sin), whose last bits vary by machine."""
+        """Return the names of the operations that call libm (such as sin), whose last bits depend on the machine."""
         return frozenset().union(*(block.libm for block in nested(self).values() if isinstance(block, Program)))
 
     def text(self) -> str:
-        """Return the routine and all that it calls as text; equal texts mean equal routines, on any machine."""
+        """Return the routine and all that it calls as text; routines with equal texts are equal, on any machine."""
         texts = (block.text() if isinstance(block, Program) else own_text(block) for block in nested(self).values())
         return "\n".join(dict.fromkeys(texts))  # two blocks with equal text are written once
 
@@ -152,20 +153,20 @@ class Routine:
 
 
 Block: TypeAlias = Program | Routine
-"""A block that a step can run."""
+"""A program or routine; steps of a routine run such blocks."""
 
 Step: TypeAlias = Call | Loop | Gather
 
 
 def nested(block: Block) -> dict[int, Block]:
-    """Return all distinct programs and routines that a block calls, callees first, the block itself last, by `id`."""
+    """Return, by `id`, all programs and routines that a block calls, callees first; the block itself is last."""
     blocks: dict[int, Block] = {}
     _collect(block, blocks)
     return blocks
 
 
 def rebuilt(block: Block, change: Callable[[Program], Program]) -> Block:
-    """Return the program or routine with `change` applied once to each program in it."""
+    """Return the program or routine after `change` has been applied once to each program in it."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if isinstance(inner, Program):
@@ -224,7 +225,7 @@ def _size(sizes: Mapping[str, int], name: str, key: str) -> int:
 
 
 def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[str, int]]:
-    """Yield (name, size) of the arrays that the step writes, after a check of the arrays that it reads."""
+    """Check the arrays that the step reads, then yield (name, size) of each array that the step writes."""
     if isinstance(step, Gather):
         whole = step.width >= 1 and step.lanes >= 1 and not _size(sizes, step.source, key) % (step.width * step.lanes)
         if not whole or _size(sizes, step.index, key) != 1:

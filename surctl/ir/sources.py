@@ -1,4 +1,4 @@
-"""The identity of the code that builds a law; data stored on disk is valid only for the code that wrote it."""
+"""Digest of the code that builds a law; data on disk is valid only for the code that wrote it."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _STARTED = time.time_ns()
 
 @cache
 def source_digest(*packages: str) -> str:
-    """Return the SHA-256 of the sources of these packages, and of the versions of the software that runs them.
+    """Return the SHA-256 of the source code of these packages and of the software versions with which they run.
 
-    The digest covers every .py and .toml file with its name inside the package, including inner packages; the versions
-    of CasADi, NumPy and Python; and the platform, whose libm functions such as sin compute constants. The digest is
-    computed once per process.
+    The digest covers names and contents of all .py and .toml files of the packages, also in inner packages; the
+    versions of CasADi, NumPy and Python; and the platform, because its libm functions such as sin compute constants.
+    The digest is computed once per process.
 
     Raises:
-        SurctlError: a package is missing, its sources cannot be read, or a file was changed after this process began,
-            so that the loaded code may be older than the file. The caller then builds the law without storing it.
+        SurctlError: a package is missing, a source file cannot be read, or a file was changed after this process began,
+            so that the loaded code may be older than the file.
 
     Example:
         >>> from surctl.ir import source_digest
@@ -56,7 +56,7 @@ def source_digest(*packages: str) -> str:
 
 
 def _sources(package: str) -> Iterator[tuple[str, bytes]]:
-    """Yield (name, content) of each file of a package, or of the only file of a single module."""
+    """Yield (name, content) of each source file of a package, or of the file of a module that is not a package."""
     spec = importlib.util.find_spec(package)
     if spec is None:
         raise ImportError("there is no such package")

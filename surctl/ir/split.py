@@ -1,4 +1,4 @@
-"""Division of a long program into parts, because the effort of a compiler grows faster than the length."""
+"""Division of a long program into parts, because the compile time of a C function grows faster than its length."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from surctl.ir.routine import Block, Call, Loop, Routine, Step, nested
 __all__ = ["shortened", "split"]
 
 _LONGEST = 1200
-"""Largest number of operations in one C function; gcc's time for n operations grows faster than n."""
+"""Largest number of operations in one C function; the compile time of gcc grows faster than this number."""
 
 
 def shortened(block: Block) -> Block:
-    """Return the program or routine with its long programs split; programs that run in SIMD lanes stay whole."""
+    """Return the program or routine with its long programs split, except programs that run in SIMD lanes."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():
         if isinstance(inner, Program):
@@ -34,10 +34,10 @@ def shortened(block: Block) -> Block:
 
 
 def split(program: Program, size: int) -> Block:
-    """Return the program as calls of parts of at most `size` operations, in order; a shorter program is unchanged.
+    """Return a routine that calls parts of the program with at most `size` operations; short programs are unchanged.
 
-    A part returns, as one array, the values that later parts or the outputs need; constants and loads are repeated in
-    each part.
+    A part returns, as one array, the values that later parts or the outputs need. Constants and the reading of inputs
+    are repeated in each part.
     """
     count = -(-program.operations // size)
     if count < 2:

@@ -1,7 +1,6 @@
-"""Storage of programs and routines as text, which is read back to objects with the same digest.
+"""Storage of programs and routines as text, from which equal programs and routines (with equal digests) can be read.
 
-The text is data, and nothing in it is executed. A text that differs in any character from the text of a program or
-routine is refused.
+The text is data; no part of it is executed. A text that is not exactly the text of a program or routine is refused.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ _MALFORMED = (IndexError, KeyError, OverflowError, ValueError)  # exceptions tha
 
 
 def write_block(block: Block) -> str:
-    """Return a program or routine as text for `read_block`: first `block.text()`, then `block.digest()`.
+    """Return a program or routine as text that `read_block` can read: `block.text()`, then `block.digest()`.
 
     Raises:
         InputError: the text would not be read back as an equal program or routine: a constant is a NaN, a name contains
@@ -53,10 +52,10 @@ def write_block(block: Block) -> str:
 
 
 def read_block(text: str) -> Block:
-    """Return the program or routine that `write_block` wrote; an inner block used by several steps is one object.
+    """Return the program or routine that `write_block` wrote; an inner one that several steps call is one object.
 
     Raises:
-        InputError: the text differs in a character from the text of a program or routine; the message names the line.
+        InputError: the text is not exactly the text of a program or routine; the message names the line.
 
     Example:
         >>> import casadi as ca

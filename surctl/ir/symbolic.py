@@ -1,4 +1,4 @@
-"""Conversion of a program or routine to a CasADi function, for derivatives and for CasADi's virtual machine."""
+"""Conversion of a program or routine to a CasADi function, for derivatives and for evaluation by CasADi."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def to_casadi(block: Block) -> ca.Function:
     """Return a CasADi function of column vectors: SX for a program, MX with unrolled loops for a routine.
 
     The results equal those of `replay`, except for the sign of a zero (CasADi's `if_else` turns −0 into +0). Every loop
-    runs all its iterations, but keeps its state after its flag is set, so the derivatives are those of the iterations
-    before the flag.
+    runs all its iterations; once its flag is set, the state no longer changes, so the derivatives are those of the
+    iterations up to then.
 
     Example:
         >>> import casadi as ca
@@ -93,7 +93,7 @@ def _program(program: Program) -> ca.Function:
 
 @contextmanager
 def _as_written() -> Iterator[None]:
-    """Keep CasADi from turning a product with an inverse into a division, which rounds differently."""
+    """In the `with` block, keep CasADi from converting a product with an inverse to a division (other rounding)."""
     usual = ca.GlobalOptions.getSimplificationOnTheFly()
     ca.GlobalOptions.setSimplificationOnTheFly(False)
     try:
@@ -162,12 +162,12 @@ def _side_by_side(loop: Loop, function: ca.Function, scope: Mapping[str, ca.MX])
 
 
 def _by_entry(parts: list[ca.MX]) -> ca.MX:
-    """Join the arrays of all SIMD lanes into one array, stored entry by entry."""
+    """Join the arrays of all SIMD lanes to one array: entry 0 of all lanes, then entry 1 of all lanes, and so on."""
     return ca.reshape(ca.horzcat(*parts).T, -1, 1)
 
 
 def _plain(source: ca.MX, width: int, lanes: int) -> ca.MX:
-    """Reorder groups of `lanes` pieces, stored entry by entry, to pieces that are stored one after another."""
+    """Return an array with one piece after another from groups of `lanes` pieces that are stored entry by entry."""
     if lanes == 1:
         return source
     blocks = ca.vertsplit(source, width * lanes)
@@ -181,9 +181,10 @@ def _piece(source: ca.MX, index: ca.MX, width: int) -> ca.MX:
 
 
 def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]]:
-    """Wrap a CasADi function for NumPy vectors (n,): equal results in a tenth of the time of CasADi's own call.
+    """Return a Python function of NumPy vectors (n,) that calls a CasADi function in a tenth of the usual time.
 
-    CasADi's own call converts every argument to a matrix; this wrapper writes into buffers that CasADi reads.
+    A call of the CasADi function converts every argument to a matrix; the returned function instead writes the
+    arguments into buffers that CasADi reads.
 
     Raises:
         InputError: an argument has another size, or the number of arguments is wrong.

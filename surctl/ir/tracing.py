@@ -1,13 +1,14 @@
-"""Loops in symbolic functions: the loop body is written once, for one table row, and becomes a bounded loop.
+"""Loops in symbolic functions: a Python function for one table row is evaluated once and becomes a bounded loop.
 
-CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so its code grows with the number of
-iterations. While a `Recording` is open, `repeat`, `fold`, `each` and `only_if` call the body once, on fresh symbols,
-and return symbols for the results of the loop. `Recording.block` lowers expressions over such symbols to a routine.
-Without a recording the functions unroll, so the same code can be evaluated or differentiated directly.
+CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so the generated code grows with the number
+of iterations. While a `Recording` is open, `repeat`, `fold`, `each` and `only_if` call the loop body once, on new
+symbols, and return symbols for the results of the loop. `Recording.block` converts expressions in such symbols to a
+routine. Without a recording, these functions unroll the loop, so that the expressions can be evaluated or
+differentiated directly.
 
-Bodies are closures and may use any outer expression. A value that does not depend on the table rows or the state of a
-loop is computed once, before the loop. A value that only a conditional (`only_if`) needs is computed inside the
-conditional. Equal expressions are computed once.
+A loop body may use any expression from outside the body. A value that does not depend on the table rows or the state of
+a loop is computed once, before the loop. A value that only a conditional (`only_if`) needs is computed inside the
+conditional. Equal expressions are computed only once.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _open: ContextVar[Recording | None] = ContextVar("recording", default=None)
 
 @dataclass(frozen=True)
 class _Loop:
-    """One traced loop as expressions; `regions.Traced` has list positions instead."""
+    """One traced loop, with its values as expressions (in `regions.Traced`, values are list positions)."""
 
     name: str
     depth: int
@@ -54,7 +55,7 @@ class _Loop:
 
 
 class Recording:
-    """Traces loops while it is open (`with`), and lowers expressions over loop results to a program or routine.
+    """Records loops in its `with` block, and converts expressions that use loop results to a program or routine.
 
     Example:
         >>> import casadi as ca
@@ -88,13 +89,14 @@ class Recording:
         """Return the outputs as a program, or as a routine if loops are needed.
 
         Args:
-            name: name of the program or routine; names of inner blocks begin with this name, or are names of loops.
+            name: name of the program or routine; the name of an inner block begins with this name, or is the name of a
+                loop.
             inputs: symbols (n, 1) by name.
-            outputs: expressions by name; each output vector holds its expression column by column.
+            outputs: expressions by name; an output vector contains the columns of its expression, one after another.
 
         Raises:
-            InputError, UnsupportedOperation: as in `lower`; also for a symbol that is neither an input nor a result of
-                a loop.
+            InputError, UnsupportedOperation: as in `lower`; also if an expression contains a symbol that is neither an
+                input nor a result of a loop.
         """
         dense = [ca.densify(ca.SX(value)) for value in outputs.values()]
         loops = self._reached(dense)
@@ -132,7 +134,7 @@ class Recording:
         count: int,
         until: int | None,
     ) -> tuple[list[ca.SX], list[ca.SX]]:
-        """Call the loop body once, on fresh symbols, and record the loop."""
+        """Call the loop body once, on new symbols, and record the loop."""
         self._depth += 1
         held = [ca.SX.sym("s", part.numel()) for part in state]
         rows = [ca.SX.sym("t", table.shape[1]) for table in tables]
@@ -178,11 +180,12 @@ def repeat(
     count: int | None = None,
     until: int | None = None,
 ) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Run a loop body over the rows of tables.
+    """Call a loop body for each row of the tables in turn, and return the final state and the stacked rows.
 
     Args:
         name: C identifier of the loop body.
-        body: function (parts of the state, table rows) → (parts of the next state, rows to stack), all as columns.
+        body: function of the parts of the state and the table rows; returns the parts of the next state and the rows to
+            stack. All are columns.
         state: parts of the state before the first iteration, as columns.
         tables: tables (iterations, width); iteration k reads row k of each table, as a column.
         count: number of iterations if there is no table.
@@ -237,7 +240,7 @@ def fold(name: str, body: Callable[..., Vectors], state: Vectors, *tables: ca.SX
 def fold(
     name: str, body: Callable[..., ca.SX | Vectors], state: ca.SX | Vectors, *tables: ca.SX
 ) -> ca.SX | list[ca.SX]:
-    """Return the state after a loop body has run over table rows, as a column, or as a list of columns like `state`.
+    """Call a loop body for each table row in turn; return the final state as a column or a list, like `state`.
 
     Example:
         >>> import casadi as ca
@@ -261,7 +264,7 @@ def fold(
 
 
 def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]:
-    """Return tables (iterations, width) of the values that a loop body returns for each row of the given tables.
+    """Return tables (iterations, width): row k contains the values that the loop body returns for row k of the tables.
 
     Example:
         >>> import casadi as ca
@@ -274,7 +277,7 @@ def each(name: str, body: Callable[..., Vectors], *tables: ca.SX) -> list[ca.SX]
 
 
 def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise: Vectors) -> list[ca.SX]:
-    """Return the values of `body` if the condition holds, else `otherwise`; `body` runs only if the condition holds.
+    """Return the values of `body` if the condition holds (`body` runs only then), otherwise the values `otherwise`.
 
     Example:
         >>> import casadi as ca

@@ -1,8 +1,9 @@
-"""Textbook laws for comparison with the guarded law; they use other methods of obstacle avoidance.
+"""Textbook laws for comparison with the guarded law; each uses another method of obstacle avoidance.
 
-They share the desired velocity, the contacts and the velocity loop with the guarded law. The parameters of the textbook
-laws are the module constants; analysis/13_baselines describes how they were tuned. With sonars, these laws turn like
-the guarded law and use the marks of its map as contacts, but they do not slow down before unknown space.
+The textbook laws use the same desired velocity, obstacle points and velocity loop as the guarded law. Their parameters
+are constants of their modules; analysis/13_baselines describes how they were tuned. With sonars, the robot turns about
+its vertical axis as under the guarded law, and the obstacle points are the occupied cells of the sonar map. However,
+the textbook laws do not slow down before unknown space.
 """
 
 from surctl.control.baselines.apf import apf_law

@@ -1,9 +1,10 @@
 """Artificial potential field (Khatib, "Real-time obstacle avoidance for manipulators and mobile robots", IJRR 1986).
 
 The law uses Khatib's velocity-limited form: F = m k_v (v_d − ẋ) + Σ F_FIRAS, where v_d points to the attracting point.
-The velocity loop provides the first term, so the command is v_d + Σ F_FIRAS / (m k_v), with limited speed. The
-attracting point is the look-ahead point on the path, to which the line of sight of (9) leads. The field ignores the
-velocity of obstacles and has local minima. Near a contact, the speed along its normal is damped further.
+m is the mass, ẋ the velocity, and F_FIRAS the repulsive force of one obstacle. The velocity loop provides the first
+term, so the command is v_d + Σ F_FIRAS / (m k_v), with limited speed. The attracting point is the look-ahead point on
+the path, at which the line-of-sight guidance (9) of the paper aims. The field ignores the velocity of obstacles and has
+local minima. Near an obstacle, the speed towards the obstacle is damped further.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from surctl.ir import fold, tabulated
 __all__ = ["DAMPING", "NEAREST", "RANGE", "STRENGTH", "apf_law"]
 
 RANGE = 0.5
-"""ρ_0 [m], the clearance below which a contact repels (tuned from 0.2 to 2)."""
+"""Clearance ρ_0 [m] below which an obstacle repels the robot (tuned between 0.2 and 2)."""
 
 STRENGTH = 0.01
-"""Strength η / (m k_v) of the repulsion [m⁴/s] (tuned from 0.0001 to 1)."""
+"""Strength η / (m k_v) of the repulsion [m⁴/s] (tuned between 0.0001 and 1)."""
 
 NEAREST = 0.1
-"""Clearance [m] below which the repulsion no longer grows (tuned from 0.02 to 0.2); the field has a pole at 0."""
+"""Clearance [m] below which the repulsion no longer grows (tuned between 0.02 and 0.2); the field is infinite at 0."""
 
 DAMPING = 1.0
-"""Share of the speed along a contact's normal that is subtracted from the command within ρ_0 (tuned from 0 to 4)."""
+"""Multiple of the speed towards an obstacle within ρ_0 that is subtracted from the command (tuned between 0 and 4)."""
 
 
 def apf_law(s: Situation) -> Decision:
-    """Return the decision: the desired velocity plus η (1/ρ − 1/ρ_0) / ρ² away from each contact within ρ_0."""
+    """Return the desired velocity plus η (1/ρ − 1/ρ_0) / ρ² away from each obstacle point at a distance ρ < ρ_0."""
     now = over_ground(s)
 
     def repelled(repulsion: ca.SX, row: ca.SX) -> ca.SX:

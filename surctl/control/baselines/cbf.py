@@ -1,12 +1,13 @@
-"""Line-of-sight tracking behind a control barrier function (Ames, Xu, Grizzle and Tabuada, "Control barrier function
-based quadratic programs for safety critical systems", IEEE TAC 2017), on the kinematics.
+"""Line-of-sight guidance, corrected by control barrier functions (Ames, Xu, Grizzle and Tabuada, "Control barrier
+function based quadratic programs for safety critical systems", IEEE TAC 2017), on the kinematics.
 
-Every contact has the barrier h_i = clearance − margin with ḣ_i ≥ −α h_i; with the contact's own velocity v_i this is
-the constraint n_i·v ≤ α h_i + n_i·v_i. The law computes the velocity that is nearest to the desired velocity and
-satisfies every constraint and the speed limit. The computation is exact and adds one constraint after the other: if the
-present optimum violates the added constraint, the new optimum lies on the line n_i·v = α h_i + n_i·v_i (Seidel 1991; de
-Berg et al., *Computational Geometry*, 4.4). The barriers do not consider the braking distance: they bound the velocity
-command, not the velocity that the limited thrust can achieve.
+Each obstacle i has the barrier h_i = clearance − margin, and the law requires ḣ_i ≥ −α h_i. For a unit vector n_i from
+the robot to the obstacle and the obstacle's velocity v_i, this is the constraint n_i·v ≤ α h_i + n_i·v_i on the robot's
+velocity v. The law computes the velocity that is nearest to the desired velocity and satisfies every constraint and the
+speed limit. The computation is exact and adds one constraint after another: if the optimum so far violates the added
+constraint, the new optimum lies on the line n_i·v = α h_i + n_i·v_i (Seidel 1991; de Berg et al., *Computational
+Geometry*, 4.4). The barriers do not account for the braking distance: they bound the commanded velocity, which the
+robot with its limited thrust follows only after some time.
 """
 
 from __future__ import annotations
@@ -25,21 +26,21 @@ from surctl.vehicle import planar_rotation
 __all__ = ["ALPHA", "FAN", "cbf_law", "nearest_velocity"]
 
 ALPHA = 0.2
-"""Barrier gain α [1/s] (tuned from 0.03 to 1)."""
+"""Barrier gain α [1/s] (tuned between 0.03 and 1)."""
 
 EXTRA = 0.02
-"""Distance [m] added to the margin (tuned from 0 to 0.15), because the velocity lags behind the command."""
+"""Distance [m] that is added to the margin, because the velocity lags behind the command (tuned between 0 and 0.15)."""
 
 FAN = 24
-"""Number of courses at full speed that are tried, in addition to zero velocity, if no velocity satisfies all rows."""
+"""Number of courses that the law tries at full speed, besides zero velocity, if the constraints are infeasible."""
 
 _ROUNDING = 1e-9  # [m/s] tolerance of a constraint for rounding errors
 
 
 def cbf_law(s: Situation) -> Decision:
-    """Return the decision: the velocity nearest to the desired velocity that satisfies every barrier.
+    """Return the decision: of all velocities that satisfy every barrier, the one nearest to the desired velocity.
 
-    In the priority modes with inequalities, the barriers are also limit rows of the priority problem.
+    In the priority modes with inequalities, the barriers are also inequality constraints of the priority problem.
     """
     rows = [
         (c.normal, ALPHA * (c.clearance - s.p["margin"] - EXTRA) + ca.dot(c.velocity, c.normal))
@@ -63,8 +64,8 @@ def nearest_velocity(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap
         cap: largest speed [m/s].
 
     Returns:
-        If a feasible v exists: the minimiser v (2, 1), and 1. Otherwise: from a fixed fan of courses, the velocity with
-        the smallest worst violation, and 0.
+        If a feasible v exists, the minimiser v (2, 1) and the number 1. Otherwise, of the velocities in a fixed set of
+        directions, the one whose largest constraint violation is smallest, and the number 0.
     """
     v, feasible = limited(desired, cap), ca.SX(1)
     for i, (normal, bound) in enumerate(rows):

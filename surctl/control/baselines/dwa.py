@@ -1,10 +1,11 @@
 """Dynamic window (Fox, Burgard and Thrun, "The dynamic window approach to collision avoidance", IEEE RAM 1997).
 
-The robot is holonomic, so the window lies in the plane of its two velocities and the arcs are straight lines. Contacts
-move at their own velocity. A velocity is admissible if the robot can brake before the first contact that it meets: |v|
-≤ √(2 b s) with the distance s = |v| t_c travelled until the time of contact t_c, which means |v| ≤ 2 b t_c. The law
-chooses the admissible velocity with the largest α·heading + β·clearance + γ·velocity, where each term is between 0 and
-1. If no velocity is admissible, the robot brakes.
+The robot is holonomic, so the window is a set of horizontal velocities, and each velocity leads along a straight line.
+Obstacles are assumed to continue at their present velocity. A velocity v is admissible if the robot can brake before it
+meets the first obstacle: |v| ≤ √(2 b s), where b is the deceleration and s = |v| t_c is the distance travelled until
+the time of contact t_c. This condition is equivalent to |v| ≤ 2 b t_c. The law chooses the admissible velocity with the
+largest α·heading + β·clearance + γ·velocity, where the terms heading, clearance and velocity are scaled to values
+between 0 and 1. If no velocity is admissible, the robot brakes.
 """
 
 from __future__ import annotations
@@ -26,26 +27,26 @@ from surctl.ir import fold, tabulated
 __all__ = ["CLEARANCE", "FREE_DISTANCE", "GRID", "HEADING", "HORIZON", "VELOCITY", "dwa_law"]
 
 HORIZON = 0.5
-"""Time [s] of full acceleration that spans the window (tuned from 0.5 to 3).
+"""Time [s]: the window contains the velocities that full acceleration reaches within it (tuned between 0.5 and 3).
 
-In one control period of 0.05 s the speed changes by only 3 mm/s.
+The window of a single control period (0.05 s) would be too small, because the speed changes by only 3 mm/s.
 """
 
 GRID = 7
 """Number of candidates along each axis of the window."""
 
 FREE_DISTANCE = 4.0
-"""Free distance ahead [m] above which the clearance term no longer grows (tuned from 0.75 to 4)."""
+"""Free distance ahead [m] above which the clearance term no longer grows (tuned between 0.75 and 4)."""
 
 EXTRA = 0.0
-"""Distance [m] added to the margin (tuned from 0 to 0.2); 0 suffices, because the window is small."""
+"""Distance [m] that is added to the margin (tuned between 0 and 0.2); 0 suffices, because the window is small."""
 
 HEADING, CLEARANCE, VELOCITY = 2.0, 2.0, 1.0
-"""The weights α, β, γ (β tuned from 0.3 to 5 with fixed α and γ; Fox et al. use 2, 0.2, 0.2)."""
+"""The weights α, β, γ of the objective (β tuned between 0.3 and 5, α and γ fixed; Fox et al. use 2, 0.2, 0.2)."""
 
 
 def dwa_law(s: Situation) -> Decision:
-    """Return the decision: the best admissible velocity in the window around the present velocity.
+    """Return the decision: in the window around the present velocity, the admissible velocity with the best objective.
 
     The candidates include the velocity of the window that is nearest to the desired velocity.
     """

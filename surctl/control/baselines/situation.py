@@ -1,4 +1,4 @@
-"""The inputs from which a law is built, and functions that the textbook laws share (lower levels, time to contact)."""
+"""The symbolic inputs of a law, and functions that the textbook laws share (lower-priority tasks, time to contact)."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ __all__ = [
 ]
 
 NEVER = 1e3
-"""Time [s] to a contact that the robot never meets."""
+"""Time [s] to an obstacle that the robot never meets."""
 
 _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
 
 
 class Situation(NamedTuple):
-    """Symbolic inputs of a law's decision: desired motion, contacts, state, pose, velocity, gains and mission.
+    """Symbolic inputs of a law's decision: desired motion, obstacle points, state, pose, velocity, gains and mission.
 
-    `form`, `dt`, `barrier` and `movers` are arguments of `build_law` (`form` is its argument `avoidance`). `scan` is
-    None for a law without sonars. `moving` is True if contacts may move.
+    `form`, `dt`, `barrier` and `movers` are arguments of `build_law` (`form` is the argument `avoidance`). `scan` is
+    None for a law without sonars. `moving` is True if obstacles may move.
     """
 
     form: AvoidanceForm
@@ -55,9 +55,10 @@ class Situation(NamedTuple):
 
 
 def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[HalfPlane] = ()) -> Decision:
-    """Return the decision for `velocity` (2, 1) [m/s] in {E}, with the lower levels of the guarded law.
+    """Return the decision for `velocity` (2, 1) [m/s] in {E}, with the lower-priority tasks of the guarded law.
 
-    The lower levels are depth, then the heading of the path, or a constant yaw rate for a law with sonars.
+    The tasks of lower priority are the depth, then the heading of the path; a law with sonars has a constant yaw rate
+    instead of the heading.
     """
     return Decision(
         [TaskLevel.of(velocity_task(s.eta, velocity)), *lower_levels(s.eta, s.desired, s.p, s.scan)],
@@ -75,7 +76,7 @@ def length(vector: ca.SX) -> ca.SX:
 
 
 def limited(vector: ca.SX, most: ca.SX) -> ca.SX:
-    """Return the vector; a vector longer than `most` is shortened to this length."""
+    """Return the vector, shortened to the length `most` if it is longer."""
     return vector * ca.fmin(1, most / ca.fmax(length(vector), 1e-9))
 
 
@@ -85,11 +86,11 @@ def over_ground(s: Situation) -> ca.SX:
 
 
 def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: bool = False) -> ca.SX:
-    """Return the time [s] until a robot at constant `velocity` (2, 1) [m/s] comes within `margin` of a moving contact.
+    """Return the time [s] until a robot at constant `velocity` (2, 1) [m/s] is within `margin` of a moving obstacle.
 
-    The contact keeps its velocity. The contact is a disc of radius `combined_radius` + margin around its centre, or a
-    straight wall if `flat`. The result is 0 if the robot is within the margin and approaches; it is `NEVER` if robot
-    and contact do not meet.
+    The obstacle `contact` continues at its present velocity. It is a disc of radius `combined_radius` + margin around
+    its centre, or a straight wall if `flat`. The returned time is 0 if the robot is already within the margin and
+    approaches, and `NEVER` if robot and obstacle do not meet.
     """
     gap = contact.clearance - margin
     relative = velocity - contact.velocity
@@ -108,12 +109,12 @@ def time_to_contact(velocity: ca.SX, contact: Contact, *, margin: ca.SX, flat: b
 
 
 def first_contact(s: Situation, velocity: ca.SX, *, extra: float) -> ca.SX:
-    """Return the time [s] until a robot at `velocity` meets the first contact or wall, or `NEVER`.
+    """Return the time [s] until a robot at `velocity` meets the first obstacle or wall, or `NEVER`.
 
     Args:
-        s: the situation with all contacts.
+        s: the situation with all obstacle points and walls.
         velocity: constant velocity (2, 1) [m/s] in {E}.
-        extra: clearance beyond the margin at which a contact counts as met [m].
+        extra: distance [m] beyond the margin at which the robot counts as having met an obstacle.
     """
     margin, first = s.p["margin"] + extra, ca.SX(NEVER)
     for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):

@@ -1,10 +1,11 @@
 """Velocity obstacles (Fiorini and Shiller, "Motion planning in dynamic environments using velocity obstacles", IJRR
-1998), in the sampled form of van den Berg, Lin and Manocha 2008 (RVO library) without reciprocity.
+1998), in the sampled form of van den Berg, Lin and Manocha 2008 (RVO library), but without reciprocal avoidance.
 
-A velocity is forbidden if a robot at this constant velocity would come within the margin of a contact at constant
-velocity within the horizon. From a fixed fan of candidates around the desired velocity v_d, the law chooses the allowed
-candidate nearest to v_d. If all candidates are forbidden, it chooses the candidate with the smallest w / t_c + |v −
-v_d|, the penalty of the RVO library.
+A velocity is forbidden if, within the time horizon, a robot at this constant velocity would come closer than the margin
+to an obstacle that also moves at constant velocity. From a fixed set of candidate velocities around the desired
+velocity v_d, the law chooses the allowed candidate nearest to v_d. If all candidates are forbidden, it chooses the
+candidate v with the smallest w / t_c + |v − v_d|, the penalty of the RVO library (t_c is the time to contact and w a
+weight).
 """
 
 from __future__ import annotations
@@ -21,31 +22,32 @@ from surctl.ir import fold, tabulated
 __all__ = ["COURSES", "HORIZON", "SAFETY", "SPEEDS", "vo_law"]
 
 HORIZON = 4.0
-"""Prediction time [s] (tuned from 2 to 30): the heaviest vehicle needs it to stop from full speed.
+"""Prediction time [s] (tuned between 2 and 30); the heaviest vehicle needs this time to stop from full speed.
 
-With a longer horizon, gaps between contacts count as closed.
+With a longer horizon, the law would treat gaps between obstacles as closed.
 """
 
 SAFETY = 0.1
-"""Weight w [m] of 1 / t_c against the distance to the desired velocity, if all are forbidden (tuned from 0.1 to 5)."""
+"""Weight w [m] of 1 / t_c in the penalty that is used if all candidates are forbidden (tuned between 0.1 and 5)."""
 
 EXTRA = 0.02
-"""Distance [m] added to the margin (tuned from 0 to 0.2), because the robot does not follow a velocity at once."""
+"""Distance [m] that is added to the margin, because the velocity lags behind the command (tuned between 0 and 0.2)."""
 
 COURSES = tuple(np.radians([0, *(s * a for a in (8, 16, 24, 32, 45, 60, 75, 90, 110, 135) for s in (1, -1)), 180]))
-"""Candidate courses [rad] relative to the desired one.
+"""Candidate courses [rad] relative to the desired course.
 
-The first of two equal candidates is chosen, so a head-on contact stays on the right side of the robot (E10).
+Of two equally good candidates the law chooses the first, so the robot passes a head-on obstacle with the obstacle on
+its right (erratum E10).
 """
 
 SPEEDS = (1.0, 0.5)
-"""Candidate speeds as shares of the desired speed; zero velocity and full speed (the cap) are candidates too."""
+"""Candidate speeds as shares of the desired speed; zero velocity and the speed cap are candidates too."""
 
 _FORBIDDEN = 1e3
 
 
 def vo_law(s: Situation) -> Decision:
-    """Return the decision: the allowed velocity nearest to the desired velocity."""
+    """Return the decision: the allowed candidate velocity nearest to the desired velocity."""
     desired, best = s.desired.velocity, s.desired.velocity
     least_cost = _cost(s, desired)
     ahead = desired / ca.fmax(length(desired), 1e-6)
