@@ -21,8 +21,8 @@ class ActuatorLimits:
 
     Each limit is a set of commanded velocities: B from the velocity bounds, A from the acceleration bounds, and T from
     the thrust bounds. If the present velocity ν is far outside B, or if drag and Coriolis forces exceed the thrust, the
-    sets may have no common point. The thrust is a physical limit, so T does not change; B and A are widened to contain a
-    point p of T:
+    sets may have no common point. The thrust is a physical limit, so T does not change. B and A are widened to contain
+    a point p of T:
 
         q = the point of A nearest to (the point of B nearest to ν),
         p = the velocity that the vehicle reaches with the thrust for q, clipped to the thrust bounds,
