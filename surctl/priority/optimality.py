@@ -81,7 +81,7 @@ def _size(level: Level) -> float:
 
 
 def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> tuple[Array, Array]:
-    """Append the level's outward normals (both signs for a fixed entry of J v) and the distances of v from the bounds."""
+    """Append the level's outward normals (both signs for a fixed entry of J v) and the distances of v from them."""
     J = level.J / _size(level)
     fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(level.J @ v)))
     value = level.J @ v
@@ -123,7 +123,7 @@ def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: N
 
 
 def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and the distances (p,) of v from them."""
+    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and the distances (p,) of v."""
     value = rows.A @ v
     above, below = np.isfinite(rows.upper), np.isfinite(rows.lower)
     if chosen is not None:

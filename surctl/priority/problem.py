@@ -61,7 +61,7 @@ class Level:
         return self.upper is None or bool(self.exact.all())
 
     def miss(self, v: Array) -> Array:
-        """Return how far each entry of J v, v (n,), is above its upper or (negative) below its lower bound, (k,)."""
+        """Return the change (k,) that takes each entry of J v, v (n,), to its nearest bound; 0 between its bounds."""
         value = self.J @ v
         lacks: Array = np.clip(value, self.lower, self.high) - value
         return lacks
