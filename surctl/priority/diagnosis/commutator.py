@@ -79,9 +79,9 @@ def absorb(P: Array, task: Directions) -> Array:
 
 
 # Sketch of the proof of the condition. With x_i = 0, both laws for the first i levels must equal the laws for the first
-# i − 1 levels inside range(P), because strict priority uses all of range(P) for the levels above i. So the correction by
-# level i vanishes in range(P): (J_i N)⁺J_i P = 0, which means N J_iᵀJ_i P = 0. Conversely, N then commutes with J_iᵀJ_i,
-# hence with J_i⁺J_i, so that (J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i is the projector on the intersection of the null spaces.
+# i − 1 levels inside range(P), because strict priority uses all of range(P) for the levels above i. So the correction
+# by level i vanishes in range(P): (J_i N)⁺J_i P = 0, which means N J_iᵀJ_i P = 0. Conversely, N then commutes with
+# J_iᵀJ_i, hence with J_i⁺J_i, so that (J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i projects on the intersection of the null spaces.
 def commutator_norms(jacobians: Sequence[Array]) -> Array:
     """Return, for each level i, a norm of the commutator of J_iᵀJ_i and P, (..., levels); 0 for the first level.
 

@@ -57,7 +57,7 @@ def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
 
     The return value is also valid if the dimension of the span varies from pose to pose.
     """
-    # the span is the range of P, the projector on the constant rows, plus the parts of the other rows outside this range
+    # the span is range(P), P the projector on the constant rows, plus the parts of the other rows outside range(P)
     P = _projector([np.array(ca.DM(row)).ravel() for row in above if row.is_constant()], A.shape[1])
     outside = ca.SX(ca.sparsify(ca.DM(np.eye(A.shape[1]) - P)))
     moving = [b for b in (_clean(outside @ row) for row in above if not row.is_constant()) if b.nnz()]
