@@ -21,7 +21,7 @@ __all__ = ["Relaxed", "least_violation"]
 Array: TypeAlias = NDArray[np.float64]
 
 _OPEN = 1e-9
-"""Rows that open by at most this amount count as consistent."""
+"""Limits that are relaxed by at most this amount count as consistent."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,14 @@ from surctl.priority.rowspace import CUTOFF
 __all__ = ["Fallback", "Mode", "Settings", "check_fallback"]
 
 Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
-"""nsb: the printed law (16), without limit rows. filter: the point inside the rows nearest to nsb. projected: (16) with
-its last projection, that of the first task, restricted to the rows. lexicographic: strict priority inside the rows."""
+"""nsb: the NSB law, equation (16) of the paper, without limits. filter: the velocity within the limits that is nearest
+to that of nsb. projected: equation (16) with the projection on the first task restricted to the limits. lexicographic:
+strict priority within the limits."""
 
 Fallback: TypeAlias = Literal["exact", "bounded"]
 """What a compiled step does if task and limits are incompatible. exact: compute the optimum at any cost. bounded:
-compute at constant cost a v that violates the limits no more than the target moved into the box, or v = 0, does."""
+compute, at constant cost, a velocity that violates the limits no more than the better of two: the target clipped to the
+velocity bounds, and 0."""
 
 _BOUNDED: tuple[Mode, ...] = ("filter", "projected")
 

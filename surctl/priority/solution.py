@@ -16,10 +16,11 @@ from surctl.priority.settings import Settings
 __all__ = ["Outcome", "PrioritySolution", "residuals_at"]
 
 Outcome: TypeAlias = Literal["optimal", "limited", "relaxed", "unconfirmed", "clamped"]
-"""optimal: the optimum of the mode, with the first task met as well as without rows (where the mode considers it);
-limited: the first task is met as well as the rows allow; relaxed: the rows contradict each other, so some were opened;
-unconfirmed: v satisfies the rows as far as a solver could, but no solution passed the check, so a better v may exist;
-clamped: the actuator rows contradict each other (or no solver found a solution), and v is only moved into the box."""
+"""optimal: v is the optimum of the mode, and the first task, where the mode considers it, is met as well as without
+limits. limited: the first task is met as well as the limits allow. relaxed: the limits contradict each other, so some
+were relaxed. unconfirmed: v satisfies the limits as far as a solver could, but was not shown to be optimal. clamped:
+the actuator limits contradict each other (or no solver found a solution), and v is only clipped to the velocity
+bounds."""
 
 _NOTICEABLE = 1e-7
 
@@ -29,7 +30,7 @@ class PrioritySolution:
     """The velocity from the priority law, which is always finite, with the limits and tasks that determine it.
 
     Attributes:
-        v: (n,), velocity; for this vehicle (u, v, w, r) in {B} [m/s, rad/s].
+        v: (n,), velocity; for this vehicle (u, v, w, r) in the body frame {B} [m/s, rad/s].
         settings: settings of the priority law: mode, sweeps, damping, cut-off.
         target: (n,), the velocity to which v is as near as limits and strict levels allow: for "projected", the result
             of the projections on all levels below the first; for "filter", the result of the NSB law, equation (16) of

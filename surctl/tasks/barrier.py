@@ -28,8 +28,8 @@ class Barrier:
     """The control barrier ḣ + α(h) ≥ 0 for a vehicle that reaches its commanded velocity v at once (Ames et al. 2019).
 
     The function h(η) of the pose η is positive in the allowed set and negative outside. With the rotation matrix J(ψ)
-    from the body frame to {E}, the barrier is the limit −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t on v. A robot in the set h ≥ 0
-    stays there; a robot outside moves towards the set.
+    from the body frame to the earth frame, the barrier is the limit −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t on v. A robot in the
+    set h ≥ 0 stays there; a robot outside moves towards the set.
 
     Assume that v is constant during each control period dt, that α(h) = γh with γ dt ≤ 1, and that h is convex, like
     the distance from a flat wall or a convex obstacle. If the heading is constant, h ≥ 0 then holds exactly. If the
@@ -38,7 +38,7 @@ class Barrier:
 
     Attributes:
         name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
-        eta: SX symbol (4, 1), pose (x, y, z [m] in {E}, ψ [rad]).
+        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E}, and heading ψ [rad].
         h: SX scalar expression of eta. If h contains other symbols, the derivative of h treats them as constant.
         alpha: a number γ > 0 [1/s] for α(h) = γh, or a function α of an SX scalar (Python function or ca.Function). The
             class checks at sample points in [−10, 10] that α(0) = 0, that α(s) has the sign of s, and that α never
@@ -78,7 +78,7 @@ class Barrier:
 
 
 def closing_row(name: str, eta: ca.SX, h: ca.SX) -> ca.SX:
-    """Return −(∂h/∂η) J(ψ), (1, 4), which maps a velocity in {B} to −ḣ; raise InputError if no velocity changes h."""
+    """Return −(∂h/∂η) J(ψ), (1, 4), which maps the velocity to −ḣ; raise InputError if no velocity changes h."""
     if not isinstance(eta, ca.SX) or eta.shape != (4, 1) or not eta.is_valid_input():
         raise InputError(
             "is not an SX symbol of shape (4, 1)", key=f"limit {name}: eta", remedy='write eta = ca.SX.sym("eta", 4)'

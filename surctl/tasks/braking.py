@@ -33,7 +33,7 @@ class BrakingBarrier:
 
     Attributes:
         name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
-        eta: SX symbol (4, 1), pose (x, y, z [m] in {E}, ψ [rad]).
+        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E}, and heading ψ [rad].
         h: SX scalar expression of eta and other symbols [m].
         deceleration: a > 0 [m/s²], in the direction of the gradient of h.
         reaction: reaction time T > 0 [s].

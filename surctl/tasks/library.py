@@ -25,7 +25,7 @@ def position_task(
 ) -> Task:
     """Return a task whose σ is the position (x, y) or (x, y, z) [m] in {E}, depending on the length of `target`.
 
-    `rate` is the desired velocity [m/s], and `gain` is the task's gain [1/s].
+    {E} is the earth frame, `rate` the desired velocity [m/s] in {E}, and `gain` the convergence gain [1/s].
 
     Example:
         >>> import casadi as ca
@@ -43,7 +43,7 @@ def position_task(
 def depth_task(
     eta: ca.SX, z_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "depth"
 ) -> Task:
-    """Return a task whose σ is the height z [m] in {E}, positive upwards: a depth of 0.15 m is z_d = −0.15.
+    """Return a task whose σ is the height z [m], positive upwards, so a depth of 0.15 m is z_d = −0.15.
 
     Example:
         >>> import casadi as ca
@@ -75,7 +75,7 @@ def heading_task(
 
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
-    """Return a task that prescribes the horizontal velocity `v_world` (2,) [m/s] in {E}, but no position.
+    """Return a task that prescribes the horizontal velocity `v_world` (2,) [m/s] in the earth frame {E}, no position.
 
     Example:
         >>> import casadi as ca
@@ -97,8 +97,8 @@ def clearance_task(
     """Return the avoidance task of one sensor, equation (17) of the paper with erratum E1: clearance σ from an echo.
 
     σ [m] is the distance from the echo point minus `margin`, and the task drives σ to 0. Its Jacobian is [−cos(φ − ψ),
-    −sin(φ − ψ), 0, 0], where ψ is the heading and φ is the bearing of the echo point (2,) [m] in {E}. `margin` [m] is
-    the anti-collision radius.
+    −sin(φ − ψ), 0, 0], where ψ is the heading and φ is the bearing of the echo point (2,) [m] in the earth frame {E}.
+    `margin` [m] is the anti-collision radius.
 
     Example:
         >>> import casadi as ca
@@ -116,7 +116,7 @@ def clearance_task(
 def distance_task(
     eta: ca.SX, point: Expression, *, distance: Expression, gain: Expression = 1.0, name: str = "distance"
 ) -> Task:
-    """Return a task that holds the robot at the horizontal distance `distance` [m] from `point` (2,) [m] in {E}.
+    """Return a task that holds the robot at the horizontal distance `distance` [m] from `point` (2,) [m].
 
     Example:
         >>> import casadi as ca
@@ -132,9 +132,9 @@ def distance_task(
 
 
 def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight") -> Task:
-    """Return a task that turns the bow towards `point` (2,) [m] in {E}; σ is the angle [rad] from the bow to the point.
+    """Return a task that turns the bow towards `point` (2,) [m]; σ is the angle [rad] from the bow to the point.
 
-    If the robot is at the point itself, this angle is undefined; the task then uses the direction of the x axis of {E}.
+    If the robot is at the point itself, this angle is undefined; the task then uses the direction of the x axis.
 
     Example:
         >>> import casadi as ca

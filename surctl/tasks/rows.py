@@ -25,10 +25,10 @@ __all__ = [
 ]
 
 Kind: TypeAlias = Literal["actuator", "barrier", "set"]
-"""The kind of a row decides which rows may be violated.
+"""The kind of a limit decides whether it may be violated.
 
-Actuator rows are always satisfied. Barrier rows are violated only if they contradict actuator rows, and then as little
-as possible. Rows of set-based tasks are violated before barrier rows.
+Actuator limits are always satisfied. Barrier limits are violated only if they contradict actuator limits, and then as
+little as possible. Limits of set-based tasks are violated before barrier limits.
 """
 
 AXES = ("u", "v", "w", "r")

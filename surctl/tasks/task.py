@@ -25,7 +25,7 @@ class Task:
 
     Attributes:
         name: identifier of the task in every message and solution.
-        eta: SX symbol (4, 1): x, y, z [m] in {E} (ENU) and ψ [rad], counter-clockwise.
+        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E} (ENU), and heading ψ [rad], counter-clockwise.
         sigma: SX (k, 1), the expression of σ(η). If σ contains other symbols (an echo point, a waypoint), the Jacobian
             treats them as constant; describe the motion of a target by `rate`.
         target: desired value σ_d, (k, 1) or one number for all entries; default 0.

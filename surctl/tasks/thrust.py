@@ -30,14 +30,14 @@ _NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
 
 @dataclass(frozen=True, eq=False)
 class ThrustLimit:
-    """The limit lower ≤ M (v − ν)/dt + load ≤ upper on the thrust of each axis that changes velocity ν to v within dt.
+    """The limit lower ≤ M (v − ν)/dt + load ≤ upper on the thrust that changes the velocity from ν to v within dt.
 
     The thrust follows from the dynamic model, equation (3) of the paper. The load is evaluated at ν, so a vehicle with
     its thrust at a bound reaches the velocity v with an error of O(dt²). The thrust is the force that acts in the
     water; if this force lags behind its command, give bounds on its average over the time dt.
 
     Attributes:
-        nu: present velocity ν (4,) over ground in {B} [m/s, rad/s].
+        nu: present velocity ν (4,) over ground in the body frame {B} [m/s, rad/s].
         mass: mass matrix M, its diagonal (4,) or symmetric positive definite (4, 4) [kg, kg m²].
         load: (4,) thrust that holds ν: Coriolis force C(ν)ν plus drag D(ν)ν minus other forces [N, N m].
         lower, upper: (4,) bounds of the thrust [N, N m].
@@ -82,12 +82,13 @@ class ThrustLimit:
         """Return the thrust limit for the Coriolis and drag forces of the vehicle model in `surctl.vehicle`.
 
         Args:
-            nu: (4,) velocity over ground in {B} [m/s, rad/s].
+            nu: (4,) present velocity over ground in the body frame {B} [m/s, rad/s].
             parameters: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit`, each (4,), as numbers or SX; see
                 `PLANT_PARAMETERS`. Other parameters are ignored.
             dt: time in which the vehicle is to reach v [s].
-            water: (3,) velocity of the water in {B} [m/s], that is, the current rotated from {E} to {B}. Forces depend
-                on the velocity relative to the water, and the water's velocity rotates in {B} at the negative yaw rate.
+            water: (3,) velocity of the water in {B} [m/s], that is, the current rotated from the earth frame to {B}.
+                Forces depend on the velocity relative to the water, and the water's velocity rotates in {B} at the
+                negative yaw rate.
             force: (4,) known force on the vehicle in {B} [N, N m].
             name: name of the limit.
 

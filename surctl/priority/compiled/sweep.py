@@ -43,7 +43,7 @@ def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
 
 
 def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
-    """Return the steps that start from v = 0 and project v on all levels, by the number of sweeps in `settings`."""
+    """Return the steps that compute the velocity after `settings.sweeps` sweeps over all levels, from v = 0."""
     one, fixed = sweep(shape, damping=settings.damping), ("J", "lower", "upper")
     if settings.sweeps == 1:
         return (Call(one, ("zero", *fixed), ("swept",)),)

@@ -50,7 +50,7 @@ def diagnose(
 
     Args:
         stack: the tasks, each with one desired value (replace a set-based task by the task at its bound).
-        region: lower and upper bounds of the pose η, (4,) each [m, m, m, rad] in {E}.
+        region: lower and upper bounds of the pose η, (4,) each [m, m, m, rad], in the earth frame {E}.
         parameters: (symbol, lower bound, upper bound) of every other symbol in the Jacobians or desired rates.
         samples: number of samples, at least 1; rounded up to a power of two.
         seed: seed of the samples; the same seed gives the same diagnosis.

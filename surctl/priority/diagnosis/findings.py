@@ -11,21 +11,22 @@ from surctl.priority.diagnosis.region import Pose
 __all__ = ["Equality", "LevelReport", "Met", "Pair", "PairKind", "Residual", "Singularity", "Symptom", "Verdict"]
 
 Verdict: TypeAlias = Literal["everywhere", "on all samples", "differs"]
-"""everywhere: the commutators vanish as expressions, for every pose and parameter; on all samples: no difference was
-found, which is not a proof; differs: a pose with a difference was found."""
+"""everywhere: NSB equals strict priority for every pose and parameter, shown on the expressions. on all samples: no
+difference was found, which is not a proof. differs: a pose with a difference was found."""
 
 PairKind: TypeAlias = Literal[
     "orthogonal", "independent", "dependent somewhere", "dependent everywhere", "never active together"
 ]
-"""Relation of two row spaces: at 90 degrees; without a common direction; with a common direction at some pose (within
-the threshold) or at every sample; or one of the two is empty at every sample."""
+"""Relation of the row spaces of two Jacobians. orthogonal: at 90 degrees. independent: no common direction. dependent
+somewhere: a common direction at some pose (within the threshold). dependent everywhere: a common direction at every
+sample. never active together: one of the two row spaces is empty at every sample."""
 
 Met: TypeAlias = Literal["by both laws", "by strict priority only", "by neither law"]
-"""Whether the level attains its reference at all samples."""
+"""Which laws meet the level (J v equals the desired rate) at all samples."""
 
 Symptom: TypeAlias = Literal["sine", "strength", "turning"]
-"""The quantity below the threshold: the sine of the angle to the row space above; the strength, a singular value
-relative to the median of ‖J‖; or the turning, the step [m or rad] that may reverse a row."""
+"""The quantity below the threshold. sine: sine of the angle to the row space of the tasks above. strength: a singular
+value of the Jacobian J relative to the median of ‖J‖. turning: the step [m or rad] that may reverse a row of J."""
 
 
 @dataclass(frozen=True)

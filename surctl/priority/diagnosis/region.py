@@ -18,7 +18,7 @@ __all__ = ["Bounds", "Parameter", "Pose", "Region", "build_region", "pose_text"]
 
 Array: TypeAlias = NDArray[np.float64]
 Bounds: TypeAlias = tuple[Sequence[float] | Array | float, Sequence[float] | Array | float]
-"""Lower and upper corner of a box."""
+"""Lower and upper bounds of the pose."""
 Parameter: TypeAlias = tuple[ca.SX, Sequence[float] | Array | float, Sequence[float] | Array | float]
 """A symbol (k, 1) with its lower and upper bounds: k numbers each (or one for all), in the unit of the symbol."""
 Pose: TypeAlias = Mapping[str, float]

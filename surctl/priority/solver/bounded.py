@@ -1,4 +1,4 @@
-"""The bounded fallback: a velocity of constant computing cost if no velocity meets the task within the constraints.
+"""The bounded fallback: a velocity, computed at constant cost, if none is found that meets task and constraints.
 
 This fallback runs after stage 1 of module `fallback`, the search for a velocity that meets the task, has failed or
 needs too many iterations. It first determines a safe point: the target clipped to the box, or v = 0, whichever
@@ -30,7 +30,7 @@ CAP = 4
 """Largest number of iterations of stage 1 with the bounded fallback."""
 
 BOUNDED = 5
-"""Status of a solution of constant cost; its opening is an upper bound on the violation of any soft row."""
+"""Status of the bounded fallback; the opening is then an upper bound on the violation of any soft row."""
 
 _SWEEPS = (1.0, 0.75)  # fractions of the step to a violated row, one for each sweep
 _TOGETHER = 4  # rows in one pass of a loop, which keeps the point in registers meanwhile
@@ -185,7 +185,7 @@ def _inside(sizes: Sizes) -> Program:
 
 
 def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Reduce the fraction of the path from `safe` to `goal` until one row is violated by at most its allowed amount.
+    """Reduce the fraction of the path from `safe` to `goal` until the row is violated by at most its allowed amount.
 
     Also update the largest violation of a row by `goal`.
     """

@@ -95,7 +95,7 @@ def pricing(space: Space) -> Program:
 
 
 def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the amounts by which the point is above a row's upper and below its lower bound (negative if not)."""
+    """Return the amounts by which a row at the point is above its upper and below its lower bound (negative if not)."""
     n = space.n
     value = _sum([row[i] * point[i] for i in range(n)])
     if not space.opening:
@@ -117,14 +117,14 @@ def dot(a: ca.SX, b: ca.SX) -> ca.SX:
 
 
 def threshold(space: Space) -> Program:
-    """Return a program that computes, from the point, the smallest violation that counts, and the row number 0."""
+    """Return a program for the start of the search for the most violated row: the smallest violation that counts."""
     point = ca.SX.sym("point", space.point)
     least = space.precision.priced * _size(point[: space.n])
     return lower(ca.Function("threshold", [point], [ca.densify(ca.vertcat(least, 0))]))
 
 
 def halve() -> Program:
-    """Return a program that chooses, of two rows, violation and number of the row violated more, or of the first."""
+    """Return a program that selects the more violated of two rows (the first if equal), by violation and number."""
     four = ca.SX.sym("four", 4)
     tie = ca.logic_and(ca.eq(four[0], four[1]), ca.fabs(four[3]) < ca.fabs(four[2]))
     second = ca.logic_or(four[0] < four[1], tie)

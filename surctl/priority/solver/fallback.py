@@ -29,7 +29,7 @@ from surctl.priority.solver.stages import LIMITED, RELAXED, exact_stage, lower_s
 __all__ = ["BOUNDED", "CLAMPED", "LIMITED", "MET", "RELAXED", "safe_step"]
 
 MET, CLAMPED = 1, 4
-"""Status values besides `LIMITED`, `RELAXED`, `BOUNDED`. MET: task met. CLAMPED: v is only moved into the box."""
+"""Status values besides `LIMITED`, `RELAXED`, `BOUNDED`. MET: task met. CLAMPED: v is only clipped to the box."""
 
 
 def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallback: Fallback = "exact") -> Routine:

@@ -35,7 +35,7 @@ CAP = 40
 """Largest number of iterations."""
 
 OPEN_CAP = 80
-"""Largest number of iterations if the opening is free: then every soft row can enter."""
+"""Largest number of iterations if the opening is unknown too, because every soft row can then become active."""
 
 
 def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:

@@ -22,8 +22,9 @@ __all__ = ["SafePoint", "Stage", "idle_row", "least_distance", "nearest_to_zero"
 Array: TypeAlias = NDArray[np.float64]
 Runner: TypeAlias = Callable[..., list[Array]]
 Stage: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded"]
-"""met: task and rows hold; limited: the task is met as well as the rows allow; relaxed: soft rows opened; clamped: v is
-only moved into the box; bounded: the bounded fallback ended in its stage of constant cost, see `bounded`."""
+"""met: v meets the task and satisfies all constraint rows. limited: the task is met as well as the rows allow. relaxed:
+soft rows are relaxed. clamped: v is only clipped to the box. bounded: v comes from the bounded fallback, see module
+`bounded`."""
 
 _STAGES: tuple[Stage, ...] = get_args(Stage)
 _BUCKET = 8  # rows are padded to a multiple of this, to limit the number of compiled sizes

@@ -25,7 +25,7 @@ from surctl.priority.solver.rows import Sizes
 __all__ = ["LIMITED", "RELAXED", "exact_stage", "lower_stages"]
 
 LIMITED, RELAXED = 2, 3
-"""Status of stages 2 and 3: task met as well as the rows allow; soft rows opened."""
+"""Status of stages 2 and 3: the task is met as well as the constraint rows allow; soft rows are relaxed."""
 
 
 def exact_stage(sizes: Sizes) -> Routine:
@@ -59,7 +59,7 @@ def exact_stage(sizes: Sizes) -> Routine:
 
 
 def _reflected(sizes: Sizes, d: int) -> Program:
-    """Return a program for the inputs of `reduced_kernel`, and whether its n − p unknowns are applicable."""
+    """Return a program for the inputs of `reduced_kernel`, and two flags: use only this search; skip it."""
     # first flag: this solver is enough (J has independent rows, or stage 1 is skipped); second flag: skip this solver
     n, p = sizes.n, sizes.p
     target, J, x, skip = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("skip")

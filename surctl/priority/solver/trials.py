@@ -151,8 +151,8 @@ class Verdict:
     Attributes:
         missed: largest violation of a constraint row of length 1. task: residual of J v = x for rows of J scaled to
             length 1.
-        stationary: part of target − v that is not the sum of the active normals times their multipliers and a
-            combination of the rows of J.
+        stationary: largest entry of target − v after subtraction of the active normals times their multipliers, and of
+            the part in the row space of J.
         loose: largest distance from its bound of a constraint row with a nonzero multiplier.
         negative: largest absolute value of a multiplier with the wrong sign.
     """
