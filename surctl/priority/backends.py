@@ -77,8 +77,8 @@ class LeastDistance:
         multipliers: (m,) Lagrange multiplier of each row of A in min ½‖x − target‖², for the row as given; positive at
             an upper bound, negative at a lower bound.
         iterations: number of iterations of the QP solver.
-        status: "optimal"; "infeasible" if no point satisfies inequalities and equalities; "failed" if the point that
-            the solver returned is not optimal.
+        status: "optimal"; "infeasible" if no point satisfies inequalities and equalities; "failed" if the solver
+            returned no point that satisfies the optimality conditions.
     """
 
     x: Array | None

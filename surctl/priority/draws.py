@@ -59,10 +59,10 @@ def unit(rng: np.random.Generator) -> Array:
 
 
 def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
-    """Return random levels with velocity and thrust limits that are consistent, and further limits that often are not.
+    """Return random levels, consistent velocity and thrust limits, and limits that often contradict these.
 
-    The further limits are of kind "barrier" and "set". The normals of barrier limits have lengths between 0.1 and 10.
-    Some limits are repeated, and some oppose each other.
+    The limits that may contradict the others are of kind "barrier" and "set". The normals of barrier limits have
+    lengths between 0.1 and 10. Some limits are repeated, and some oppose each other.
     """
     half = rng.uniform(0.05, 1.0, _N)
     rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -half[i], half[i]) for i in range(_N)]

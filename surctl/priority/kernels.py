@@ -68,7 +68,7 @@ class Kernel(Protocol):
 
 
 def unfit(G: Array, lower: Array, upper: Array) -> KernelSolution | None:
-    """Return "infeasible" if lower > upper in some row, "failed" for a NaN, or None if the problem can go to a solver.
+    """Return a result with status "infeasible" if lower > upper in some row, "failed" for a NaN, and otherwise None.
 
     The solvers do not handle these cases: DAQP treats an inequality with a NaN as satisfied, and for lower > upper DAQP
     and OSQP return the solution of the previous call.

@@ -26,7 +26,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float = 1e-6) -> bool:
-    """Return whether v (n,) is optimal for the priority mode, within `tol` relative to 1 + the compared quantities.
+    """Return whether v (n,) is optimal for the priority mode, within `tol`·(1 + size of the compared quantities).
 
     In mode nsb, v must equal the NSB law, equation (16) of the paper, or the result of its repeated sweeps. In the
     other modes, four conditions must hold. (a) v violates no actuator limit. (b) The violation of the barrier limits,

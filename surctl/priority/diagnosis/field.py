@@ -113,9 +113,9 @@ def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:
 def descend(field: Field, measure: Measure, start: Array) -> tuple[Array, float]:
     """Return a point (d,) at which `measure` has a local minimum, and this minimum, by a search from `start` (f,).
 
-    `start` is in the unit box, to which the region is scaled. The search uses L-BFGS-B with central differences on the
-    squared measure, because a distance or a sine that reaches 0 is not smooth there, but its square is. The returned
-    minimum is never larger than the measure at the start.
+    `start` is in the unit box: coordinates of the f free variables of the region, scaled to 0 … 1. The search uses
+    L-BFGS-B with central differences on the squared measure, because a distance or a sine that reaches 0 is not smooth
+    there, but its square is. The returned minimum is never larger than the measure at the start.
     """
     from scipy.optimize import minimize
 

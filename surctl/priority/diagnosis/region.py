@@ -48,13 +48,13 @@ class Region:
         return np.flatnonzero(self.upper > self.lower)
 
     def place(self, unit: Array) -> Array:
-        """Return the points (N, d) of the region for points (N, f) of the unit box, which scales each free variable."""
+        """Return the points (N, d) of the region for coordinates (N, f) of the free variables, scaled to 0 … 1."""
         points = np.tile(self.lower, (len(unit), 1))
         points[:, self.free] += np.clip(unit, 0.0, 1.0) * (self.upper - self.lower)[self.free]
         return np.clip(points, self.lower, self.upper)
 
     def sample(self, samples: int, seed: int) -> Array:
-        """Return scrambled Sobol points (2^k, f) of the unit box, 2^k ≥ `samples`; one point if no variable is free."""
+        """Return scrambled Sobol points (2^k, f), 2^k ≥ `samples`, scaled to 0 … 1; one point if no variable is free."""
         from scipy.stats import qmc
 
         if self.free.size == 0:
