@@ -54,7 +54,7 @@ class Region:
         return np.clip(points, self.lower, self.upper)
 
     def sample(self, samples: int, seed: int) -> Array:
-        """Return scrambled Sobol points (2^k, f), 2^k ≥ `samples`, scaled to 0 … 1; one point if no variable is free."""
+        """Return scrambled Sobol points (2^k, f) in 0 … 1, with 2^k ≥ `samples`; one point if no variable is free."""
         from scipy.stats import qmc
 
         if self.free.size == 0:
