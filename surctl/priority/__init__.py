@@ -1,4 +1,4 @@
-"""Priority laws: the null-space-based behavioural (NSB) law (16) of the paper, and QP forms that satisfy limits."""
+"""Priority laws: the null-space-based behavioural (NSB) law of the paper, and quadratic programmes with limits."""
 
 from __future__ import annotations
 

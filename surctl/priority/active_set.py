@@ -1,8 +1,8 @@
-"""Least-squares solution of one priority level subject to the limits, by a primal active-set method.
+"""Least-squares solution of one priority level subject to the velocity limits, by a primal active-set method.
 
-The method starts at a point that satisfies all constraint rows lower ≤ a·v ≤ upper and keeps satisfying them, so it can
-be stopped after any step. Each step goes to the best point on the active constraints, or stops at the first constraint
-that blocks it (Nocedal and Wright 2006, 16.5).
+The method starts at a velocity v that satisfies all constraint rows lower ≤ a·v ≤ upper. Every later v satisfies these
+rows too, so the method can be stopped after any step. Each step goes to the minimiser on the active constraints, or
+ends at the first constraint that the step would violate (Nocedal and Wright 2006, 16.5).
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ _WRONG_SIGN = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class LevelSolution:
-    """A point at which the residual of the level is as small as the constraint rows allow.
+    """A velocity at which the residual of the priority level is as small as the constraint rows allow.
 
     Attributes:
         v: the velocity (n,).
-        multipliers: (m,) Lagrange multiplier of each constraint row in min ½‖residual‖², positive at an upper bound.
+        multipliers: (m,) Lagrange multiplier of each constraint row in min ½‖residual of the level‖², positive at an
+            upper bound, negative at a lower bound.
         iterations: number of active-set steps.
-        converged: whether the last multipliers have the signs that optimality requires; if not, v satisfies the
-            constraint rows but may not be optimal.
+        converged: whether the multipliers have the signs that optimality requires; if not, v satisfies the constraint
+            rows but may not be optimal.
     """
 
     v: Array
@@ -49,7 +50,7 @@ class LevelSolution:
 
 
 def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedom, cutoff: float) -> LevelSolution:
-    """Minimise the level's residual over all v in `freedom` that satisfy the constraint rows.
+    """Minimise the residual of a priority level over all velocities in `freedom` that satisfy the constraint rows.
 
     start: (n,), a velocity in `freedom` that satisfies the constraint rows.
     """
@@ -70,7 +71,7 @@ def solve_level(level: Level, start: Array, rows: Polyhedron, *, freedom: Freedo
 
 
 def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Array, cutoff: float) -> LevelSolution:
-    """Return, by an active-set method, the minimiser of ‖J v − x‖ over v = start + Z y subject to the rows."""
+    """Return the minimiser of ‖J v − x‖ over all v = start + Z y that satisfy the rows, by an active-set method."""
     rows = rows.holding(start)
     scale = float(np.linalg.norm(J, 2))
     v, active, multipliers = start, np.zeros(len(rows.names)), np.zeros(len(rows.names))
@@ -95,7 +96,7 @@ def _least_squares(J: Array, x: Array, start: Array, rows: Polyhedron, *, Z: Arr
 
 
 def _as_far_as(v: Array, step: Array, rows: Polyhedron, active: Array) -> tuple[float, int | None]:
-    """Return the largest fraction ≤ 1 of the step that violates no row, and the index of the blocking row, if any."""
+    """Return the largest fraction ≤ 1 of the step that violates no row, and the index of the limiting row, if any."""
     rate = rows.A @ step
     with np.errstate(invalid="ignore"):
         slack = np.where(rate > 0.0, rows.upper, rows.lower) - rows.A @ v

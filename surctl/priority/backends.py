@@ -1,7 +1,7 @@
 """The least-distance problem min ‖v − target‖ subject to equalities and inequalities, with a choice of solvers.
 
 Equalities are eliminated first, and the normal of each inequality is scaled to length 1. This module checks the
-optimality conditions of every result; it does not trust the status that a solver reports.
+optimality conditions of every solution and does not rely on the status that a solver reports.
 """
 
 from __future__ import annotations
@@ -70,15 +70,15 @@ _FIXED = 1e-9  # a row that elimination shortens to this fraction no longer depe
 
 @dataclass(frozen=True)
 class LeastDistance:
-    """Result of `solve_least_distance`.
+    """Result of `solve_least_distance`: the nearest point, Lagrange multipliers and the status.
 
     Attributes:
         x: the nearest point (n,), or None unless `status` is "optimal".
-        multipliers: (m,) Lagrange multiplier of each row of A in min ½‖x − target‖², for the unscaled row; positive at
+        multipliers: (m,) Lagrange multiplier of each row of A in min ½‖x − target‖², for the row as given; positive at
             an upper bound, negative at a lower bound.
-        iterations: number of iterations of the solver.
-        status: "infeasible" when no point satisfies inequalities and equalities, "failed" when the solver's result did
-            not pass the check.
+        iterations: number of iterations of the QP solver.
+        status: "optimal"; "infeasible" if no point satisfies inequalities and equalities; "failed" if the solver
+            returned no point that satisfies the optimality conditions.
     """
 
     x: Array | None
@@ -88,7 +88,7 @@ class LeastDistance:
 
 
 def check_backend(backend: Backend) -> Kernel:
-    """Return the solver function with this name, or `backend` itself if it is a solver function.
+    """Return the QP solver function with the name `backend`, or `backend` itself if it is a solver function.
 
     An unknown name raises an InputError.
     """
@@ -110,14 +110,15 @@ def solve_least_distance(
     b_eq: Array | None = None,
     backend: Backend = "daqp",
 ) -> LeastDistance:
-    """Return the point nearest to target (n,) with A_eq x = b_eq and lower ≤ A x ≤ upper, bounds (m,), ±inf allowed.
+    """Return the point x nearest to `target` (n,) that satisfies A_eq x = b_eq and lower ≤ A x ≤ upper.
 
-    Dependent equalities are allowed if they are consistent. An infeasible problem gives the status "infeasible" and
-    raises no error. `backend` is a name in `BACKENDS` or a solver function (`Kernel`). The solver receives only the
-    rows of A that are left after the equalities are eliminated, so their number varies.
+    The bounds have shape (m,) and may be ±inf. Linearly dependent equalities are allowed if they are consistent. An
+    infeasible problem gives the status "infeasible" and raises no error. `backend` is a name in `BACKENDS` or a solver
+    function (`Kernel`). The elimination of the equalities can remove rows of A, so the number of inequalities that the
+    solver receives varies.
 
     Raises:
-        InputError: unknown backend.
+        InputError: `backend` is an unknown name.
 
     Example:
         >>> import numpy as np
@@ -162,11 +163,11 @@ def _nearest(
     *,
     guess: Array | None = None,
 ) -> LeastDistance:
-    """Return the point x nearest to the target with lower ≤ A x ≤ upper and A_eq x = b_eq.
+    """Return the point x nearest to the target that satisfies lower ≤ A x ≤ upper and A_eq x = b_eq.
 
     The inequalities hold up to a tolerance relative to 1 + max |target|. If the solver finds no solution, the rows of A
-    with a nonzero multiplier in `guess` (m,) are tried as the active set. The resulting point must also pass the check
-    of the optimality conditions.
+    with a nonzero multiplier in `guess` (m,) are tried as the active set. The point with this active set is returned
+    only if it satisfies the optimality conditions.
     """
     nothing = np.zeros(lower.size)
     base, free = _eliminate(target, A_eq, b_eq)
@@ -203,7 +204,7 @@ def _nearest(
 
 
 def _eliminate(target: Array, A_eq: Array | None, b_eq: Array | None) -> tuple[Array | None, Array]:
-    """Return the point nearest to the target with A_eq x = b_eq, if any, and a null-space basis (d, n) of A_eq."""
+    """Return the x nearest to the target with A_eq x = b_eq (None if there is none), and a null-space basis of A_eq."""
     if A_eq is None or b_eq is None or A_eq.shape[0] == 0:
         return target, np.eye(target.size)
     space = row_space(A_eq)
@@ -223,9 +224,10 @@ def _checked(solution: KernelSolution, G: Array, lower: Array, upper: Array, *, 
 
 
 def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolerance: Array | float) -> bool:
-    """Return whether y is feasible within tolerance (m,) or (), stationary and complementary for min ½‖y‖² (KKT).
+    """Return whether the solution y of min ½‖y‖² subject to lower ≤ G y ≤ upper satisfies the KKT conditions.
 
-    A solution that contains a NaN does not satisfy these conditions.
+    `tolerance`, (m,) or one number, is the largest allowed violation of the inequalities. The return value is False if
+    the solution contains a NaN.
     """
     y, multipliers = solution.y, solution.multipliers
     if y is None:
@@ -240,7 +242,7 @@ def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolera
 
 
 def _polish(solution: KernelSolution, G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Return the solution with the rows that have a nonzero multiplier as equalities, solved exactly."""
+    """Solve the problem again, directly, with the inequalities that have a nonzero multiplier as equalities."""
     active = np.flatnonzero(np.abs(solution.multipliers) > 1e-6 * (1.0 + np.abs(solution.multipliers).max()))
     bound = np.where(solution.multipliers[active] > 0.0, upper[active], lower[active])
     if not np.isfinite(bound).all():

@@ -1,9 +1,10 @@
-"""Solver of strict levels one after another subject to the limits, then of the remaining point nearest to a target.
+"""Solver that meets strict priority levels one after another within the limits, then approaches a target velocity.
 
-With no strict level, the cascade returns the point nearest to the target that satisfies the limits. With one strict
-level, the cascade is the last projection of law (16) of the paper, restricted to the limits. With all levels strict and
-target 0, the cascade is strict (lexicographic) priority (Kanoun, Lamiraux and Wieber 2011; Escande, Mansard and Wieber
-2014). The value that a level attains is fixed by eliminating variables, never by an inequality with a tolerance.
+A strict level is one that no lower level may change. With no strict level, the solver returns the velocity nearest to
+the target that satisfies the limits. With one strict level, the solver computes the projection on the first task in the
+NSB law, equation (16) of the paper, restricted to the limits. If all levels are strict and the target is 0, the result
+is strict (lexicographic) priority (Kanoun, Lamiraux and Wieber 2011; Escande, Mansard and Wieber 2014). After a level
+is solved, its value of J v is fixed by elimination of variables, never by an inequality with a tolerance.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ _SLACK = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class CascadeSolution:
-    """Result of `solve_cascade`.
+    """Result of `solve_cascade`: a velocity and the limits that determine this velocity.
 
     Attributes:
         v: the velocity (n,).
-        binding: (name, Lagrange multiplier) of each active constraint row, in the order of the rows and for the
-            unscaled row. The multiplier belongs to min ½‖v − target‖², or to min ½‖residual‖² if the constraint limits
-            a strict level.
-        causes: for each strict level that constraint rows limit, the names of these rows.
+        binding: (name, Lagrange multiplier) of each active limit, in the order and the unit of the limits. The
+            multiplier belongs to min ½‖v − target‖², or, if the limit restricts a strict level, to min ½‖residual of
+            this level‖².
+        causes: for each strict level that the limits restrict, the names of these limits.
         iterations: number of iterations of all solvers together.
-        confirmed: whether every level passed the optimality check; if not, v satisfies the constraint rows but may not
-            be optimal.
+        confirmed: whether v was shown to be optimal at every level; if not, v satisfies the limits but may not be
+            optimal.
     """
 
     v: Array
@@ -63,7 +64,10 @@ class CascadeSolution:
         held: Mapping[str, float] | None = None,
         causes: Mapping[str, tuple[str, ...]] | None = None,
     ) -> CascadeSolution:
-        """Build the solution from multipliers (m,) of rows of length 1; a multiplier in `held` takes precedence."""
+        """Build the solution from the multipliers (m,) of constraint rows scaled to length 1.
+
+        If `held` contains a multiplier for the name of a row, it replaces the one in `multipliers`.
+        """
         by_name = named_multipliers(rows, multipliers, above=_FELT * (1.0 + float(np.abs(v).max()))) | dict(held or {})
         return CascadeSolution(
             v,
@@ -75,7 +79,7 @@ class CascadeSolution:
 
 
 def named_multipliers(rows: Polyhedron, multipliers: Array, *, above: float) -> dict[str, float]:
-    """Return the multipliers (m,) that exceed `above` by row name, converted from rows of length 1 to unscaled rows."""
+    """Return the multipliers (m,) of magnitude above `above`, by row name, converted to the rows before scaling."""
     return {rows.names[i]: float(u / rows.length[i]) for i, u in enumerate(multipliers) if abs(u) > above}
 
 
@@ -99,9 +103,9 @@ def solve_cascade(
     cutoff: float,
     inside: Array | None = None,
 ) -> CascadeSolution | None:
-    """Solve the levels in order; return None if no v satisfies the constraint rows.
+    """Solve the strict levels in order, then minimise ‖v − target‖; return None if no v satisfies the constraint rows.
 
-    target: (n,). inside: (n,), a point known to satisfy the constraint rows, or None.
+    target: (n,) velocity. inside: (n,) velocity known to satisfy the constraint rows, or None.
     """
     freedom = Freedom.whole(target.size)
     rows = rows if inside is None else rows.holding(inside)
@@ -138,7 +142,7 @@ def solve_cascade(
 def _met(
     level: Level, target: Array, rows: Polyhedron, *, freedom: Freedom, backend: Backend, cutoff: float
 ) -> _Place | None:
-    """Return the state after meeting the level as well as higher levels allow, or None if the limits prevent this."""
+    """Meet the level as well as higher levels allow, and return the new state, or None if the limits prevent this."""
     goal = level.exact
     narrow = freedom.narrowed(level.J[goal], level.lower[goal], cutoff=cutoff)
     more = _with_set_rows(level, rows, ~goal)
@@ -146,7 +150,7 @@ def _met(
 
 
 def _limited(level: Level, target: Array, place: _Place, *, backend: Backend, cutoff: float) -> _Place:
-    """Return the state after meeting the level as well as the limits allow; J v of the level is then fixed."""
+    """Meet the level as well as the limits allow, fix its value of J v, and return the new state."""
     solution = solve_level(level, place.inside, place.rows, freedom=place.freedom, cutoff=cutoff)
     value = level.J @ solution.v
     off = np.abs(level.miss(solution.v)) > _MISSED * (1.0 + np.abs(value))

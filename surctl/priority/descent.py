@@ -1,4 +1,4 @@
-"""Fallback stages of `solve`: satisfy all limits; else open soft limits as little as possible; else only the box."""
+"""Fallback stages of `solve`: satisfy all limits, else relax barrier and set limits, else only velocity bounds."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Result of `descend`: the solution of a priority mode.
+    """Result of `descend`: the velocity that a priority mode returns, and how it was found.
 
     Attributes:
-        v: (n,), velocity. target: (n,), the point from which the last projection starts. free: (n,), the solution
-            without limits.
-        status: the fallback stage. "optimal" includes the case that limits keep a level from its value; "unconfirmed"
-            means that v satisfies the limits but no solver confirmed that v is optimal.
+        v: (n,), velocity. target: (n,), the velocity to which v must be as near as tasks and limits allow. free: (n,),
+            the velocity without limits.
+        status: the outcome. "optimal" includes the case that limits prevent a level from being met; "unconfirmed" means
+            that v satisfies the limits but no solver confirmed that v is optimal.
         binding, causes, iterations: see the attributes of `CascadeSolution`.
         conflict: names of the limits that contradict each other.
     """
@@ -47,12 +47,13 @@ class Solution:
 def descend(
     find: Callable[..., CascadeSolution | None], target: Array, rows: Polyhedron, *, free: Array, backend: Backend
 ) -> Solution:
-    """Return the solution of the first fallback stage that succeeds; v is always finite and inside the box.
+    """Return the solution of the first fallback stage that succeeds; v is always finite and inside the velocity bounds.
 
     Args:
-        find: function (rows, inside) → the solution of the mode subject to the constraint rows, or None if no v
-            satisfies these rows; `inside` (n,) is a point known to satisfy the rows, or None.
-        target: (n,), the point from which `find` starts. free: (n,), the solution without limits.
+        find: function that takes the constraint rows and a velocity (n,) that satisfies them (or None), and returns the
+            solution of the priority mode, or None if no velocity satisfies the rows.
+        target: (n,), the velocity to which the solution must be as near as possible. free: (n,), the velocity without
+            limits.
     """
     result = find(rows, inside=None)
     if result is not None:
@@ -83,7 +84,7 @@ def _solution(
 
 
 def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> Solution:
-    """Return the candidate with the least violation of actuator limits, if they conflict or all solvers fail."""
+    """Return the velocity with the least violation of the actuator limits, if these conflict or all solvers fail."""
     hard = rows.mask("actuator")
     solution = Freedom.whole(free.size).nearest(free, rows.only(hard), backend=backend)
     options = [rows.clamp(option) for option in (solution.x, free, np.zeros(free.size)) if option is not None]

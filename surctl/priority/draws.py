@@ -19,11 +19,12 @@ _N = 4
 def draw_levels(
     rng: np.random.Generator, *, most: int = 5, conditioned: bool = False, deficient: bool = True
 ) -> list[Level]:
-    """Return 1 to `most` random levels for 4 velocities, with 1–4 rows of J each, named task0, task1, …
+    """Return 1 to `most` random priority levels for 4 velocities, with 1–4 rows in each Jacobian, named task0, task1, …
 
     Args:
-        conditioned: if true, the singular values of each J lie between 0.3 and 3.
-        deficient: if true, the J of some levels repeats a row, has rank 1, is zero, or selects single velocities.
+        most: largest number of levels. conditioned: if true, the singular values of each Jacobian J are between 0.3 and
+            3.
+        deficient: if true, some Jacobians repeat a row, have rank 1, are zero, or select single velocities.
     """
     levels = []
     for i in range(rng.integers(1, most + 1)):
@@ -58,9 +59,10 @@ def unit(rng: np.random.Generator) -> Array:
 
 
 def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
-    """Return random levels with consistent box and thrust limits; barrier and set limits often contradict these.
+    """Return random levels, consistent velocity and thrust limits, and limits that often contradict these.
 
-    The normals of barrier limits have lengths between 0.1 and 10; some limits are repeated, some oppose each other.
+    The limits that may contradict the others are of kind "barrier" and "set". The normals of barrier limits have
+    lengths between 0.1 and 10. Some limits are repeated, and some oppose each other.
     """
     half = rng.uniform(0.05, 1.0, _N)
     rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -half[i], half[i]) for i in range(_N)]
@@ -82,7 +84,7 @@ def draw_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
 
 
 def with_sets(problem: PriorityProblem, rng: np.random.Generator) -> PriorityProblem:
-    """Return the problem with some desired values in a third of its levels replaced by intervals."""
+    """Return a copy of the problem with intervals in place of some desired values, in a third of the levels."""
     levels = []
     for level in problem.levels:
         k = level.lower.size
@@ -95,15 +97,16 @@ def with_sets(problem: PriorityProblem, rng: np.random.Generator) -> PriorityPro
 
 
 def wide(levels: list[Level] | tuple[Level, ...], *, span: float = 1e3) -> PriorityProblem:
-    """Return a problem of these levels with limits that never bind: a box of ± `span` and a barrier."""
+    """Return a problem of these levels with limits that are never active: a velocity box of ± `span` and a barrier."""
     rows = [Row(f"box{i}", "actuator", np.eye(_N)[i], -span, span) for i in range(_N)]
     return build_problem(levels, [*rows, Row("wall", "barrier", np.ones(_N), -np.inf, span)])
 
 
 def inequality_problem(rng: np.random.Generator, *, most: int = 5) -> PriorityProblem:
-    """Return a problem with limits that v = 0 satisfies, and random levels with rows of length 1 in J.
+    """Return a problem with random levels whose Jacobian rows have length 1, and with limits that v = 0 satisfies.
 
-    Some rows of J occur twice in a level, some also occur in the level above, and some are set-based.
+    Some Jacobian rows occur twice in a level, some also occur in the level above, and some have an interval of allowed
+    values.
     """
     levels: list[Level] = []
     for i in range(rng.integers(1, most + 1)):

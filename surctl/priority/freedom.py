@@ -1,4 +1,4 @@
-"""The set of velocities v = base + Z y that the higher priority levels leave free."""
+"""The set of velocities that a lower priority level may still choose without a change to the higher levels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Freedom:
-    """An affine set of velocities v = base + Z y.
+    """The affine set of velocities v = base + Z y, where y is arbitrary.
 
     Attributes:
         base: (n,), one velocity of the set.
@@ -33,14 +33,14 @@ class Freedom:
 
     @staticmethod
     def whole(n: int) -> Freedom:
-        """Return the set of all velocities."""
+        """Return the set of all velocities (n,)."""
         return Freedom(np.zeros(n), np.eye(n), np.zeros((0, n)))
 
     def narrowed(self, J: Array, x: Array, *, cutoff: float) -> Freedom:
-        """Return the velocities of the set that minimise ‖J v − x‖, J (k, n).
+        """Return the subset of velocities that minimise ‖J v − x‖, for a task with Jacobian J (k, n).
 
         Singular values of J Z below `cutoff`·‖J‖ count as 0. The cut-off is relative to ‖J‖ and not to ‖J Z‖, because J
-        Z is only rounding noise if no freedom is left.
+        Z contains only rounding errors if the task has no freedom left.
         """
         if J.shape[0] == 0:
             return self
@@ -50,7 +50,7 @@ class Freedom:
         return Freedom(base, self.Z @ space.null.T, np.vstack([self.fixed, space.rows @ self.Z.T]))
 
     def nearest(self, target: Array, rows: Polyhedron, *, backend: Backend) -> LeastDistance:
-        """Return the velocity of the set that satisfies the constraint rows and is nearest to target (n,)."""
+        """Return the velocity of the set that satisfies the constraint rows and is nearest to `target` (n,)."""
         return solve_least_distance(
             target,
             A=rows.A,

@@ -1,4 +1,4 @@
-"""QP solvers behind a common interface: each solver minimises ½‖y‖² subject to lower ≤ G y ≤ upper."""
+"""QP solvers behind a common interface: each solver minimises ½‖y‖² over y subject to lower ≤ G y ≤ upper."""
 
 from __future__ import annotations
 
@@ -46,10 +46,11 @@ DAQP_INFEASIBLE = -1
 class KernelSolution:
     """Result of one call of a QP solver.
 
-    y: (d,), the solution, or None. multipliers: (m,), such that y + Gᵀ·multipliers = 0. iterations: number of
-    iterations. status: the status that the solver reports.
+    y: (d,), the minimiser, or None. multipliers: (m,) Lagrange multipliers, with y + Gᵀ·multipliers = 0. iterations:
+    number of iterations. status: the status that the solver reports.
 
-    "unfinished" means that the solver stopped early, for example at an iteration limit; y is its last iterate.
+    The status "unfinished" means that the solver stopped early, for example at an iteration limit; y is its last
+    iterate.
     """
 
     y: Array | None
@@ -59,18 +60,18 @@ class KernelSolution:
 
 
 class Kernel(Protocol):
-    """A solver of min ½‖y‖² subject to lower ≤ G y ≤ upper: a function, or a callable with state between calls."""
+    """Protocol of a solver of min ½‖y‖² subject to lower ≤ G y ≤ upper: a function or an object that stores state."""
 
     def __call__(self, G: Array, lower: Array, upper: Array, /) -> KernelSolution:
-        """Return the solution for G (m, d) with rows of length 1, and bounds (m,); an absent bound is ±inf."""
+        """Solve the problem for G (m, d), whose rows have length 1, and bounds (m,); an absent bound is ±inf."""
         ...
 
 
 def unfit(G: Array, lower: Array, upper: Array) -> KernelSolution | None:
-    """Return the result if no solver call is needed: "infeasible" for crossed bounds, "failed" for a NaN; else None.
+    """Return a result with status "infeasible" if lower > upper in some row, "failed" for a NaN, and otherwise None.
 
-    DAQP treats an inequality with a NaN as satisfied. DAQP and OSQP reject crossed bounds (lower > upper) but then
-    return the solution of the previous call.
+    The solvers do not handle these cases: DAQP treats an inequality with a NaN as satisfied, and for lower > upper DAQP
+    and OSQP return the solution of the previous call.
     """
     if (lower <= upper).all() and np.isfinite(G).all():  # comparisons with a NaN are false
         return None
@@ -79,7 +80,7 @@ def unfit(G: Array, lower: Array, upper: Array) -> KernelSolution | None:
 
 
 def daqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Solve with DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method, and check its exit flag."""
+    """Solve the QP with DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method; check its exit flag."""
     m, d = G.shape
     return daqp_solution(
         m,
@@ -96,7 +97,7 @@ def daqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
 
 
 def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolution:
-    """Return the result of DAQP for m inequalities as a KernelSolution, after a check of the exit flag."""
+    """Convert what DAQP returns for m inequalities to a KernelSolution; the exit flag determines the status."""
     iterations = int(info["iterations"])
     if flag == 1:
         return KernelSolution(np.array(y, dtype=float), np.array(info["lam"], dtype=float), iterations, "optimal")
@@ -104,18 +105,18 @@ def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolut
 
 
 def osqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Solve with OSQP (Stellato et al. 2020), an operator-splitting method, with tight tolerances.
+    """Solve the QP with OSQP (Stellato et al. 2020), an operator-splitting method, with tight tolerances.
 
-    With its default tolerances OSQP leaves bounds violated by 1e-3 and reports feasible problems as infeasible.
+    With its default tolerances, OSQP violates bounds by 1e-3 and reports some feasible problems as infeasible.
     """
     low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
     return unfit(G, low, high) or osqp_solution(new_osqp(G, low, high, warm=False))
 
 
 def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
-    """Return an `osqp.OSQP` that stores all entries of G (m, d), so that zeros can be updated too.
+    """Return an `osqp.OSQP` that stores all entries of G (m, d), zeros included, so that each can be updated.
 
-    lower, upper: (m,), finite.
+    lower, upper: bounds (m,), finite.
     """
     import osqp
     from scipy import sparse
@@ -142,7 +143,7 @@ def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
 
 
 def osqp_solution(solver: Any) -> KernelSolution:
-    """Solve the problem of an `osqp.OSQP`, and check its status."""
+    """Run an `osqp.OSQP` that is set up, check its status, and return the solution."""
     import osqp
 
     result = solver.solve(raise_error=False)
@@ -156,7 +157,7 @@ def osqp_solution(solver: Any) -> KernelSolution:
 
 
 def own_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Solve with the dual active-set method of this package (`dual_step`), compiled if there is a C compiler."""
+    """Solve the QP with this package's own dual active-set method (`dual_step`), compiled if there is a C compiler."""
     y, multipliers, status, iterations = nearest_to_zero(G, lower, upper)
     if status == OPTIMAL:
         return KernelSolution(y, multipliers, iterations, "optimal")
@@ -164,7 +165,7 @@ def own_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
 
 
 def qpsolvers_kernels() -> dict[str, Kernel]:
-    """Return a `Kernel` for each other installed solver that qpsolvers (Caron et al.) finds, for cross-checks."""
+    """Return, by name, a `Kernel` for each further QP solver that the package qpsolvers (Caron et al.) finds."""
     import qpsolvers
 
     others = sorted(set(qpsolvers.available_solvers) - {"daqp", "osqp"})

@@ -1,4 +1,4 @@
-"""The null-space-based behavioural (NSB) law (16), implemented as printed in the paper."""
+"""The null-space-based behavioural (NSB) law, implemented as printed in the paper, equation (16)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ __all__ = ["nsb"]
 
 
 def nsb(problem: PriorityProblem, *, cutoff: float = CUTOFF) -> NDArray[np.float64]:
-    """Return v (n,) of the printed law (16): v = v_1 + N_1(v_2 + N_2(v_3 + …)).
+    """Return the velocity v (n,) of the NSB law, equation (16) of the paper: v = v_1 + N_1(v_2 + N_2(v_3 + …)).
 
-    Here v_i = J_i⁺x_i (15) and N_i = I − J_i⁺J_i. Singular values of J_i below `cutoff`·‖J_i‖ count as 0. The law
+    Here v_i = J_i⁺x_i is the velocity for task i alone, J_i is its Jacobian, x_i its desired rate, and N_i = I −
+    J_i⁺J_i the projector on the null space of J_i. Singular values of J_i below `cutoff`·‖J_i‖ count as 0. The law
     ignores limits.
 
     Raises:
-        InputError: a level is set-based; the printed law (16) has no set-based tasks.
+        InputError: a level is set-based; equation (16) has no set-based tasks.
 
     Example:
         >>> import numpy as np

@@ -1,9 +1,9 @@
-"""An independent check of a solution: it evaluates the optimality conditions from v and the problem alone.
+"""An independent check that a velocity v is optimal, computed from v and the priority problem alone.
 
-Each condition states that a vector is a non-negative combination of the outward normals of the constraint rows.
-Constraints that v does not touch must have weight 0. One more equation ensures this: the sum of weight times distance,
-which is the duality gap, must be 0. The check solves a non-negative least-squares problem (Lawson and Hanson 1974) and
-shares no code with the QP solvers.
+Each optimality condition states that a vector is a combination, with weights ≥ 0, of the outward normals of the
+constraint rows. Constraints that are not active at v must have weight 0. One more equation ensures this: the sum of
+weight times distance from v, which is the duality gap, must be 0. The check finds the weights as a non-negative
+least-squares problem (Lawson and Hanson 1974) and shares no code with the QP solvers.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float = 1e-6) -> bool:
-    """Return whether v (n,) is optimal for the mode, within `tol` relative to 1 + the size of the compared values.
+    """Return whether v (n,) is optimal for the priority mode, within `tol`·(1 + size of the compared quantities).
 
-    In mode nsb, v must equal the printed law (16), or the result of repeated sweeps of (16). In the other modes, four
-    conditions must hold. (a) v violates no actuator limit. (b) The violation of the barrier limits, and then that of
-    the set limits, cannot be smaller. (c) For every strict level, no other v that satisfies the relaxed limits and
-    preserves the higher levels meets the level better. (d) No v that preserves all strict levels is nearer to `target`
-    (n,), the point from which the last projection starts. The target is compared with a value computed from the problem
-    alone; only for several sweeps of "projected" it is just checked to be finite.
+    In mode nsb, v must equal the NSB law, equation (16) of the paper, or the result of its repeated sweeps. In the
+    other modes, four conditions must hold. (a) v violates no actuator limit. (b) The violation of the barrier limits,
+    and then the violation of the set limits, cannot be smaller. (c) For every strict level, no other velocity that
+    satisfies the relaxed limits and preserves the higher levels meets this level better. (d) No velocity that preserves
+    all strict levels is nearer to `target` (n,), the velocity that the mode approaches last. The function also computes
+    this target from the problem and compares; in mode projected with several sweeps, it only checks that `target` is
+    finite.
     """
     if v.shape != (problem.width,) or not np.isfinite(v).all():
         return False
@@ -57,7 +58,7 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
 
 
 def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
-    """Return whether the last projection starts from `target` in the mode of the settings."""
+    """Return whether `target` is the velocity that the mode in the settings approaches last."""
     n = problem.width
     if settings.mode == "lexicographic":
         return not target.any()
@@ -80,7 +81,7 @@ def _size(level: Level) -> float:
 
 
 def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> tuple[Array, Array]:
-    """Add the level's normals: both signs of a row of J with a fixed value, otherwise normals of its finite bounds."""
+    """Append the level's outward normals (both signs for a fixed entry of J v) and the distances of v from them."""
     J = level.J / _size(level)
     fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(level.J @ v)))
     value = level.J @ v
@@ -93,7 +94,7 @@ def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> 
 
 
 def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
-    """Return the constraint rows relaxed by their violation at v; None if a smaller relaxation is feasible."""
+    """Return the constraint rows relaxed so far that v satisfies them; None if a smaller relaxation is feasible."""
     slack = tol * (1.0 + float(np.abs(v).max(initial=0.0)))
     missed = rows.violation(v)
     if missed[rows.mask("actuator")].max(initial=0.0) > slack:
@@ -111,7 +112,7 @@ def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
 
 
 def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: NDArray[np.bool_], tol: float) -> bool:
-    """Return whether no smaller violation of the soft rows is feasible (Farkas' lemma)."""
+    """Return whether no velocity violates the soft constraint rows less than v does (by Farkas' lemma)."""
     # normals of soft rows, with weights of sum 1, must balance normals of hard rows
     pushing, near = _bounds(rows, v, soft)
     holding, far = _bounds(rows, v, hard)
@@ -122,7 +123,7 @@ def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: N
 
 
 def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and v's distances (p,) from them."""
+    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and the distances (p,) of v."""
     value = rows.A @ v
     above, below = np.isfinite(rows.upper), np.isfinite(rows.lower)
     if chosen is not None:
@@ -133,7 +134,7 @@ def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None)
 
 
 def _in_cone(goal: Array, normals: Array, gaps: Array, tol: float) -> bool:
-    """Return whether goal (d,) is a sum of normals (p, d) with weights ≥ 0 for which Σ weight · gap = 0."""
+    """Return whether `goal` (d,) is a sum of the normals (p, d) with weights ≥ 0 that satisfy Σ weight · gap = 0."""
     from scipy.optimize import nnls
 
     size = float(np.abs(goal).max(initial=0.0))

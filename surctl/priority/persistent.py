@@ -1,9 +1,9 @@
-"""QP solvers that keep their state between control periods: DAQP and OSQP through their own interfaces.
+"""QP solvers DAQP and OSQP that are set up once and store their state between control periods.
 
-Both can be passed as a backend: `solve_least_distance(..., backend=PersistentDaqp())`. The number of constraint rows
-varies between control periods, because the elimination of equalities drops some rows. Neither solver can change its
-problem size, so one solver is stored for each size. If a solution fails the check of the optimality conditions, the
-solver is discarded, and a new solver is set up when the size occurs again.
+Both can be passed as a backend: `solve_least_distance(..., backend=PersistentDaqp())`. The number of inequalities
+varies between control periods, because the elimination of equalities removes some of them. Neither solver can change
+its problem size, so one solver object is stored for each size. If a solution is not optimal, its solver object is
+discarded, and a new one is set up when a problem of this size occurs again.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ _RHO = 0.1  # OSQP's default step size, from which it adapts
 
 
 class _Persistent(ABC):
-    """Base class of the persistent solvers: it stores one solver for each problem size."""
+    """Base class of the persistent solvers, which stores one solver object for each problem size."""
 
     def __init__(self, *, warm: bool = False) -> None:
         self.warm = warm
         self._solvers: dict[tuple[int, int], Any] = {}
 
     def __call__(self, G: Array, lower: Array, upper: Array, /) -> KernelSolution:
-        """Return the point nearest to 0 with lower (m,) ≤ G (m, d) y ≤ upper (m,), rows of length 1, ±inf allowed.
+        """Return the y (d,) nearest to 0 with lower ≤ G y ≤ upper, G (m, d) with rows of length 1, bounds (m,) or ±inf.
 
-        The status is also "infeasible" if bounds cross (lower > upper), and "failed" for a NaN; neither case raises an
-        exception.
+        If lower > upper in some row, the status is "infeasible"; if a number is NaN, the status is "failed". Neither
+        case raises an exception.
 
         Raises:
-            InputError: the shapes disagree (DAQP would then use the old bounds).
+            InputError: the shapes of G and the bounds disagree (DAQP would then use the old bounds).
         """
         m, d = G.shape
         if not lower.shape == upper.shape == (m,):
@@ -70,15 +70,15 @@ class _Persistent(ABC):
 
     @abstractmethod
     def _first(self, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
-        """Set up a solver for this problem size, and solve the problem."""
+        """Set up a solver object for this problem size, and solve the problem."""
 
     @abstractmethod
     def _again(self, solver: Any, G: Array, lower: Array, upper: Array) -> tuple[Any, KernelSolution]:
-        """Update the data of a solver of this problem size, and solve the problem."""
+        """Write the problem into a solver object that was set up for this size, and solve the problem."""
 
 
 class PersistentDaqp(_Persistent):
-    """DAQP's `Model` (Arnström, Bemporad and Axehill 2022), set up once for each problem size.
+    """The QP solver DAQP (Arnström, Bemporad and Axehill 2022), set up once for each problem size.
 
     Do not share an object between threads.
 
@@ -106,12 +106,12 @@ class PersistentDaqp(_Persistent):
 
 
 class PersistentOsqp(_Persistent):
-    """OSQP (Stellato et al. 2020), set up once for each size, then changed by `update(l, u, Ax)`.
+    """The QP solver OSQP (Stellato et al. 2020), set up once for each problem size, then updated with new data.
 
     The settings are those of `osqp_kernel`.
 
-    Like a new OSQP, a stored OSQP may stop before it reaches a tolerance of 1e-8 on degenerate constraint rows, with
-    status "unfinished"; `solve_least_distance` then polishes and checks the point.
+    If constraint rows are degenerate, OSQP may stop before it reaches a tolerance of 1e-8; the status is then
+    "unfinished". `solve_least_distance` then improves the point by a direct solution and checks that it is optimal.
 
     Do not share an object between threads.
 

@@ -1,4 +1,4 @@
-"""The set of velocities that satisfy the limits: V = {v : lower ≤ A v ≤ upper}, each row of A scaled to length 1."""
+"""The polyhedron {v : lower ≤ A v ≤ upper} of velocities that satisfy the limits, with rows of A scaled to length 1."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _ROUNDING = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Polyhedron:
-    """Constraint rows scaled to length 1, so that a violation is a velocity, with their names and kinds.
+    """Constraint rows lower ≤ a·v ≤ upper, scaled to ‖a‖ = 1 so that a violation is a velocity, with names and kinds.
 
     Attributes:
-        A: (m, n), normals. lower, upper: (m,), bounds. length: (m,), length of each normal before scaling.
-        kinds, names: (m,).
+        A: (m, n), one normal a in each row. lower, upper: (m,), bounds. length: (m,), ‖a‖ before scaling.
+        kinds, names: kind and name of each constraint row (m,).
         box: lower and upper bound (n,) of each velocity, from the actuator limits that bound a single velocity; ±inf
             where there is no such limit.
     """
@@ -42,7 +42,7 @@ class Polyhedron:
 
     @staticmethod
     def none(n: int) -> Polyhedron:
-        """Return the set of all velocities (n,), without any constraint row."""
+        """Return the set of all velocities (n,), which has no constraint row."""
         nothing, unbounded = np.zeros(0), np.full(n, np.inf)
         return Polyhedron(np.zeros((0, n)), nothing, nothing, nothing, (), (), (-unbounded, unbounded))
 
@@ -52,23 +52,23 @@ class Polyhedron:
         return int(self.A.shape[1])
 
     def violation(self, v: Array) -> Array:
-        """Return the violation (m,) of each constraint row by v (n,); 0 where v satisfies the row."""
+        """Return the amount (m,) by which v (n,) violates each constraint row; 0 if v satisfies the row."""
         value = self.A @ v
         return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
     def missed(self, v: Array) -> dict[str, float]:
-        """Return the violation of each row that v violates by more than rounding, by name, in the unit of the limit."""
+        """Return the violation of each limit that v violates by more than rounding, by name, in the limit's unit."""
         amount = self.violation(v)
         tolerance = _ROUNDING * (1.0 + float(np.abs(v).max()))
         return {self.names[i]: float(amount[i] * self.length[i]) for i in np.flatnonzero(amount > tolerance)}
 
     def contains(self, v: Array) -> bool:
-        """Return whether v satisfies every constraint row without tolerance; False for a NaN."""
+        """Return whether v satisfies every constraint row exactly, without tolerance; False if v contains a NaN."""
         value = self.A @ v
         return bool(((self.lower <= value) & (value <= self.upper)).all())
 
     def mask(self, *kinds: Kind) -> NDArray[np.bool_]:
-        """Return a mask (m,) of the constraint rows of these kinds."""
+        """Return a mask (m,) that is true for the constraint rows of these kinds."""
         return np.array([kind in kinds for kind in self.kinds], dtype=bool)
 
     def relaxed(self, rows: NDArray[np.bool_], by: float) -> Polyhedron:
@@ -77,7 +77,7 @@ class Polyhedron:
         return replace(self, lower=self.lower - move, upper=self.upper + move)
 
     def holding(self, v: Array) -> Polyhedron:
-        """Return the set with bounds moved just far enough that v satisfies them exactly; v must be feasible."""
+        """Return the set with bounds widened by rounding errors so that v, which must be feasible, satisfies them."""
         value = self.A @ v
         return replace(self, lower=np.minimum(self.lower, value), upper=np.maximum(self.upper, value))
 
@@ -109,13 +109,13 @@ class Polyhedron:
         )
 
     def widened(self, J: Array, lower: Array, upper: Array) -> Polyhedron:
-        """Return the set over (v, s), s (k,), with k additional constraint rows lower ≤ J v + s ≤ upper."""
+        """Return the set of all (v, s) that satisfy the limits on v and lower ≤ J v + s ≤ upper, J (k, n), s (k,)."""
         k = J.shape[0]
         wide = replace(self, A=np.hstack([self.A, np.zeros((self.A.shape[0], k))]))
         return wide.also(np.hstack([J, np.eye(k)]), lower, upper, names=["slack"] * k)
 
     def clamp(self, v: Array) -> Array:
-        """Return v with each entry moved into the bounds of the box."""
+        """Return v with each velocity clipped to the bounds `box`."""
         clamped: Array = np.clip(v, *self.box)
         return clamped
 
@@ -123,7 +123,7 @@ class Polyhedron:
 def polyhedron_of(problem: PriorityProblem) -> Polyhedron:
     """Return the limits of the problem as constraint rows of length 1.
 
-    A constraint row with zero normal keeps its bounds, so it is either always or never satisfied.
+    A constraint row with normal 0 is not scaled; all velocities satisfy this row, or none does.
     """
     rows, n = problem.rows, problem.width
     A = np.array([row.a for row in rows]).reshape(len(rows), n)

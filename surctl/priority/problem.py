@@ -1,4 +1,4 @@
-"""The priority problem of one control period as data: named levels and named limits that can be printed and saved."""
+"""The priority problem of one control period, with numeric tasks and limits; the problem can be printed and saved."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One priority level, that is, one task at one instant: lower ≤ J v ≤ upper for each row of J.
+    """One priority level, that is, one task at one instant: lower ≤ J v ≤ upper for the velocity v.
 
-    `Level(name, J, x)` requires J v = x. A set-based task has lower < upper; an absent bound is ±inf. Such a row of J
-    has no effect while its J v lies between its bounds.
+    `Level(name, J, x)` requires J v = x. A set-based task has lower < upper in some rows; an absent bound is ±inf. A
+    row with lower < upper has no effect while its entry of J v is between the bounds.
 
     Attributes:
-        J: (k, n).
-        lower, upper: (k,) bounds of J v [unit of σ per second]; upper = None means upper = lower.
-        unit: unit of σ̇ for the text of explanations, for example "m/s".
+        J: (k, n), Jacobian of the task.
+        lower, upper: (k,) bounds of J v, the rate of the task's quantity σ [unit of σ per second]; upper = None means
+            upper = lower.
+        unit: unit of J v for messages, for example "m/s".
     """
 
     name: str
@@ -45,7 +46,7 @@ class Level:
 
     @property
     def high(self) -> Array:
-        """The upper bounds (k,)."""
+        """Return the upper bounds (k,) of J v; they equal the lower bounds if `upper` is None."""
         return self.lower if self.upper is None else self.upper
 
     @property
@@ -60,19 +61,19 @@ class Level:
         return self.upper is None or bool(self.exact.all())
 
     def miss(self, v: Array) -> Array:
-        """Return the signed distance (k,) from J v to the nearest allowed value, for v (n,); 0 inside the bounds."""
+        """Return the change (k,) that takes each entry of J v, v (n,), to its nearest bound; 0 between its bounds."""
         value = self.J @ v
         lacks: Array = np.clip(value, self.lower, self.high) - value
         return lacks
 
     def residual(self, v: Array) -> float:
-        """Return the norm of `miss`; it is ‖J v − x‖ for a task with one desired value x."""
+        """Return the distance between J v and the allowed values; ‖J v − x‖ for a task with one desired value x."""
         return float(np.sqrt((self.miss(v) ** 2).sum()))
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One limit at one instant as a constraint row: lower ≤ a·v ≤ upper with a (n,); an absent bound is ±inf."""
+    """One limit on the velocity v at one instant: lower ≤ a·v ≤ upper with a (n,); an absent bound is ±inf."""
 
     name: str
     kind: Kind
@@ -83,7 +84,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class PriorityProblem:
-    """A priority problem from `build_problem`: levels, highest priority first, and limits as constraint rows."""
+    """A priority problem from `build_problem`: levels, highest priority first, and limits as linear constraints."""
 
     levels: tuple[Level, ...]
     rows: tuple[Row, ...] = ()
@@ -94,7 +95,7 @@ class PriorityProblem:
         return int(self.levels[0].J.shape[1])
 
     def __str__(self) -> str:
-        """Return the problem as a table with one line for each row of each J and one for each limit."""
+        """Return the problem as a table with one line for each row of each Jacobian and one line for each limit."""
         lines = [f"{'priority':<9} {'name':<20} row · v"]
         for place, level in enumerate(self.levels, start=1):
             lines += [
@@ -109,7 +110,7 @@ class PriorityProblem:
     def to_dict(self) -> dict[str, Any]:
         """Return the problem as plain data for JSON; an absent bound is null.
 
-        `from_dict` restores the numbers exactly.
+        `from_dict` restores the problem exactly.
         """
         return {
             "levels": [
@@ -168,12 +169,12 @@ class PriorityProblem:
 
 
 def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> PriorityProblem:
-    """Return a checked, read-only priority problem.
+    """Check levels and limits, and return them as a read-only priority problem.
 
     Raises:
-        InputError: no level, different numbers of columns, a value that is not a finite number, crossed bounds, an
-            unknown kind, or a name that is empty, has several lines or is used twice. The message names the task (and
-            the row of J) or the limit.
+        InputError: there is no level, Jacobians and normals have different numbers of columns, a number is not finite,
+            lower > upper, a kind of limit is unknown, or a name is empty, has several lines or is used twice. The
+            message names the task (and the row of its Jacobian) or the limit.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""Independent implementations of the priority laws for tests and studies; they share no code with the solvers here."""
+"""Independent implementations of the priority laws, for comparison with the solvers, with which they share no code."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NO_BOUND = 1e30
 
 
 def printed_law(levels: Sequence[Level]) -> Array:
-    """Return v of the law (16) with the pseudo-inverse of numpy, expanded: v_1 + N_1 v_2 + N_1 N_2 v_3 + …"""
+    """Return the velocity of the NSB law, equation (16) of the paper, as the sum v_1 + N_1 v_2 + N_1 N_2 v_3 + …"""
     n = levels[0].J.shape[1]
     v, chain = np.zeros(n), np.eye(n)
     for level in levels:
@@ -32,9 +32,10 @@ def printed_law(levels: Sequence[Level]) -> Array:
 
 
 def svd_cascade(levels: Sequence[Level]) -> Array:
-    """Return v of strict priority without limits: v ← v + (J N)⁺(x − J v), with cut-off 1e-10·‖J‖.
+    """Return the velocity of strict priority without limits, by v ← v + (J N)⁺(x − J v) for one level after another.
 
-    N is the null-space projector of all levels above.
+    J is the Jacobian of the level, x its desired rate, and N the null-space projector of all levels above. Singular
+    values of J N below 1e-10·‖J‖ count as 0.
     """
     n = levels[0].J.shape[1]
     v, N = np.zeros(n), np.eye(n)
@@ -47,10 +48,10 @@ def svd_cascade(levels: Sequence[Level]) -> Array:
 
 
 def daqp_hierarchy(problem: PriorityProblem) -> Array:
-    """Solve with the lexicographic solver of DAQP (Arnström, Bemporad and Axehill 2022); its first level is the limits.
+    """Solve the problem with DAQP's solver for strict priority (Arnström, Bemporad and Axehill 2022).
 
-    DAQP scales all rows of J and all limits to length 1, so its residuals are comparable with those of this package
-    only if all rows already have length 1.
+    The limits are the first level of this solver. DAQP scales every Jacobian row and every limit to length 1, so its
+    residuals can be compared with those of this package only if all rows already have length 1.
 
     Raises:
         SolverError: DAQP finds no solution.

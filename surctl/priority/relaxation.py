@@ -1,4 +1,4 @@
-"""Relaxation of limits that contradict each other: the smallest opening that makes them consistent."""
+"""Relaxation of limits that contradict each other, by the smallest amount that makes them consistent."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ __all__ = ["Relaxed", "least_violation"]
 Array: TypeAlias = NDArray[np.float64]
 
 _OPEN = 1e-9
-"""Rows that open by at most this amount count as consistent."""
+"""Limits that are relaxed by at most this amount count as consistent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
-    """Consistent constraint rows, the result of `least_violation`.
+    """Result of `least_violation`: constraint rows that were relaxed until they are consistent.
 
     Attributes:
-        rows: the constraint rows with moved bounds.
-        inside: a point (n,) that satisfies `rows`.
-        iterations: number of iterations of the solvers.
-        opened: whether any constraint row had to open; False if a solver reported infeasibility by mistake.
+        rows: the constraint rows, with the bounds of the relaxed ones moved outwards.
+        inside: a velocity (n,) that satisfies `rows`.
+        iterations: number of iterations of all solvers together.
+        opened: whether any limit had to be relaxed; False if a solver reported infeasibility by mistake.
         conflict: names of the limits that contradict each other.
-        least: whether the searches for the smallest opening converged.
+        least: whether the search showed that no smaller relaxation is possible.
     """
 
     rows: Polyhedron
@@ -46,9 +46,10 @@ class Relaxed:
 
 
 def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Relaxed | None:
-    """Relax barrier limits, then limits of set-based tasks, each kind by its smallest uniform amount [row of length 1].
+    """Relax barrier limits, then limits of set-based tasks, each kind by the smallest uniform amount.
 
-    Return None if the actuator limits contradict each other, or if no solver finds a solution. `start` is (n,).
+    The amount applies to constraint rows scaled to length 1. Return None if the actuator limits contradict each other,
+    or if no solver finds a solution. `start` is a velocity (n,).
     """
     firm = rows.only(rows.mask("actuator"))
     solution = Freedom.whole(start.size).nearest(start, firm, backend=backend)
@@ -72,10 +73,10 @@ def least_violation(rows: Polyhedron, start: Array, *, backend: Backend) -> Rela
 def _least_uniform(
     rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...], inside: Array
 ) -> tuple[Array, float, LevelSolution, tuple[str, ...]]:
-    """Return a point, the least t ≥ 0 by which limits of `kind` must open, the result, and the rows that limit t.
+    """Return v, the least t ≥ 0 by which limits of `kind` must be relaxed, the solution, and the limits that set t.
 
-    The search for t is a task in the variables (v, t) with desired value t = 0. `inside` satisfies the hard constraint
-    rows.
+    The minimisation of t is solved as a task in the variables (v, t) with desired value t = 0. `inside` is a velocity
+    that satisfies the limits of the kinds `hard`.
     """
     n = inside.size
     close = Level("opening", np.eye(1, n + 1, n), np.zeros(1))
@@ -87,7 +88,7 @@ def _least_uniform(
 
 
 def _opening(rows: Polyhedron, kind: Kind, hard: tuple[Kind, ...]) -> Polyhedron:
-    """Return constraint rows over (v, t): hard rows are unchanged, both bounds of rows of `kind` are widened by t."""
+    """Return constraints on (v, t): limits of the kinds `hard`, and limits of `kind` with both bounds widened by t."""
     keep, soft = np.flatnonzero(rows.mask(*hard)), np.flatnonzero(rows.mask(kind))
     order = np.concatenate([keep, soft, soft])
     none = np.full(soft.size, np.inf)

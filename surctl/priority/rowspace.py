@@ -33,16 +33,16 @@ class RowSpace:
     null: NDArray[np.float64]
 
     def pinv(self) -> NDArray[np.float64]:
-        """The pseudo-inverse J⁺, (n, k)."""
+        """Return the pseudo-inverse J⁺, (n, k)."""
         return (self.rows.T / self.s) @ self.left.T
 
     def particular(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The product J⁺x, (n,)."""
+        """Return the product J⁺x, (n,)."""
         return self.rows.T @ ((self.left.T @ x) / self.s)
 
 
 def row_space(J: NDArray[np.float64], *, cutoff: float = CUTOFF, scale: float | None = None) -> RowSpace:
-    """Decompose J (k, n); the cut-off is `cutoff`·`scale` (‖J‖ if None), and never below `ZERO_ROW`."""
+    """Decompose J (k, n) without singular values below `cutoff`·`scale` or `ZERO_ROW`; `scale` None means ‖J‖."""
     left, s, rows = np.linalg.svd(J, full_matrices=True)
     largest = scale if scale is not None else float(s[0]) if s.size else 0.0
     rank = int(np.count_nonzero(s > max(cutoff * largest, ZERO_ROW)))
@@ -52,9 +52,9 @@ def row_space(J: NDArray[np.float64], *, cutoff: float = CUTOFF, scale: float | 
 def project(
     w: NDArray[np.float64], J: NDArray[np.float64], *, x: NDArray[np.float64], cutoff: float = CUTOFF
 ) -> NDArray[np.float64]:
-    """Return w + J⁺(x − J w): of all z that minimise ‖J z − x‖, the point nearest to w (n,).
+    """Return, of all z that minimise ‖J z − x‖, the one nearest to w (n,), which is w + J⁺(x − J w).
 
-    The result is also exact for a rank-deficient J.
+    This also holds for a rank-deficient J.
     """
     if J.shape[0] == 1:
         row = J[0]

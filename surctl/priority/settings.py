@@ -1,4 +1,4 @@
-"""Settings of the priority law: mode, sweeps, damping, cut-off."""
+"""Settings of the priority law: mode, number of sweeps, damping, and cut-off for singular values."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ from surctl.priority.rowspace import CUTOFF
 __all__ = ["Fallback", "Mode", "Settings", "check_fallback"]
 
 Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
-"""nsb: the printed law (16), without limit rows. filter: the point inside the rows nearest to nsb. projected: (16) with
-its last projection, that of the first task, restricted to the rows. lexicographic: strict priority inside the rows."""
+"""nsb: the NSB law, equation (16) of the paper, without limits. filter: the velocity within the limits that is nearest
+to that of nsb. projected: equation (16) with the projection on the first task restricted to the limits. lexicographic:
+strict priority within the limits."""
 
 Fallback: TypeAlias = Literal["exact", "bounded"]
 """What a compiled step does if task and limits are incompatible. exact: compute the optimum at any cost. bounded:
-compute at constant cost a v that violates the limits no more than the target moved into the box, or v = 0, does."""
+compute, at constant cost, a velocity that violates the limits no more than the better of two: the target clipped to the
+velocity bounds, and 0."""
 
 _BOUNDED: tuple[Mode, ...] = ("filter", "projected")
 
@@ -31,13 +33,15 @@ class Settings:
     """Settings of the priority law that `solve` applies to a problem.
 
     Attributes:
-        mode: see `Mode`.
-        sweeps: number of sweeps; a sweep projects v on every level, from the lowest to the highest, and starts from the
-            result of the previous sweep. One sweep is the law (16); more sweeps approach strict priority where the
-            tasks are compatible. Must be 1 in mode lexicographic.
-        damping: λ [unit of J], at least 1e-6, or 0 for no damping. With damping, every projection becomes min λ²‖z −
-            w‖² + ‖J z − x‖², which is (16) with Jᵀ(JJᵀ + λ²I)⁻¹ in both v_i and N_i. Must be 0 in mode lexicographic.
-        cutoff: singular values of J_i and of J_i N below cutoff·‖J_i‖ count as 0.
+        mode: the priority law; see `Mode`.
+        sweeps: number of sweeps. One sweep projects v on every level, from the lowest to the highest priority; the next
+            sweep starts from the resulting v. One sweep is the NSB law, equation (16) of the paper. More sweeps
+            approach strict priority if the tasks are compatible. Must be 1 in mode lexicographic.
+        damping: λ [unit of the Jacobian J], at least 1e-6, or 0 for no damping. With damping, every projection of a
+            velocity w on a level J v = x becomes min λ²‖z − w‖² + ‖J z − x‖² over z. This is equation (16) with the
+            damped inverse Jᵀ(JJᵀ + λ²I)⁻¹ in place of every pseudo-inverse. Must be 0 in mode lexicographic.
+        cutoff: singular values of a level's Jacobian J, or of J restricted to the null space of the higher levels,
+            count as 0 if they are below cutoff·‖J‖.
 
     Raises:
         InputError: an unknown mode, or a number out of range.
@@ -49,7 +53,7 @@ class Settings:
     cutoff: float = CUTOFF
 
     def __post_init__(self) -> None:
-        """Check the range of each setting, and whether the mode uses the setting."""
+        """Check that each setting is in its range and that the mode uses it."""
         modes = get_args(Mode)
         if self.mode not in modes:
             raise InputError(

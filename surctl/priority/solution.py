@@ -16,36 +16,38 @@ from surctl.priority.settings import Settings
 __all__ = ["Outcome", "PrioritySolution", "residuals_at"]
 
 Outcome: TypeAlias = Literal["optimal", "limited", "relaxed", "unconfirmed", "clamped"]
-"""optimal: the optimum of the mode, with the first task met as well as without rows (where the mode considers it);
-limited: the first task is met as well as the rows allow; relaxed: the rows contradict each other, so some were opened;
-unconfirmed: v satisfies the rows as far as a solver could, but no solution passed the check, so a better v may exist;
-clamped: the actuator rows contradict each other (or no solver found a solution), and v is only moved into the box."""
+"""optimal: v is the optimum of the mode, and the first task, where the mode considers it, is met as well as without
+limits. limited: the first task is met as well as the limits allow. relaxed: the limits contradict each other, so some
+were relaxed. unconfirmed: v satisfies the limits as far as a solver could, but was not shown to be optimal. clamped:
+the actuator limits contradict each other (or no solver found a solution), and v is only clipped to the velocity
+bounds."""
 
 _NOTICEABLE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
 class PrioritySolution:
-    """A velocity, which is always finite, with the limits and tasks that determine this velocity.
+    """The velocity from the priority law, which is always finite, with the limits and tasks that determine it.
 
     Attributes:
-        v: (n,), velocity; for this vehicle (u, v, w, r) in {B} [m/s, rad/s].
-        settings: mode, sweeps, damping, cut-off.
-        target: (n,), the point from which the last projection starts: the result w_2 of the levels below the first for
-            "projected", the result of the law (16) for "filter", 0 for "lexicographic".
-        residuals: norm ‖J_i v − x_i‖ of each level, by name [unit of σ per second].
-        without_limits: ‖J_i v − x_i‖ of each level for v of the law (16) without limits; it shows what a level loses to
-            the levels above it alone.
-        binding: (name, Lagrange multiplier) of each limit that binds, for the unscaled constraint row; positive at the
-            upper bound, negative at the lower bound. A set-based level that binds appears under its own name, with a
-            dot and the index of the row of J if it has several rows. The multiplier belongs to min ½‖v − target‖²; if
-            the limit restricts a strict level (the first level in "projected", any level in "lexicographic"), it
-            belongs to min ½‖J v − x‖² of this level.
+        v: (n,), velocity; for this vehicle (u, v, w, r) in the body frame {B} [m/s, rad/s].
+        settings: settings of the priority law: mode, sweeps, damping, cut-off.
+        target: (n,), the velocity to which v is as near as limits and strict levels allow: for "projected", the result
+            of the projections on all levels below the first; for "filter", the result of the NSB law, equation (16) of
+            the paper; for "lexicographic", 0.
+        residuals: residual ‖J v − x‖ of each level with Jacobian J and desired rate x, by name [unit of σ per second].
+        without_limits: residual of each level for the velocity of the NSB law without limits; this residual is due to
+            the higher levels alone.
+        binding: (name, Lagrange multiplier) of each active limit, in the unit of the limit; positive at the upper
+            bound, negative at the lower bound. A set-based level at its bound is listed under the name of the level,
+            with a dot and the row index if its Jacobian has several rows. The multiplier belongs to min ½‖v − target‖².
+            If the limit restricts a strict level (the first level in "projected", any level in "lexicographic"), the
+            multiplier belongs to min ½‖J v − x‖² of this level.
         causes: for each strict level that limits restrict, the names of these limits.
-        relaxed: violation of each violated limit, in the unit of that limit.
-        conflict: names of the limits that contradict each other, so that some limits were relaxed.
-        fallback: 1: the first task is met; 2: the first task is met as well as the limits allow; 3: limits are relaxed,
-            or v is unconfirmed or clamped.
+        relaxed: violation of each limit that v violates, by name, in the unit of the limit.
+        conflict: names of the limits that contradict each other; empty if no limit had to be relaxed.
+        fallback: 1 if the first task is met; 2 if the first task is met as well as the limits allow; 3 if limits are
+            relaxed, or if the status is "unconfirmed" or "clamped".
         iterations: number of iterations of all solvers together; 0 if no solver was needed.
         status: see `Outcome`.
         units: unit of each level's residual.
@@ -86,13 +88,13 @@ class PrioritySolution:
         return f"{text} The limits contradict each other{who}, so the least violation was allowed: {missed}."
 
     def is_optimal(self, problem: PriorityProblem, tol: float = 1e-6) -> bool:
-        """Return whether v is optimal for `mode` and `problem`, checked from v alone; see `optimality`."""
+        """Return whether v is optimal for the priority mode and `problem`, by the check in module `optimality`."""
         return self.status != "clamped" and is_optimal(
             self.v, problem, settings=self.settings, target=self.target, tol=tol
         )
 
     def _losses(self) -> str:
-        """Return a sentence on which tasks are not fully met, by how much, and the limits that cause this."""
+        """Return a sentence that states which tasks are not fully met, by how much, and due to which limits."""
         bind = tuple(name for name, _ in self.binding)
         lost: dict[tuple[str, ...], list[str]] = {}
         for name, residual in self.residuals.items():
@@ -122,5 +124,5 @@ def _verb(names: Sequence[str]) -> str:
 
 
 def residuals_at(v: NDArray[np.float64], levels: tuple[Level, ...]) -> dict[str, float]:
-    """Return ‖J_i v − x_i‖ of each level by name; for a set-based task, the distance of J_i v from its interval."""
+    """Return the residual ‖J v − x‖ of each level by name; for a set-based level, the distance to its interval."""
     return {level.name: level.residual(v) for level in levels}

@@ -34,24 +34,27 @@ def solve(
     cutoff: float = CUTOFF,
     backend: Backend = "daqp",
 ) -> PrioritySolution:
-    """Solve the priority problem of one control period; v is finite for any problem.
+    """Solve the priority problem of one control period; the returned velocity v is finite for any problem.
 
-    (1) The solution meets the first task and satisfies all limits. (2) If no v does both, the first task is met as well
-    as the limits allow. (3) If the limits contradict each other, soft limits are first relaxed by the smallest uniform
-    amount: limits of set-based tasks, and barrier limits only if the former are not enough. Actuator limits are never
-    relaxed. If no limit binds, the solution equals the solution of the mode without limits.
+    (1) If possible, v meets the first task and satisfies all limits. (2) If no velocity does both, v satisfies all
+    limits and meets the first task as well as they allow. (3) If the limits contradict each other, they are first
+    relaxed by the smallest uniform amount: limits of set-based tasks, and barrier limits only if the relaxation of the
+    former is not enough. Actuator limits are never relaxed. If no limit is active, v is the velocity of the mode
+    without limits.
 
     Args:
-        problem: from `build_problem`.
-        mode: "projected": the law (16) with its last projection restricted to the limits. "filter": the v that
-            satisfies the limits and is nearest to the result of (16). "lexicographic": strict priority. "nsb": the law
-            (16) without limits (`relaxed` then lists the violated limits).
+        problem: priority levels and limits, from `build_problem`.
+        mode: the priority law. "nsb": the NSB law, equation (16) of the paper, without limits (`relaxed` then lists the
+            violated limits). "projected": equation (16) with the projection on the first task restricted to the limits.
+            "filter": the velocity that satisfies the limits and is nearest to the result of (16). "lexicographic":
+            strict priority within the limits.
         sweeps, damping, cutoff: see `Settings`.
-        backend: a name in `BACKENDS`: "daqp", "osqp", "own", or another solver that qpsolvers finds; or a `Kernel`, for
-            example `PersistentDaqp()`, which keeps its state between control periods. Mode "nsb" uses no backend.
+        backend: the QP solver. A name in `BACKENDS`: "daqp", "osqp", "own", or another solver that the package
+            qpsolvers finds; or a `Kernel`, for example `PersistentDaqp()`, which stores its state between control
+            periods. Mode "nsb" uses no QP solver.
 
     Raises:
-        InputError: an unknown mode or backend, or a setting out of range.
+        InputError: the mode or the backend is unknown, or a setting is out of range.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""The law (16) as a sequence of Euclidean projections, one per level, extended to set-based tasks and damping."""
+"""The NSB law, equation (16) of the paper, as one projection per level, extended to set-based tasks and damping."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ _NOTHING = 1e-15  # a damped problem has full rank, so no direction is cut off
 
 
 def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PLAIN) -> Array:
-    """Return the result of one sweep: project `start` (n,) on every level, from the lowest priority to the highest.
+    """Return the velocity after one sweep, which projects `start` (n,) on every level, from lowest to highest priority.
 
-    w_{k+1} = start; w_i = argmin ‖z − w_{i+1}‖ over argmin ‖J_i z − x_i‖; v = w_1. From start = 0 the result is the law
-    (16), because the projection of w on level i is J_i⁺x_i + N_i w. If w satisfies a set-based task, the projection on
-    this task leaves w unchanged. Of `settings`, the function uses only the damping and the cut-off.
+    The projection of a velocity w on a level J v = x is the velocity nearest to w among those that minimise ‖J v − x‖,
+    which is J⁺x + (I − J⁺J) w. If `start` is 0, the result is therefore the NSB law, equation (16) of the paper. If w
+    satisfies a set-based task, the projection on this task is w itself. Of `settings`, the function uses only the
+    damping and the cut-off.
 
     Example:
         >>> import numpy as np
@@ -47,10 +48,11 @@ def nsb_sweep(levels: Sequence[Level], *, start: Array, settings: Settings = _PL
 
 
 def without_rows(levels: Sequence[Level], *, width: int, settings: Settings = _PLAIN) -> Array:
-    """Return the solution (width,) of the mode without limits: sweeps of (16) from 0, or strict priority.
+    """Return the velocity (width,) of the priority mode without limits: sweeps of the NSB law, or strict priority.
 
-    Strict priority is v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}) with N the null-space projector of all levels above
-    (Siciliano and Slotine 1991), with a cut-off relative to ‖J_i‖.
+    Strict priority is v ← v + (J N)⁺(x − J v) for one level after another, with its Jacobian J, its desired rate x, and
+    the null-space projector N of all levels above (Siciliano and Slotine 1991). Small singular values of J N relative
+    to ‖J‖ count as 0.
     """
     v = np.zeros(width)
     if settings.mode == "lexicographic":
@@ -80,9 +82,10 @@ def _onto(level: Level, w: Array, settings: Settings) -> Array:
 
 
 def damped_point(level: Level, w: Array, rows: Polyhedron, *, damping: float, inside: Array) -> LevelSolution:
-    """Minimise λ²‖v − w‖² + ‖residual of the level‖² subject to the limits; λ = `damping` > 0, w (n,).
+    """Minimise λ²‖v − w‖² + ‖residual of the level‖² over v subject to the limits; λ = `damping` > 0, w (n,).
 
-    `inside` (n,) satisfies the constraint rows. The Lagrange multipliers are those of half this cost.
+    `inside` (n,) is a velocity that satisfies the limits. The returned Lagrange multipliers are those of half this
+    cost.
     """
     n, pull = w.size, damping * w
     both = Level(

@@ -18,18 +18,19 @@ _ZERO_SQUARE = 1e-30
 
 
 def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0) -> ca.SX:
-    """Return v (n, 1) of the nested law (16) for levels (J (k, n), x (k, 1)), highest priority first.
+    """Return the velocity v (n, 1) of the NSB law, equation (16) of the paper, as a CasADi expression.
 
-    The law is computed as w ← w + J_λ(x − J w) from the lowest level to the highest. J_λ = Jᵀ(JJᵀ + λ²I)⁻¹ comes from
-    an explicit LDLᵀ factorisation, without pseudo-inverse, loop or branch. `damping` λ (unit of J) appears in both v_i
-    and N_i. Only with λ in both is every step still a projection (min λ²‖z − w‖² + ‖J z − x‖²).
+    `levels` are pairs of Jacobian J (k, n) and desired rate x (k, 1), highest priority first. The law is computed as w
+    ← w + J_λ(x − J w) from the lowest level to the highest. The damped inverse J_λ = Jᵀ(JJᵀ + λ²I)⁻¹, λ = `damping`
+    (unit of J), comes from an explicit LDLᵀ factorisation, without loop or branch. So every step minimises λ²‖z − w‖² +
+    ‖J z − x‖² over z.
 
-    Without damping, a zero row of J (an inactive task) contributes nothing, and a row of J that depends on earlier rows
-    of the same J is ignored. The result of `nsb` differs only if two such rows contradict each other: `nsb` then takes
-    the mean of their desired values.
+    Without damping, a zero row of J (an inactive task) contributes nothing, and a row of J that is linearly dependent
+    on earlier rows of J is ignored. The velocity differs from that of `nsb` only if dependent rows contradict each
+    other: `nsb` then takes the mean of their desired values.
 
     Raises:
-        InputError: no level, inconsistent shapes, or negative damping.
+        InputError: there is no level, the shapes of J and x are inconsistent, or the damping is negative.
 
     Example:
         >>> import casadi as ca
@@ -48,12 +49,12 @@ def nsb_symbolic(levels: Sequence[tuple[ca.SX, ca.SX]], *, damping: float = 0.0)
 
 
 def projection(w: ca.SX, J: ca.SX, x: ca.SX, *, damping: float = 0.0) -> ca.SX:
-    """Return the projection of w (n, 1) on a level J (k, n), x (k, 1): argmin λ²‖z − w‖² + ‖J z − x‖²."""
+    """Return the z that minimises λ²‖z − w‖² + ‖J z − x‖², with λ = `damping`, w (n, 1), J (k, n), x (k, 1)."""
     return w + J.T @ _solve_gram(J, x - J @ w, damping)
 
 
 def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
-    """Return the solution y (k, 1) of (J Jᵀ + λ²I) y = rhs by LDLᵀ; y is 0 for dependent rows and zero rows of J."""
+    """Return the solution y (k, 1) of (J Jᵀ + λ²I) y = rhs by LDLᵀ, λ = `damping`; y is 0 for dependent rows of J."""
     G = ca.densify(J @ J.T + damping**2 * ca.SX.eye(J.shape[0]))
     L, inverse = _factorise(G, damping**2)
     k = G.shape[0]
@@ -69,7 +70,7 @@ def _solve_gram(J: ca.SX, rhs: ca.SX, damping: float) -> ca.SX:
 
 
 def _factorise(G: ca.SX, least: float) -> tuple[list[list[ca.SX]], list[ca.SX]]:
-    """Return the rows of the unit lower triangular L, and the inverse pivots (0 where a pivot vanishes)."""
+    """Return the factors L (rows) and 1/D (0 for a zero pivot) of G = L D Lᵀ, with L unit lower triangular."""
     # with damping every pivot is at least λ² (`least`) up to rounding; stating this bound helps proofs about the
     # expression
     k = G.shape[0]

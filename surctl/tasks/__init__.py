@@ -1,4 +1,4 @@
-"""Tasks σ(η) of the robot, stacks of tasks ordered by priority, and limits on the velocity."""
+"""Tasks (a quantity σ of the pose η and its desired value), stacks of tasks in priority order, and velocity limits."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ __all__ = ["AccelerationLimit"]
 
 @dataclass(frozen=True, eq=False)
 class AccelerationLimit:
-    """The limit |v − ν| ≤ a·dt on each axis of the body frame.
+    """The limit |v − ν| ≤ a·dt between commanded velocity v and present velocity ν, on each axis of the body frame.
 
     Attributes:
         nu: present velocity ν (4,) [m/s, m/s, m/s, rad/s].
@@ -35,7 +35,7 @@ class AccelerationLimit:
     kind: Kind = "actuator"
 
     def __post_init__(self) -> None:
-        """Check name, kind and shapes."""
+        """Check the limit's name and kind, and the shapes of the values."""
         checked_kind(checked_name(self.name), self.kind)
         object.__setattr__(self, "nu", checked_column(self.name, "nu", self.nu, 4, finite=True))
         object.__setattr__(self, "limit", checked_positive(self.name, "limit", self.limit, 4, zero=True))
@@ -47,5 +47,5 @@ class AccelerationLimit:
         return VelocityBox(nu - change, nu + change, self.name, self.kind)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return four limit rows (one per axis), named NAME.u, NAME.v, NAME.w, NAME.r."""
+        """Return four limit rows lower ≤ a·v ≤ upper (one per axis), named NAME.u, NAME.v, NAME.w, NAME.r."""
         return self.box().rows()

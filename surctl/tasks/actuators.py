@@ -1,4 +1,4 @@
-"""Actuator limits made consistent: velocity and acceleration boxes widened to a velocity that the thrust can reach."""
+"""Consistent actuator limits: velocity and acceleration bounds widened to a velocity that the thrust can reach."""
 
 from __future__ import annotations
 
@@ -17,27 +17,26 @@ __all__ = ["ActuatorLimits"]
 
 @dataclass(frozen=True, eq=False)
 class ActuatorLimits:
-    """Velocity box B, acceleration box A and thrust limits T; B and A are widened so that a feasible velocity exists.
+    """Limits on velocity, acceleration and thrust; the first two are widened so that a feasible velocity exists.
 
-    If a vehicle is far outside B, or if drag and Coriolis forces exceed the thrust, it cannot satisfy B or A, and the
-    limits would contradict each other. The thrust is a physical limit, so T does not change, and B and A are widened to
-    contain a point p of T:
+    Each limit is a set of commanded velocities: B from the velocity bounds, A from the acceleration bounds, and T from
+    the thrust bounds. If the present velocity ν is far outside B, or if drag and Coriolis forces exceed the thrust, the
+    sets may have no common point. The thrust is a physical limit, so T does not change. B and A are widened to contain
+    a point p of T:
 
-        q = the point of A nearest to (the point of B nearest to ν),   p = the point of T toward q,
+        q = the point of A nearest to (the point of B nearest to ν),
+        p = the velocity that the vehicle reaches with the thrust for q, clipped to the thrust bounds,
         B' = hull(B, p),   A' = hull(A, p).
 
-    Proof that B' ∩ A' ∩ T is never empty: p ∈ T, because the thrust for p is the thrust for q, clipped to the thrust
-    bounds. By definition, p is in both hulls. If q ∈ B ∩ T, then p = q, and the boxes do not change. So the boxes do
-    not change while ν is in B and the thrust can hold ν. For a diagonal M the axes are independent, T is a box, and p
-    is the point of T nearest to q. Intervals that intersect in pairs have a common point. The point of an interval I
-    nearest to x lies in every interval that contains x and intersects I. Hence B' = B if A, B and T intersect.
-    Otherwise B' is the smallest box that intersects A ∩ T (and A' the smallest box that intersects T, if A does not).
-    For any other M, p is a point of T, but another point of T may widen the boxes less.
+    B' is the smallest box that contains B and p, and A' is the smallest box that contains A and p. So B', A' and T
+    always have the common point p. The boxes do not change while ν is in B and the thrust can hold ν. If the mass
+    matrix is diagonal and A, B and T have a common point, B' equals B. If the mass matrix is not diagonal, another
+    point of T may widen the boxes less than p does.
 
     Attributes:
-        box: the velocity box B.
-        thrust: the thrust limits T, with lower ≤ upper.
-        acceleration: the acceleration box A, with the ν of T; None for no acceleration limit.
+        box: bounds on the velocity (set B).
+        thrust: bounds on the thrust (set T), with lower ≤ upper.
+        acceleration: bounds on the acceleration (set A), with the same ν and dt as `thrust`; None for no such limit.
 
     Raises:
         InputError: ν or dt of `acceleration` differs from that of `thrust`, or two of the limits have the same name.
@@ -48,7 +47,7 @@ class ActuatorLimits:
     acceleration: AccelerationLimit | None = None
 
     def __post_init__(self) -> None:
-        """Check that the limits have equal ν and dt, and different names."""
+        """Check that thrust and acceleration limit have equal ν and dt, and that all limits have different names."""
         names = [limit.name for limit in (self.box, self.thrust, self.acceleration) if limit is not None]
         for name in names:
             if names.count(name) > 1:
@@ -64,7 +63,11 @@ class ActuatorLimits:
                 )
 
     def reachable(self) -> ca.SX:
-        """Return p (4,) [m/s, rad/s], the velocity reached with the clipped thrust for the point q."""
+        """Return the velocity (4,) [m/s, rad/s] that the widened boxes contain: the point p of the class docstring."""
+        # For a diagonal mass matrix the axes are independent, T is a box, and p is the point of T nearest to q.
+        # Intervals that intersect in pairs have a common point. The point of an interval I nearest to x lies in every
+        # interval that contains x and intersects I. Hence B' = B if A, B and T intersect. Otherwise B' is the smallest
+        # box that intersects A ∩ T (and A' the smallest box that intersects T, if A does not).
         target = self.box.nearest(ca.SX(self.thrust.nu))
         if self.acceleration is not None:
             target = self.acceleration.box().nearest(target)

@@ -10,10 +10,10 @@ __all__ = ["wrap"]
 
 
 def wrap(angle: ca.SX) -> ca.SX:
-    """Return each angle [rad] wrapped to (−π, π], without trigonometry; the result is exact at both ends.
+    """Return each angle [rad] wrapped to (−π, π], without trigonometric functions; −π becomes π, and π stays π.
 
-    The floor function alone can leave a result outside the interval by one rounding error (an angle just above 3π
-    becomes just above π). So two corrections by one turn follow.
+    After a wrap with the floor function, a rounding error can leave the angle just outside the interval (an angle just
+    above 3π becomes just above π). So two corrections by one turn follow.
     """
     turn = 2.0 * math.pi
     once = angle + turn * ca.floor((math.pi - angle) / turn)

@@ -25,22 +25,25 @@ _SAMPLES = np.concatenate([-np.logspace(1, -6, 57), [0.0], np.logspace(-6, 1, 57
 
 @dataclass(frozen=True, eq=False)
 class Barrier:
-    """The barrier ḣ + α(h) ≥ 0 for a vehicle that reaches its commanded velocity v at once (Ames et al. 2019).
+    """The control barrier ḣ + α(h) ≥ 0 for a vehicle that reaches its commanded velocity v at once (Ames et al. 2019).
 
-    As a limit on v, the barrier is −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t. The robot stays in the set {h ≥ 0}; from outside, it
-    moves towards the set. If v is constant during each step dt, α(h) = γh and γ dt ≤ 1, then h ≥ 0 holds exactly for a
-    convex h (the distance from a flat wall or a convex obstacle) at a constant heading. A yaw rate r turns v during the
-    step; then h ≥ −|r| ‖v‖ dt / (2γ) if ‖∂h/∂(x, y)‖ ≤ 1. Use `BrakingBarrier` for a vehicle that needs time to slow
-    down.
+    The function h(η) of the pose η is positive in the allowed set and negative outside. With the rotation matrix J(ψ)
+    from the body frame to the earth frame, the barrier is the limit −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t on v. A robot in the
+    set h ≥ 0 stays there; a robot outside moves towards the set.
+
+    Assume that v is constant during each control period dt, that α(h) = γh with γ dt ≤ 1, and that h is convex, like
+    the distance from a flat wall or a convex obstacle. If the heading is constant, h ≥ 0 then holds exactly. If the
+    robot turns with yaw rate r, and ‖∂h/∂(x, y)‖ ≤ 1, then h ≥ −|r| ‖v‖ dt / (2γ). Use `BrakingBarrier` for a vehicle
+    that needs time to slow down.
 
     Attributes:
-        name: name of the barrier and of its limit row: identifiers joined by dots.
-        eta: SX symbol (4, 1), pose (x, y, z [m] in {E}, ψ [rad]).
-        h: SX scalar expression of eta; h may contain other symbols, which its derivative treats as constant.
-        alpha: γ > 0 [1/s], or a function SX → SX, also a ca.Function. Samples in [−10, 10] check that α(0) = 0, that
-            α(s) has the sign of s, and that α never decreases (class K, but constant parts are allowed). A function
-            that contains other symbols is not checked.
-        drift: ∂h/∂t [unit of h per second], for a constraint that moves.
+        name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
+        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E}, and heading ψ [rad].
+        h: SX scalar expression of eta. If h contains other symbols, the derivative of h treats them as constant.
+        alpha: a number γ > 0 [1/s] for α(h) = γh, or a function α of an SX scalar (Python function or ca.Function). The
+            class checks at sample points in [−10, 10] that α(0) = 0, that α(s) has the sign of s, and that α never
+            decreases (class K, but constant parts are allowed). An α that contains other symbols is not checked.
+        drift: ∂h/∂t [unit of h per second], for an obstacle or wall that moves.
         kind: kind of limit; see `Kind`.
 
     Raises:
@@ -57,7 +60,7 @@ class Barrier:
     kind: Kind = "barrier"
 
     def __post_init__(self) -> None:
-        """Check the values and convert numbers to expressions."""
+        """Check the barrier's attributes and convert numbers to expressions."""
         checked_kind(checked_name(self.name), self.kind)
         object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
         object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
@@ -68,14 +71,14 @@ class Barrier:
             object.__setattr__(self, "alpha", checked_positive(self.name, "alpha", self.alpha))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return one limit row, named NAME, without a lower bound; a·v is the closing speed −ḣ [unit of h per s]."""
+        """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [unit of h per s]."""
         allowed = self.alpha(self.h) if callable(self.alpha) else ca.SX(self.alpha) * self.h
         a = closing_row(self.name, self.eta, self.h)
         return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), allowed + ca.SX(self.drift)),)
 
 
 def closing_row(name: str, eta: ca.SX, h: ca.SX) -> ca.SX:
-    """Return −(∂h/∂η) J(ψ), (1, 4), which maps a velocity in {B} to −ḣ; raise InputError if it is structurally zero."""
+    """Return −(∂h/∂η) J(ψ), (1, 4), which maps the velocity to −ḣ; raise InputError if no velocity changes h."""
     if not isinstance(eta, ca.SX) or eta.shape != (4, 1) or not eta.is_valid_input():
         raise InputError(
             "is not an SX symbol of shape (4, 1)", key=f"limit {name}: eta", remedy='write eta = ca.SX.sym("eta", 4)'

@@ -17,29 +17,27 @@ __all__ = ["BrakingBarrier"]
 
 @dataclass(frozen=True, eq=False)
 class BrakingBarrier:
-    """The barrier −ḣ ≤ v_max(h), where v_max(h) is the largest closing speed from which the vehicle stops at h = 0.
+    """The barrier −ḣ ≤ v_max(h), where v_max(h) is the closing speed from which the vehicle can just stop at h = 0.
 
-    For h ≥ 0, v_max(h) = −aT + √((aT)² + 2ah) is the inverse of the stopping distance sT + s²/(2a) of a speed s with
-    reaction time T and deceleration a. For h < 0, v_max continues with the slope 1/T down to −retreat; so the vehicle
-    must retreat, but at most at the speed `retreat`. v_max is continuous and Lipschitz with constant 1/T; at h = 0 its
-    slope is continuous too.
+    The function h(η) of the pose η is the distance from the obstacle. A vehicle with speed s, reaction time T and
+    deceleration a needs the stopping distance sT + s²/(2a). For h ≥ 0, v_max(h) = −aT + √((aT)² + 2ah) is the speed
+    whose stopping distance is h. For h < 0, v_max decreases with the slope 1/T to −retreat; so the vehicle must
+    retreat, but at most at the speed `retreat`. v_max is continuous and its slope is at most 1/T; at h = 0 the slope is
+    continuous too.
 
-    In steps dt, a vehicle satisfies h ≥ 0 exactly if it changes its closing speed s to the commanded closing speed at a
-    rate of at least a, h is affine in the position, the heading is constant, T ≥ 3 dt, and s²/(2a) + s (T − 2 dt) ≤ h
-    for s > 0 at the start. Then s²/(2a) + s (T − 2 dt) ≤ h holds at every step. Proof, with c = v_max(h) ≥ 0: If c ≥ s,
-    the vehicle covers at most c dt of h = cT + c²/(2a); this leaves c (T − dt) + c²/(2a) for a speed ≤ c. If c < s and
-    the step ends at a speed above c, braking at the rate a leaves a reserve of a dt (T − 2 dt). If c < s and the step
-    ends at c, let e = s − c. The inequality gives c ≥ e (T − 2 dt)/(2 dt) ≥ e/2, and the vehicle covers at most c dt +
-    e dt/2 ≤ 2 c dt, which is available. Around a convex obstacle, motion along its surface only increases the distance.
-    T must include the lag of thrust and velocity loop.
+    With a control period dt, h ≥ 0 holds exactly under five assumptions: the vehicle changes its closing speed s to the
+    commanded closing speed at a rate of at least a; h is affine in the position; the heading is constant; T ≥ 3 dt; and
+    the initial closing speed, if positive, satisfies s²/(2a) + s (T − 2 dt) ≤ h. The last inequality then holds at
+    every step. A convex obstacle in place of an affine h is safe too, because motion along its surface increases the
+    distance. T must include the lag of the thrusters and of the velocity controller.
 
     Attributes:
-        name: name of the barrier and of its limit row: identifiers joined by dots.
-        eta: SX symbol (4, 1), pose (x, y, z [m] in {E}, ψ [rad]).
+        name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
+        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E}, and heading ψ [rad].
         h: SX scalar expression of eta and other symbols [m].
-        deceleration: a > 0 [m/s²], along ∂h/∂η.
-        reaction: T > 0 [s].
-        retreat: largest retreat speed if h < 0, at least 0 [m/s]; None for aT.
+        deceleration: a > 0 [m/s²], in the direction of the gradient of h.
+        reaction: reaction time T > 0 [s].
+        retreat: largest speed of the retreat at h < 0, at least 0 [m/s]; None for aT.
         drift: ∂h/∂t [m/s], for an obstacle that moves; the barrier assumes that the obstacle keeps its velocity.
         kind: kind of limit; see `Kind`.
 
@@ -59,7 +57,7 @@ class BrakingBarrier:
     kind: Kind = "barrier"
 
     def __post_init__(self) -> None:
-        """Check the values and convert numbers to expressions."""
+        """Check the barrier's attributes and convert numbers to expressions."""
         checked_kind(checked_name(self.name), self.kind)
         object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
         object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
@@ -70,12 +68,17 @@ class BrakingBarrier:
             object.__setattr__(self, "retreat", checked_positive(self.name, "retreat", self.retreat, zero=True))
 
     def allowed(self) -> ca.SX:
-        """Return v_max(h), the largest closing speed [m/s]; v_max is negative if h < 0."""
+        """Return v_max(h), the largest allowed closing speed [m/s]; it is negative if h < 0."""
+        # Proof that s²/(2a) + s (T − 2 dt) ≤ h holds at every step, with c = v_max(h) ≥ 0. If c ≥ s, the vehicle covers
+        # at most c dt of h = cT + c²/(2a); this leaves c (T − dt) + c²/(2a) for a speed ≤ c. If c < s and the step ends
+        # at a speed above c, braking at the rate a leaves a reserve of a dt (T − 2 dt). If c < s and the step ends at
+        # c, let e = s − c. The inequality gives c ≥ e (T − 2 dt)/(2 dt) ≥ e/2, and the vehicle covers at most
+        # c dt + e dt/2 ≤ 2 c dt, which is available.
         a, reaction = ca.SX(self.deceleration), ca.SX(self.reaction)
         retreat = a * reaction if self.retreat is None else ca.SX(self.retreat)
         return ca.fmax(allowed_closing_speed(self.h, deceleration=a, reaction=reaction), -retreat)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return one limit row, named NAME, without a lower bound; a·v is the closing speed −ḣ [m/s]."""
+        """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [m/s]."""
         a = closing_row(self.name, self.eta, self.h)
         return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), self.allowed() + ca.SX(self.drift)),)

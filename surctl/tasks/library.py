@@ -1,4 +1,4 @@
-"""Ready-made tasks; each function returns a `Task` with its σ(η), and users can define their own tasks likewise."""
+"""Functions that return common tasks: position, depth, heading, velocity, clearance, distance, line of sight."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _NEAR = 1e-6
 def position_task(
     eta: ca.SX, target: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "position"
 ) -> Task:
-    """Return a task on the position σ = (x, y) or (x, y, z) [m] in {E}, depending on the size of `target`.
+    """Return a task whose σ is the position (x, y) or (x, y, z) [m] in {E}, depending on the length of `target`.
 
-    `rate` is the desired velocity [m/s], and `gain` is the task's gain [1/s].
+    {E} is the earth frame, `rate` the desired velocity [m/s] in {E}, and `gain` the convergence gain [1/s].
 
     Example:
         >>> import casadi as ca
@@ -43,7 +43,7 @@ def position_task(
 def depth_task(
     eta: ca.SX, z_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "depth"
 ) -> Task:
-    """Return a task on σ = z [m] in {E}, positive upwards: a depth of 0.15 m is z_d = −0.15.
+    """Return a task whose σ is the height z [m], positive upwards, so a depth of 0.15 m is z_d = −0.15.
 
     Example:
         >>> import casadi as ca
@@ -60,7 +60,7 @@ def depth_task(
 def heading_task(
     eta: ca.SX, psi_d: Expression, *, rate: Expression = 0.0, gain: Expression = 1.0, name: str = "heading"
 ) -> Task:
-    """Return a task on the heading σ = ψ [rad], counter-clockwise from x; the robot turns through the smaller angle.
+    """Return a task whose σ is the heading ψ [rad], counter-clockwise from x; the robot turns by the smaller angle.
 
     Example:
         >>> import casadi as ca
@@ -75,7 +75,7 @@ def heading_task(
 
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
-    """Return a task on σ = (x, y) that prescribes only the rate `v_world` (2,) [m/s] of σ in {E}; the error σ̃ is 0.
+    """Return a task that prescribes the horizontal velocity `v_world` (2,) [m/s] in the earth frame {E}, no position.
 
     Example:
         >>> import casadi as ca
@@ -94,10 +94,11 @@ def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") ->
 def clearance_task(
     eta: ca.SX, echo_point: Expression, *, margin: Expression, gain: Expression = 1.0, name: str = "clearance"
 ) -> Task:
-    """Return the paper's sub-task of one sensor: σ = ‖p_echo − p‖ − margin → 0 [m] (17), with correction E1.
+    """Return the avoidance task of one sensor, equation (17) of the paper with erratum E1: clearance σ from an echo.
 
-    J = [−cos(φ − ψ), −sin(φ − ψ), 0, 0], where φ is the bearing of the echo point (2,) [m] in {E}. `margin` [m] is the
-    anti-collision radius.
+    σ [m] is the distance from the echo point minus `margin`, and the task drives σ to 0. Its Jacobian is [−cos(φ − ψ),
+    −sin(φ − ψ), 0, 0], where ψ is the heading and φ is the bearing of the echo point (2,) [m] in the earth frame {E}.
+    `margin` [m] is the anti-collision radius.
 
     Example:
         >>> import casadi as ca
@@ -115,7 +116,7 @@ def clearance_task(
 def distance_task(
     eta: ca.SX, point: Expression, *, distance: Expression, gain: Expression = 1.0, name: str = "distance"
 ) -> Task:
-    """Return a task that holds the horizontal distance σ to `point` (2,) [m] in {E} at `distance` [m].
+    """Return a task that holds the robot at the horizontal distance `distance` [m] from `point` (2,) [m].
 
     Example:
         >>> import casadi as ca
@@ -131,9 +132,9 @@ def distance_task(
 
 
 def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight") -> Task:
-    """Return a task that turns the bow towards `point` (2,) [m] in {E}: σ → 0 is its bearing from the bow [rad].
+    """Return a task that turns the bow towards `point` (2,) [m]; σ is the angle [rad] from the bow to the point.
 
-    At the point itself the bearing is undefined; there the task uses the direction of x.
+    If the robot is at the point itself, this angle is undefined; the task then uses the direction of the x axis.
 
     Example:
         >>> import casadi as ca

@@ -15,7 +15,7 @@ __all__ = ["HalfPlane", "Kind", "Limit", "LimitRow", "VelocityBox"]
 
 @dataclass(frozen=True, eq=False)
 class VelocityBox:
-    """The limit lower ≤ v ≤ upper on each axis of the body frame, with bounds (4,) [m/s, m/s, m/s, rad/s].
+    """The limit lower ≤ v ≤ upper on the velocity on each axis of the body frame, bounds (4,) [m/s, m/s, m/s, rad/s].
 
     The bounds are numbers or SX expressions.
 
@@ -30,7 +30,7 @@ class VelocityBox:
     kind: Kind = "actuator"
 
     def __post_init__(self) -> None:
-        """Check name, shapes, kind and order."""
+        """Check the limit's name and kind, the shapes of the bounds, and lower ≤ upper."""
         checked_kind(checked_name(self.name), self.kind)
         for field in ("lower", "upper"):
             object.__setattr__(self, field, checked_column(self.name, field, getattr(self, field), 4))
@@ -38,7 +38,7 @@ class VelocityBox:
             checked_order(f"{self.name}.{axis}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return four limit rows (one per axis), named NAME.u, NAME.v, NAME.w, NAME.r."""
+        """Return four limit rows lower ≤ a·v ≤ upper (one per axis), named NAME.u, NAME.v, NAME.w, NAME.r."""
         eye = ca.SX.eye(4)
         return tuple(
             LimitRow(
@@ -48,19 +48,19 @@ class VelocityBox:
         )
 
     def holding(self, point: ca.SX) -> VelocityBox:
-        """Return the smallest box that contains this box and `point` (4,)."""
+        """Return the smallest velocity box that contains this box and the velocity `point` (4,)."""
         return VelocityBox(ca.fmin(ca.SX(self.lower), point), ca.fmax(ca.SX(self.upper), point), self.name, self.kind)
 
     def nearest(self, point: ca.SX) -> ca.SX:
-        """Return the point (4,) of the box nearest to `point` (4,)."""
+        """Return the velocity (4,) in the box that is nearest to the velocity `point` (4,)."""
         return ca.fmin(ca.fmax(point, ca.SX(self.lower)), ca.SX(self.upper))
 
 
 @dataclass(frozen=True, eq=False)
 class HalfPlane:
-    """The limit normal · v ≤ bound in the body frame, with normal (4,) and a scalar bound, as numbers or SX.
+    """The limit normal · v ≤ bound on the velocity v in the body frame; normal (4,) and bound are numbers or SX.
 
-    For example, a barrier ḣ + α(h) ≥ 0 is the half-plane −∇h·v ≤ α(h).
+    For example, a control barrier ḣ + α(h) ≥ 0 with ḣ = ∇h·v is the half-plane −∇h·v ≤ α(h).
 
     Raises:
         InputError: a shape is wrong or a number is NaN; the message names the limit.
@@ -72,12 +72,12 @@ class HalfPlane:
     kind: Kind = "barrier"
 
     def __post_init__(self) -> None:
-        """Check name, shapes and kind."""
+        """Check the limit's name and kind, and the shapes of normal and bound."""
         checked_kind(checked_name(self.name), self.kind)
         object.__setattr__(self, "normal", checked_column(self.name, "normal", self.normal, 4))
         object.__setattr__(self, "bound", checked_column(self.name, "bound", self.bound, 1))
         checked_order(self.name, ca.SX(-math.inf), ca.SX(self.bound))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return one limit row without a lower bound."""
+        """Return the limit as one constraint row without a lower bound."""
         return (LimitRow(self.name, self.kind, ca.SX(self.normal).T, ca.SX(-math.inf), ca.SX(self.bound)),)

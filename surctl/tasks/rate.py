@@ -15,11 +15,12 @@ __all__ = ["RateLimit"]
 
 @dataclass(frozen=True, eq=False)
 class RateLimit:
-    """The limit |σ̇_i| ≤ limit_i on every entry of a task's σ, as limit rows for the velocity.
+    """The limit |σ̇_i| ≤ limit_i on every entry of a task's quantity σ, expressed as constraints on the velocity.
 
     Attributes:
-        task: the task, which provides σ and its Jacobian J (13).
-        limit: (k,) or one number for all entries, at least 0 [unit of σ per second].
+        task: the task whose quantity σ is limited; it also provides the Jacobian J in σ̇ = J v.
+        limit: largest rate of each of the k entries of σ, (k,) or one number for all, at least 0 [unit of σ per
+            second].
         kind: kind of limit; see `Kind`.
 
     Raises:
@@ -32,7 +33,7 @@ class RateLimit:
     kind: Kind = "set"
 
     def __post_init__(self) -> None:
-        """Check the values and convert one number to a column."""
+        """Check the attributes and convert a limit that is one number to a column."""
         name, k = f"{self.task.name}.rate", self.task.size
         checked_kind(name, self.kind)
         column = sized_column(self.limit, (1, k), key=f"limit {name}: limit")

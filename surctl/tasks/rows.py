@@ -1,4 +1,4 @@
-"""Limit rows (named constraints l ≤ a·v ≤ u), which are the common form of all limits, and checks of their values."""
+"""Limit rows, which are named linear constraints lower ≤ a·v ≤ upper and the common form of all velocity limits."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ __all__ = [
 ]
 
 Kind: TypeAlias = Literal["actuator", "barrier", "set"]
-"""The kind of a row decides which rows may be violated.
+"""The kind of a limit decides whether it may be violated.
 
-Actuator rows are always satisfied. Barrier rows are violated only if they contradict actuator rows, and then as little
-as possible. Rows of set-based tasks are violated before barrier rows.
+Actuator limits are always satisfied. Barrier limits are violated only if they contradict actuator limits, and then as
+little as possible. Limits of set-based tasks are violated before barrier limits.
 """
 
 AXES = ("u", "v", "w", "r")
@@ -38,12 +38,12 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_0-9]+)*")
 
 @dataclass(frozen=True, eq=False)
 class LimitRow:
-    """One linear constraint lower ≤ a·v ≤ upper on v = (u, v, w, r) in {B} [m/s, rad/s].
+    """One linear constraint lower ≤ a·v ≤ upper on the velocity v = (u, v, w, r) in the body frame {B} [m/s, rad/s].
 
     Attributes:
-        name: dotted name such as "velocity.u"; it appears in explanations.
+        name: name such as "velocity.u", which appears in the text that explains a solution.
         kind: kind of limit; see `Kind`.
-        a: SX (1, 4), the coefficients of v.
+        a: SX (1, 4), the coefficients of the four velocities.
         lower, upper: SX scalars; −inf or inf if there is no bound.
     """
 
@@ -55,15 +55,15 @@ class LimitRow:
 
 
 class Limit(Protocol):
-    """Protocol of an object that has limit rows."""
+    """Protocol of a velocity limit: an object whose method `rows` returns linear constraints."""
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return the limit rows in a fixed order."""
+        """Return the linear constraints of this limit, always in the same order."""
         ...
 
 
 def checked_name(name: object) -> str:
-    """Return the name; raise InputError if it does not consist of identifiers joined by dots."""
+    """Return the name unchanged; raise InputError if it does not consist of identifiers joined by dots."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InputError(
             "is not a limit name", key="limit.name", value=name, remedy="use letters, digits and _, joined by dots"
@@ -72,16 +72,16 @@ def checked_name(name: object) -> str:
 
 
 def checked_kind(name: str, kind: str) -> None:
-    """Raise InputError if the kind is unknown; the message suggests a similar known kind."""
+    """Raise InputError if the kind of a limit is unknown; the message suggests a known kind with a similar name."""
     if kind not in get_args(Kind):
         remedy = nearest(str(kind), get_args(Kind))
         raise InputError("unknown kind of limit", key=f"limit {name}", value=kind, remedy=remedy)
 
 
 def checked_column(name: str, field: str, value: Expression, size: int, *, finite: bool = False) -> ca.SX:
-    """Return the value as an SX column of length `size`; raise InputError for a wrong shape or a NaN.
+    """Return a field of a limit as an SX column of length `size`; raise InputError for a wrong shape or a NaN.
 
-    With `finite`, an infinite number raises InputError too. The message names the limit and the field.
+    If `finite` is true, an infinite number raises InputError too. The message names the limit and the field.
     """
     key = f"limit {name}: {field}"
     column = sized_column(value, (size,), key=key)
@@ -93,9 +93,9 @@ def checked_column(name: str, field: str, value: Expression, size: int, *, finit
 
 
 def checked_positive(name: str, field: str, value: Expression, size: int = 1, *, zero: bool = False) -> ca.SX:
-    """Return the value as an SX column of length `size`; raise InputError unless its numbers are finite and > 0.
+    """Return a field of a limit as an SX column of length `size`; raise InputError if a number is infinite, NaN or ≤ 0.
 
-    With `zero`, the number 0 is allowed too.
+    If `zero` is true, the number 0 is allowed too.
     """
     column = checked_column(name, field, value, size, finite=True)
     for i in range(size):
@@ -106,7 +106,7 @@ def checked_positive(name: str, field: str, value: Expression, size: int = 1, *,
 
 
 def checked_order(name: str, lower: ca.SX, upper: ca.SX) -> None:
-    """Raise InputError if numeric bounds allow no value; expressions are checked later, when they have values."""
+    """Raise InputError if two numeric bounds have lower > upper; symbolic bounds are checked at run time."""
     if not (lower.is_constant() and upper.is_constant()):
         return
     low, high = float(lower), float(upper)

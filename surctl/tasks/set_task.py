@@ -1,4 +1,4 @@
-"""Set-based task: a quantity that may have any value between two bounds."""
+"""Set-based task: a quantity σ of the robot's pose that may have any value between two bounds."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ _TURN = 2.0 * math.pi
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SetTask:
-    """The set lower ≤ σ(η) ≤ upper, enforced by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
+    """A task that keeps σ between two bounds by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
 
-    The set of σ̇ between these two bounds is called the slab. Inside the set, the slab contains 0 and values of both
-    signs. At a bound, σ cannot leave the set. Outside the set, σ returns to it as the σ of a task with gain K does. The
-    slab changes continuously with σ, so the task needs no switching.
+    K is the gain, and σ̇_set is the rate at which the bounds move. While σ is between its bounds, σ̇ may have both
+    signs. At a bound, σ cannot cross the bound. Outside the bounds, σ converges to the nearer bound with gain K. The
+    bounds on σ̇ change continuously with σ, so the task needs no switching.
 
     Attributes:
-        name, eta, sigma, gain, unit: these attributes have the meaning that `Task` states.
-        lower, upper: (k,) or one number for all entries [unit of σ]; −inf or inf if there is no bound.
-        rate: rate σ̇_set at which the set moves, (k,) or one number [unit of σ per second].
-        angular: σ is an angle [rad]. The set is the arc from lower to upper, shorter than a turn. Outside the arc, σ
-            returns by the smaller angle, so the slab jumps opposite the middle of the arc.
+        name, eta, sigma, gain, unit: as in `Task`.
+        lower, upper: bounds of the k entries of σ, (k,) or one number for all [unit of σ]; −inf or inf for no bound.
+        rate: rate σ̇_set at which both bounds move, (k,) or one number [unit of σ per second].
+        angular: σ is an angle [rad], and the allowed values form the arc from lower to upper, shorter than a turn.
+            Outside the arc, σ returns through the smaller angle, so the bounds on σ̇ jump opposite the middle of the
+            arc.
 
     Raises:
-        InputError: `Task` rejects a value, a bound is NaN, lower > upper, or an arc has no end or is a whole turn. The
-            message names the task.
+        InputError: `Task` rejects an attribute, a bound is NaN, lower > upper, or an arc has an infinite bound or is a
+            whole turn or longer. The message names the task.
     """
 
     name: str
@@ -48,7 +49,7 @@ class SetTask:
     _middle: Task = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check the values and convert every number to a column of k expressions."""
+        """Check the attributes and convert every number to a column with one entry for each entry of σ."""
         k = int(sigma_column(self.name, self.sigma).shape[0])
         for bound in ("lower", "upper"):
             object.__setattr__(self, bound, self._column(bound, k))
@@ -80,18 +81,18 @@ class SetTask:
         return self._middle.rate_unit
 
     def jacobian(self) -> ca.SX:
-        """Return the Jacobian J, (k, 4), with σ̇ = J ν for ν = (u, v, w, r) in {B} (13)."""
+        """Return the Jacobian J, (k, 4), with σ̇ = J ν for ν = (u, v, w, r) in {B}, equation (13) of the paper."""
         return self._middle.jacobian()
 
     def slab(self) -> tuple[ca.SX, ca.SX]:
-        """Return the lower and the upper bound of J ν, (k, 1) each [unit of σ per second]; ±inf for an absent bound."""
+        """Return the lower and the upper bound on σ̇, (k, 1) each [unit of σ per second]; ±inf for an absent bound."""
         below, above = self._distances()
         lower = [self._rate_of(i, below[i], -math.inf) for i in range(self.size)]
         upper = [self._rate_of(i, above[i], math.inf) for i in range(self.size)]
         return ca.densify(ca.vertcat(*lower)), ca.densify(ca.vertcat(*upper))
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return the slab as limit rows of kind "set", named NAME.set (one row) or NAME.set0, NAME.set1, …"""
+        """Return the bounds on σ̇ as limit rows of kind "set", named NAME.set (one row) or NAME.set0, NAME.set1, …"""
         J, (lower, upper) = self.jacobian(), self.slab()
         return tuple(LimitRow(name, "set", J[i, :], lower[i], upper[i]) for i, name in enumerate(self.row_names("set")))
 
@@ -100,7 +101,7 @@ class SetTask:
         return self._middle.row_names(what)
 
     def split(self) -> tuple[SetTask, ...]:
-        """Return k set-based tasks of one entry of σ each, named NAME0, NAME1, …; the task itself if k is 1."""
+        """Return one set-based task for each entry of σ, named NAME0, NAME1, …; the task itself if σ has one entry."""
         if self.size == 1:
             return (self,)
         return tuple(
@@ -127,7 +128,7 @@ class SetTask:
         return error - half, error + half
 
     def _rate_of(self, i: int, distance: ca.SX, absent: float) -> ca.SX:
-        """Return a bound on the rate of σ, or `absent` if the set does not have this bound."""
+        """Return the bound on σ̇ from the distance of σ to its bound, or `absent` if σ has no such bound."""
         if distance.is_constant() and math.isinf(float(distance)):
             return ca.SX(absent)
         return ca.SX(self.rate)[i] + ca.SX(self.gain)[i] * distance

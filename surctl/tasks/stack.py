@@ -15,16 +15,16 @@ __all__ = ["Stack"]
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Tasks and set-based tasks in order of priority, highest first.
+    """Tasks (with one desired value or set-based) in order of priority, highest priority first.
 
     Raises:
-        InputError: there is no task, two tasks have the same name, or tasks use different `eta` symbols.
+        InputError: there is no task, two tasks have the same name, or tasks use different symbols for the pose.
     """
 
     tasks: tuple[Task | SetTask, ...]
 
     def __post_init__(self) -> None:
-        """Check names and symbols."""
+        """Check the names of the tasks and that all tasks use the same pose symbol."""
         object.__setattr__(self, "tasks", tuple(self.tasks))
         if not self.tasks:
             raise InputError("contains no task", key="stack", remedy="give at least one task")
@@ -56,17 +56,17 @@ class Stack:
         return tuple(task.name for task in self.tasks)
 
     def levels(self) -> list[tuple[ca.SX, ca.SX]]:
-        """Return (J (k, 4), x (k, 1)) of each task, highest priority first: σ̇ = J ν should equal x (13)–(14).
+        """Return the Jacobian J (k, 4) and the reference rate x (k, 1) of each task, highest priority first.
 
         Raises:
-            InputError: a task is set-based and has no reference rate x; use `slabs`.
+            InputError: a task is set-based, so it has no reference rate; use `slabs`.
         """
         return [(task.jacobian(), _equality(task).reference()) for task in self.tasks]
 
     def slabs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
-        """Return (J (k, 4), lower (k, 1), upper (k, 1)) of each task, highest priority first.
+        """Return the Jacobian J (k, 4) and the lower and upper bound (k, 1) of σ̇ of each task, highest priority first.
 
-        Of a `Task`, both bounds are the reference rate x (14).
+        For a `Task` with one desired value, both bounds are the reference rate x, equation (14) of the paper.
         """
         return [(task.jacobian(), *_slab(task)) for task in self.tasks]
 

@@ -1,4 +1,4 @@
-"""Task (13)–(15): a quantity σ(η), its desired value, and the gain with which σ converges to this value."""
+"""Task of equations (13)–(15) of the paper: a quantity σ of the pose, its desired value, and the convergence gain."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ Expression: TypeAlias = ca.SX | float | Sequence[float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """A quantity σ of the robot's pose and its desired rate.
+    """A quantity σ of the robot's pose η that converges to a desired value.
 
     Attributes:
         name: identifier of the task in every message and solution.
-        eta: SX symbol (4, 1): x, y, z [m] in {E} (ENU) and ψ [rad], counter-clockwise.
-        sigma: SX (k, 1), the expression of σ(η). It may contain other symbols (an echo, a waypoint), which its
-            derivative treats as constant; `rate` describes the motion of a target.
+        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E} (ENU), and heading ψ [rad], counter-clockwise.
+        sigma: SX (k, 1), the expression of σ(η). If σ contains other symbols (an echo point, a waypoint), the Jacobian
+            treats them as constant; describe the motion of a target by `rate`.
         target: desired value σ_d, (k, 1) or one number for all entries; default 0.
         rate: desired rate σ̇_d, (k, 1) or one number [unit of σ per second]; default 0.
-        gain: diagonal of K, (k,) or one number [1/s]; numbers must be greater than 0; default 1.
+        gain: convergence gain of each entry of σ, (k,) or one number [1/s], greater than 0; default 1.
         angular: σ is an angle [rad]; its error is wrapped to (−π, π].
         unit: unit of σ in messages, such as "m" or "rad"; "" if unknown.
 
     Raises:
-        InputError: a name is wrong, sizes disagree, a number is not finite, a gain is not positive, σ does not depend
-            on η, or the unit is not a string. The message names the task.
+        InputError: the name is not an identifier, σ and another attribute differ in length, a number is not finite, a
+            gain is not positive, σ does not depend on η, or the unit is not a string. The message names the task.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Task:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        """Check the values and convert every number to a column of k expressions."""
+        """Check the attributes and convert every number to a column with one entry for each entry of σ."""
         _check_name(self.name)
         if not isinstance(self.eta, ca.SX) or self.eta.shape != (4, 1) or not self.eta.is_valid_input():
             raise _wrong(self, "eta", "is not an SX symbol of shape (4, 1)", 'write eta = ca.SX.sym("eta", 4)')
@@ -78,7 +78,7 @@ class Task:
         return (f"{self.name}.{what}",) if self.size == 1 else tuple(f"{self.name}.{what}{i}" for i in range(self.size))
 
     def jacobian(self) -> ca.SX:
-        """Return J = ∂σ/∂η · J(η), (k, 4), by differentiation (13): σ̇ = J ν for ν = (u, v, w, r) in {B}."""
+        """Return the Jacobian J, (k, 4), with σ̇ = J ν for ν = (u, v, w, r) in {B}, equation (13) of the paper."""
         return ca.densify(ca.jacobian(self.sigma, self.eta) @ kinematics(self.eta[3]))
 
     def error(self) -> ca.SX:
@@ -87,12 +87,12 @@ class Task:
         return wrap(difference) if self.angular else difference
 
     def reference(self) -> ca.SX:
-        """Return the reference rate x = σ̇_d + K σ̃, (k, 1) [unit of σ per second] (14)."""
+        """Return the reference rate σ̇_d + K (σ_d − σ), (k, 1) [unit of σ per second], equation (14) of the paper."""
         return ca.densify(self.rate + self.gain * self.error())
 
 
 def as_expression(value: Any) -> ca.SX:
-    """Return the value as SX with the same shape; raise ValueError if it is neither an expression nor numbers."""
+    """Return numbers or an expression as SX of the same shape; raise ValueError for any other type."""
     try:
         return ca.SX(value)
     except (NotImplementedError, RuntimeError, TypeError) as error:  # CasADi cannot convert the value
@@ -100,7 +100,7 @@ def as_expression(value: Any) -> ca.SX:
 
 
 def sigma_column(name: str, value: Expression) -> ca.SX:
-    """Return σ as a dense column (k, 1) with k ≥ 1; otherwise raise InputError with the task's name."""
+    """Return σ as a dense column (k, 1); raise InputError with the task's name if σ is not a column with k ≥ 1."""
     key = f"task {name}: sigma"
     try:
         sigma: ca.SX = ca.densify(as_expression(value))
@@ -114,7 +114,7 @@ def sigma_column(name: str, value: Expression) -> ca.SX:
 def as_column(value: Expression) -> ca.SX:
     """Return the value as a dense SX column; a row is transposed.
 
-    A matrix, or a value that is not numeric, raises ValueError.
+    Raise ValueError for a matrix and for a value that is neither numbers nor an expression.
     """
     column = ca.densify(as_expression(value))
     if column.shape[0] == 1:
@@ -125,7 +125,7 @@ def as_column(value: Expression) -> ca.SX:
 
 
 def sized_column(value: Expression, sizes: tuple[int, ...], *, key: str) -> ca.SX:
-    """Return the value as a column with one of the given sizes; otherwise raise InputError with the key."""
+    """Return the value as a column whose length is in `sizes`; raise InputError with `key` for another length."""
     try:
         column = as_column(value)
     except ValueError:

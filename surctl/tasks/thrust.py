@@ -30,16 +30,16 @@ _NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
 
 @dataclass(frozen=True, eq=False)
 class ThrustLimit:
-    """The limit lower ≤ M (v − ν)/dt + load ≤ upper on the thrust of each axis, from (3) over one step.
+    """The limit lower ≤ M (v − ν)/dt + load ≤ upper on the thrust that changes the velocity from ν to v within dt.
 
-    The load is evaluated at ν, so if the thrust is at a bound, the vehicle reaches the predicted v with an error of
-    O(dt²). The thrust is the force that acts in the water; if it lags behind its command, give bounds on its average
-    over the step.
+    The thrust follows from the dynamic model, equation (3) of the paper. The load is evaluated at ν, so a vehicle with
+    its thrust at a bound reaches the velocity v with an error of O(dt²). The thrust is the force that acts in the
+    water; if this force lags behind its command, give bounds on its average over the time dt.
 
     Attributes:
-        nu: present velocity ν (4,) over ground in {B} [m/s, rad/s].
-        mass: M, diagonal (4,) or symmetric positive definite (4, 4) [kg, kg m²].
-        load: (4,) thrust that holds ν: C(ν)ν + D(ν)ν minus other forces [N, N m].
+        nu: present velocity ν (4,) over ground in the body frame {B} [m/s, rad/s].
+        mass: mass matrix M, its diagonal (4,) or symmetric positive definite (4, 4) [kg, kg m²].
+        load: (4,) thrust that holds ν: Coriolis force C(ν)ν plus drag D(ν)ν minus other forces [N, N m].
         lower, upper: (4,) bounds of the thrust [N, N m].
         dt: time in which the vehicle is to reach v [s].
 
@@ -59,7 +59,7 @@ class ThrustLimit:
     kind: Kind = "actuator"
 
     def __post_init__(self) -> None:
-        """Check name, kind, shapes and order."""
+        """Check the limit's name and kind, the shapes of the values, and lower ≤ upper."""
         checked_kind(checked_name(self.name), self.kind)
         for field in ("nu", "load", "lower", "upper"):
             column = checked_column(self.name, field, getattr(self, field), 4, finite=field in ("nu", "load"))
@@ -79,20 +79,21 @@ class ThrustLimit:
         force: Expression = (0.0, 0.0, 0.0, 0.0),
         name: str = "thrust",
     ) -> ThrustLimit:
-        """Return the thrust limit of the plant (3) of `surctl.vehicle`, with the plant's expressions for C and D.
+        """Return the thrust limit for the Coriolis and drag forces of the vehicle model in `surctl.vehicle`.
 
         Args:
-            nu: (4,) velocity over ground in {B} [m/s, rad/s].
+            nu: (4,) present velocity over ground in the body frame {B} [m/s, rad/s].
             parameters: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit`, each (4,), as numbers or SX; see
                 `PLANT_PARAMETERS`. Other parameters are ignored.
-            dt: time of one step [s].
-            water: (3,) velocity of the water in {B} [m/s], which is R(ψ)ᵀ times the current. As in the plant, forces
-                depend on ν − water, and the water's velocity turns in {B} at −r.
+            dt: time in which the vehicle is to reach v [s].
+            water: (3,) velocity of the water in {B} [m/s], that is, the current rotated from the earth frame to {B}.
+                Forces depend on the velocity relative to the water, and the water's velocity rotates in {B} at the
+                negative yaw rate.
             force: (4,) known force on the vehicle in {B} [N, N m].
             name: name of the limit.
 
         Raises:
-            InputError: a parameter is missing, or the class rejects a value.
+            InputError: a parameter is missing, or `ThrustLimit` rejects a value.
         """
         for key in _NEEDED:
             if key not in parameters:
@@ -108,21 +109,21 @@ class ThrustLimit:
         return ThrustLimit(velocity, p["mass"], load=load, lower=-most, upper=most, dt=dt, name=name)
 
     def needed(self, v: ca.SX) -> ca.SX:
-        """Return the thrust (4,) [N, N m] that changes ν to v (4,) [m/s, rad/s] within the step."""
+        """Return the thrust (4,) [N, N m] that changes the velocity from ν to v (4,) [m/s, rad/s] within dt."""
         return ca.SX(self.mass) @ (v - ca.SX(self.nu)) / ca.SX(self.dt) + ca.SX(self.load)
 
     def toward(self, target: ca.SX) -> ca.SX:
-        """Return the velocity (4,) that results from the thrust needed for `target` (4,), clipped to the thrust bounds.
+        """Return the velocity (4,) reached with the thrust for velocity `target` (4,), clipped to the thrust bounds.
 
-        The result is `target` itself if the needed thrust is within the bounds. For a diagonal M the reachable set is a
-        box, and the result is the point of this box nearest to `target`.
+        If the needed thrust is within its bounds, this velocity is `target` itself. For a diagonal mass matrix, the
+        reachable velocities form a box, and the result is the point of this box nearest to `target`.
         """
         required = self.needed(target)
         missing = ca.fmin(ca.fmax(required, ca.SX(self.lower)), ca.SX(self.upper)) - required
         return target + ca.SX(self.dt) * self._divided(missing)
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return four limit rows, named NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr; a·v and its bounds are in N and N m."""
+        """Return four limit rows lower ≤ a·v ≤ upper in N and N m, named NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr."""
         slope = ca.densify(ca.SX(self.mass) / ca.SX(self.dt))
         offset = ca.SX(self.load) - slope @ ca.SX(self.nu)
         lower, upper = ca.SX(self.lower) - offset, ca.SX(self.upper) - offset

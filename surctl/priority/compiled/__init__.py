@@ -1,3 +1,3 @@
-"""The four priority modes compiled with bounded loops, for the exported controller and for fast runs in Python."""
+"""The four priority laws as compiled code with bounded loops, for the exported controller and fast runs in Python."""
 
 from __future__ import annotations

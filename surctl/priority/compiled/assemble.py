@@ -1,4 +1,4 @@
-"""Compile a symbolic stack and its limits to a function that fills the input arrays of a priority step."""
+"""Compile a symbolic task stack and its limits to one function that computes the inputs of a priority step."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ _N = 4
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """A stack of tasks and its limits as one function of named inputs; build this object with `assemble`.
+    """A task stack and its limits as one function of named inputs; build it with `assemble`.
 
     Attributes:
-        stack: the tasks, as passed to `assemble`. limits: the constraint rows of all limits.
-        sizes: number of entries of each input, by name.
-        function: CasADi function of the inputs in the order of `sizes`. Its outputs are J (K·4,), the Jacobians row by
-            row; lower (K,) and upper (K,), the bounds of J v; rows (m·7,), the constraint rows; box (8,), the bounds of
-            v. `priority_step` takes them in this form; without limits, the function returns one idle constraint row.
-            The box contains the actuator limits that bound a single velocity for all values of the inputs.
+        stack: the tasks. limits: the linear constraints of all limits.
+        sizes: number of entries of each input (such as the pose), by name.
+        function: CasADi function of the inputs in the order of `sizes`. The outputs are the inputs of `priority_step`:
+            J (K·4,), the Jacobians of all levels with K rows together, row by row; lower (K,) and upper (K,), the
+            bounds of J v for the velocity v; rows (m·7,), the m constraint rows; box (8,), the bounds of v. Without
+            limits, the function returns one constraint row that is always satisfied. The box contains the actuator
+            limits that bound a single velocity for all values of the inputs.
     """
 
     stack: Stack
@@ -46,11 +47,11 @@ class Assembly:
     function: ca.Function
 
     def problem(self, values: Mapping[str, ArrayLike]) -> PriorityProblem:
-        """Return the priority problem for these values of the inputs, one array for each input.
+        """Evaluate tasks and limits for these values of the inputs, and return the priority problem.
 
         Raises:
-            InputError: an input is missing, unknown, or of the wrong size, or a level or a limit is not finite at these
-                values; the message names the level and the row of J, or the limit.
+            InputError: an input is missing, unknown, or of the wrong size, or a task or a limit is not finite at these
+                values; the message names the task and the row of its Jacobian, or the limit.
         """
         arguments = self._checked(values)
         J, lower, upper, rows, _ = (np.array(part).reshape(-1) for part in self.function.call(arguments))
@@ -73,16 +74,16 @@ class Assembly:
     def step(
         self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
     ) -> AssembledStep:
-        """Compile a priority step, with its own buffers, that first evaluates the tasks and limits of this assembly.
+        """Compile a priority step that first evaluates tasks and limits, and return it with its own arrays.
 
         Raises:
-            InputError: the J of a set-based task has more than one row; `priority_step` lists the other errors.
+            InputError: the Jacobian of a set-based task has more than one row; `priority_step` lists the other errors.
         """
         return AssembledStep(self, mode, sweeps=sweeps, damping=damping, fallback=fallback)
 
     @property
     def shapes(self) -> tuple[LevelShape, ...]:
-        """Return the shape of each level."""
+        """Return the number of Jacobian rows and the kind of each level."""
         return tuple(LevelShape(task.size, isinstance(task, SetTask)) for task in self.stack.tasks)
 
     def _checked(self, values: Mapping[str, ArrayLike]) -> list[Array]:
@@ -104,14 +105,14 @@ class Assembly:
 
 
 class AssembledStep(PriorityStep):
-    """A `PriorityStep` together with its `Assembly` in one compiled call: write `inputs`, call `solve`, read `v`.
+    """Evaluation of tasks and limits and a priority step in one compiled call: write `inputs`, call `solve`, read `v`.
 
-    The step computes J, lower, upper, rows and box from `inputs`, so `load` is not available. If any number is not
-    finite, the status is CLAMPED, and v is 0 moved into the box; `Assembly.problem` then names the task and its row of
-    J.
+    The arrays J, lower, upper, rows and box are computed from `inputs`, so `load` is not available. If a number is not
+    finite, the status is CLAMPED, and v is 0 moved into the velocity bounds; `Assembly.problem` then names the task and
+    the row of its Jacobian.
 
     Attributes:
-        inputs: one array for each input of the assembly, by name. The mapping is read-only; write into the arrays.
+        inputs: one array for each input, by name. The mapping is read-only; write the values into the arrays.
     """
 
     inputs: Mapping[str, Array]
@@ -119,7 +120,7 @@ class AssembledStep(PriorityStep):
     def __init__(
         self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
     ) -> None:
-        """`Assembly.step` explains the arguments."""
+        """Compile the step; the arguments are those of `Assembly.step`."""
         for task in assembly.stack.tasks:
             if isinstance(task, SetTask) and task.size > 1:
                 raise InputError(
@@ -138,7 +139,7 @@ class AssembledStep(PriorityStep):
         self.inputs = MappingProxyType(dict(zip(assembly.sizes, inputs, strict=True)))
 
     def load(self, problem: PriorityProblem) -> None:
-        """Always raise an InputError: `solve` computes the arrays from `inputs` and would overwrite the problem."""
+        """Raise an InputError, because `solve` computes the arrays from `inputs` and would overwrite the problem."""
         del problem
         raise InputError(
             "cannot load a problem", key="step", remedy="write into its inputs, or use PriorityStep.of(problem)"
@@ -158,17 +159,17 @@ def _fused(stack: Program, step: Routine) -> Routine:
 
 
 def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str, ca.SX]) -> Assembly:
-    """Build one function that evaluates a stack of tasks and its limits.
+    """Build one function that evaluates the tasks of a stack and the limits.
 
     Args:
         stack: tasks and set-based tasks.
-        limits: limits; each limit supplies one or more constraint rows.
-        inputs: all symbols that tasks and limits contain, as SX columns; the key is the name under which values are
+        limits: limits on the velocity.
+        inputs: all symbols that tasks and limits contain, as SX columns, by the name under which their values are
             passed later, for example "eta".
 
     Raises:
         InputError: an input is not a symbol or occurs twice; a task or limit contains a symbol that is not an input
-            (the message names it); a limit has the wrong width; two constraint rows have the same name.
+            (the message names the symbol); a limit has the wrong number of columns; two limit rows have the same name.
 
     Example:
         >>> import casadi as ca

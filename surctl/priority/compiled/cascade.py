@@ -1,16 +1,16 @@
-"""Mode `lexicographic`: strict priority subject to the limits, one level after another in a bounded loop.
+"""Priority mode lexicographic as compiled code: strict priority subject to the limits, one level after another.
 
-The velocities that the higher levels leave free are v = base + N y. N is an orthogonal projector and base is orthogonal
-to the range of N. So the feasible point nearest to base, which the least-distance solver finds, is also the feasible
-point nearest to 0. For each level, one of two cases applies:
+The velocities that do not change the higher levels are v = base + N y, where N is an orthogonal projector, base is
+orthogonal to the range of N, and y is arbitrary. So the feasible velocity nearest to base, which the least-distance
+solver finds, is also the feasible velocity nearest to 0. For each level J v = x, one of two cases applies:
 
-1. reachable: the value of J v is fixed by elimination (base moves, N loses the directions of the level). A set-based
-   level instead becomes a constraint row;
-2. not reachable subject to the limits: the level is met as well as the limits allow (`limited_level`), and the
-   resulting J v is fixed.
+1. The level is reachable within the limits. Then the value of J v is fixed by elimination: base moves, and the
+   directions of the level are removed from N. A set-based level becomes a constraint row instead.
+2. The level is not reachable. Then it is met as well as the limits allow (`limited_level`), and the resulting value of
+   J v is fixed.
 
-The value of a level is never fixed by a constraint row with a tolerance, so consistent constraint rows stay consistent.
-If the constraint rows contradict each other from the start, the soft rows are opened first, as in `safe_step`.
+The value of J v is never fixed by a constraint row with a tolerance, so consistent constraint rows stay consistent. If
+the limits contradict each other, the soft limits are relaxed before the first level, as in `safe_step`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class _Sizes:
 
     @property
     def state(self) -> tuple[tuple[str, int], ...]:
-        """Return the names and sizes of the variables that a level passes to the next level."""
+        """Return (name, number of entries) of each variable that one level passes to the next."""
         # held, hold: numbers and multipliers of the constraint rows that limit levels. active, multipliers: numbers and
         # multipliers of the active constraint rows in the last projection. limited: whether level 1 was not reachable.
         n = self.n
@@ -66,9 +66,11 @@ class _Sizes:
 
 
 def cascade(shape: StackShape, rows: int) -> Routine:
-    """Routine (J, lower, upper, rows, box, sound) → v, active, multipliers, opening, status, count, target (0).
+    """Return the routine of mode lexicographic, which solves all levels within the limits.
 
-    With sound = 0 (an input is not finite) the cascade stops before the first level.
+    Inputs: J, lower, upper, rows and box as in `priority_step`; sound is 0 if an input is not finite, and the routine
+    then stops before the first level. Outputs: v, active, multipliers, opening, status, count and target as in
+    `priority_step`; target is 0.
     """
     sizes = _Sizes(shape, rows)
     n, start = shape.n, tuple(f"{name}_0" for name in _STATE)
@@ -93,7 +95,7 @@ def cascade(shape: StackShape, rows: int) -> Routine:
 
 
 def _arrange(sizes: _Sizes) -> Program:
-    """Return a program that pads all levels to equal size and appends empty rows for the set-based levels."""
+    """Return a program that pads all levels to equal size and appends an empty row for each set-based level."""
     shape, n, k = sizes.shape, sizes.n, sizes.k
     flat, levels = shape.symbols()
     rows = ca.SX.sym("rows", sizes.limit_rows * sizes.row)
@@ -133,7 +135,7 @@ def _begin(sizes: _Sizes) -> Program:
 
 
 def _level(sizes: _Sizes) -> Routine:
-    """Return a routine for one level: if the level is not reachable, it is met as well as the limits allow."""
+    """Return a routine that meets one level, exactly if possible, otherwise as well as the limits allow."""
     n, k, m = sizes.n, sizes.k, sizes.m
     space = Space(n, n)
     level = tuple(pair for pair in sizes.level if pair[1])
@@ -176,11 +178,11 @@ def _zero() -> Program:
 
 
 def _free(sizes: _Sizes) -> Program:
-    """Return a program for the remaining freedom after a level, and the inputs of `limited_level`.
+    """Return a program that computes which velocities a level leaves free, and the inputs of `limited_level`.
 
-    Outputs: base (n + 1) and N if the level is reached; N without the directions of the level; the directions Q, the
-    task T Q and the matrix Pᵀ·scale of the level inside N (see `decomposition`); the desired value of J v; 1/scale²;
-    the constraint row of a set-based level.
+    Outputs: base (n + 1) and projector N for the case that the level is reachable; N without the directions of the
+    level; Q, T Q and Pᵀ·scale from the `Decomposition` of J N; the desired value of J v; 1/scale²; the constraint row
+    of a set-based level.
     """
     n, k = sizes.n, sizes.k
     v, base, N, J = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("N", n * n), ca.SX.sym("J", k * n)

@@ -1,4 +1,4 @@
-"""Row space of a symbolic Jacobian: exact for dependent or contradicting rows of J, without J Jᵀ."""
+"""Row space of a symbolic Jacobian J, computed without J Jᵀ, so that linearly dependent rows are treated exactly."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ __all__ = ["Decomposition", "decompose"]
 
 
 class Decomposition(NamedTuple):
-    """Complete orthogonal decomposition scale·J N = P T Q (Golub and Van Loan 2013, 5.4.7) with a projector N.
+    """Complete orthogonal decomposition scale·J N = P T Q of a Jacobian J (k, n) times an orthogonal projector N.
 
     Attributes:
-        Q: k columns (n, 1), orthonormal basis of the row space of J N; a column is zero if its row depends on the rows
-            above.
-        P: k columns (k, 1), orthonormal; column i is zero if column i of Q is zero.
-        T: k lists of k entries: upper triangular matrix; row and column i are zero if column i of Q is zero.
+        Q: k columns (n, 1), orthonormal basis of the row space of J N; column i is zero if row i of J N depends on the
+            rows above (Golub and Van Loan 2013, 5.4.7).
+        P: k orthonormal columns (k, 1); column i is zero if column i of Q is zero.
+        T: rows of an upper triangular matrix (k, k); row i and column i are zero if column i of Q is zero.
         inverse: reciprocals of the k diagonal entries of T; 0 for a diagonal entry of 0.
         scale: 1/‖J‖, where ‖J‖ is the length of the longest row of J; 0 for a zero J (inactive task).
     """
@@ -31,11 +31,11 @@ class Decomposition(NamedTuple):
 
     @property
     def rank(self) -> ca.SX:
-        """Return the number of independent rows of J N."""
+        """Return the number of linearly independent rows of J N."""
         return sum((inverse > 0 for inverse in self.inverse), ca.SX(0))
 
     def turned(self, x: ca.SX) -> ca.SX:
-        """Return Pᵀ·scale·x (k, 1): ‖scale·(J N y − x)‖² = ‖T Q y − Pᵀ·scale·x‖² + a constant independent of y."""
+        """Return b = Pᵀ·scale·x (k, 1), for which ‖J N y − x‖ and ‖T Q y − b‖ have the same minimisers y."""
         rest, entries = x * self.scale, []
         for p in self.P:
             entries.append(ca.dot(p, rest))
@@ -43,7 +43,7 @@ class Decomposition(NamedTuple):
         return ca.vertcat(*entries)
 
     def coordinates(self, x: ca.SX) -> ca.SX:
-        """Return coordinates c (k, 1): Qᵀc is the shortest y in the range of N that minimises ‖J N y − x‖."""
+        """Return c (k, 1), where Qᵀc is the shortest y in the range of N that minimises ‖J N y − x‖."""
         c = ca.vertsplit(self.turned(x))
         for j in reversed(range(len(c))):
             for i in range(j + 1, len(c)):
@@ -52,20 +52,20 @@ class Decomposition(NamedTuple):
         return ca.vertcat(*c)
 
     def task(self) -> ca.SX:
-        """The matrix T Q (k, n)."""
+        """Return the matrix T Q (k, n)."""
         return _matrix(self.T) @ self.directions()
 
     def directions(self) -> ca.SX:
-        """Q as a matrix (k, n)."""
+        """Return Q as a matrix (k, n), with one direction in each row."""
         return ca.horzcat(*self.Q).T
 
 
 def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
-    """Decompose J (k, n) inside the range of the orthogonal projector N (n, n); N = None means the whole space.
+    """Return the decomposition of J N for J (k, n) and an orthogonal projector N (n, n); None means the identity.
 
-    A row of J counts as dependent if its part inside N and orthogonal to the rows above it is shorter than
-    `CUTOFF`·‖J‖. The cut-off is relative to ‖J‖ and not to ‖J N‖, because J N is only rounding noise if N leaves no
-    free direction.
+    A row of J counts as linearly dependent if its part in the range of N and orthogonal to the rows above is shorter
+    than `CUTOFF`·‖J‖. The cut-off is relative to ‖J‖ and not to ‖J N‖, because J N contains only rounding errors if the
+    task has no freedom left.
     """
     k = J.shape[0]
     longest = ca.SX(0)
@@ -84,7 +84,7 @@ def decompose(J: ca.SX, N: ca.SX | None = None) -> Decomposition:
 
 
 def _direction(row: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
-    """Return the unit vector along the part of a row orthogonal to earlier directions, or 0 if this part is 0."""
+    """Return the unit vector along the part of a row that is orthogonal to the directions Q, or 0 if this part is 0."""
     # two orthogonalisation passes suffice (Parlett 1998, 6.9)
     q = _outside(row, Q, N)
     length = ca.sqrt(ca.sumsqr(q))
@@ -106,7 +106,7 @@ def _outside(vector: ca.SX, Q: list[ca.SX], N: ca.SX | None) -> ca.SX:
 
 
 def _orthonormal_columns(left: list[list[ca.SX]]) -> tuple[list[ca.SX], list[list[ca.SX]], list[ca.SX]]:
-    """Return P, T and 1/diag T of a k × k matrix P T, by modified Gram–Schmidt with two passes for each column."""
+    """Factor a k × k matrix into P T by modified Gram–Schmidt, with two passes per column; return P, T, 1/diag T."""
     k = len(left)
     P: list[ca.SX] = []
     T: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]

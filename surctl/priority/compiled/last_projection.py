@@ -1,12 +1,13 @@
-"""The last projection of mode `projected`: the projection on level 1, restricted to the limits.
+"""The last step of priority mode projected: the projection of a velocity w on level 1, restricted to the limits.
 
-If level 1 has one desired value, level 1 is the task of `safe_step`. A set-based level 1 (lower ≤ J v ≤ upper) takes
-two calls of `safe_step`. The first finds the nearest point without a task. If this point violates the bounds, the
-second takes the nearer bound as the desired value. If some v satisfies limits and bounds, the result is the projection
-on the set of all such v (a point outside a convex set is nearest to its boundary). Otherwise the level misses its
-bounds by as little as the limits allow; the level never opens a soft limit. With damping λ, the residual of the task
-gets its own variables s, with J v − λs = x. The nearest point in (v, s) then minimises ‖v − w‖² + ‖J v − x‖²/λ² subject
-to the limits.
+If level 1 has one desired value, one call of `safe_step` with this level as its task gives the result. A set-based
+level 1 (lower ≤ J v ≤ upper) needs two calls of `safe_step`. The first call finds the velocity nearest to w within the
+limits, without a task. If this velocity violates the bounds of the level, the second call takes the nearer bound as the
+desired value of J v. If some velocity satisfies limits and bounds, the result is the one nearest to w. Otherwise the
+level misses its bounds by as little as the limits allow; a soft limit is never relaxed for the level.
+
+With damping λ, the residual of the task becomes additional variables s = (J v − x)/λ. The point (v, s) nearest to (w,
+0) then minimises ‖v − w‖² + ‖J v − x‖²/λ² subject to the limits.
 """
 
 from __future__ import annotations
@@ -44,7 +45,11 @@ def last_projection(
     named: bool = True,
     fallback: Fallback = "exact",
 ) -> Routine:
-    """Routine (w (n,), count (1,), J, lower, upper, rows, box) → v, active, multipliers, opening, status, count."""
+    """Return the routine that projects w (n,) on level 1, restricted to the limits.
+
+    Inputs: w; count (1,), number of iterations so far; J, lower, upper, rows and box as in `priority_step`. Outputs: v,
+    active, multipliers, opening, status and count, also as in `priority_step`.
+    """
     n, named = shape.n, named and fallback == "exact"  # the bounded fallback does not report which rows limit a task
     inputs = (("w", n), ("before", 1), *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     steps: tuple[Step, ...]
@@ -65,7 +70,7 @@ def _sum() -> Program:
 
 
 def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
-    """Return the steps that compute J_1 and the attainable part of x_1."""
+    """Return the steps that compute the Jacobian of level 1 and its desired value without the unattainable part."""
     # two clearly independent rows of J_1 attain any x_1; the bounded fallback ignores other rows, since their
     # attainable part is costly to compute
     k, stack = shape.levels[0].rows, ("J", "lower", "upper")
@@ -88,7 +93,10 @@ def _task(shape: StackShape, fallback: Fallback) -> tuple[Step, ...]:
 
 
 def _plain(shape: StackShape) -> Program:
-    """Return a program for J_1 with two rows, x_1, and whether the rows are of similar length and not parallel."""
+    """Return a program for a level 1 with two Jacobian rows, which also tests whether these rows are well conditioned.
+
+    Outputs: the Jacobian; the desired value; whether the rows have similar length and are not parallel.
+    """
     flat, levels = shape.symbols()
     J = levels[0].J
     a, b, both = ca.sumsqr(J[0, :]), ca.sumsqr(J[1, :]), ca.dot(J[0, :].T, J[1, :].T)
@@ -109,7 +117,7 @@ def _independent(shape: StackShape) -> Program:
 
 
 def _first(shape: StackShape) -> Program:
-    """Return a program for J_1 and the attainable part of x_1, without the part of the residual that no v changes."""
+    """Return a program for the Jacobian of level 1 and its desired value without the part that no velocity attains."""
     flat, levels = shape.symbols()
     J, x = levels[0].J, levels[0].lower
     k = J.shape[0]
@@ -133,7 +141,7 @@ def _value(shape: StackShape, rows: int, precision: Precision, *, named: bool, f
 
 
 def _named(n: int, k: int, rows: int, precision: Precision) -> Routine:
-    """Return a routine that puts the rows that limit task 1 at the head of the solution's list of active rows."""
+    """Return a routine that adds the constraint rows that limit task 1 at the head of the list of active rows."""
     solution = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1))
     fixed = (("rows", rows * (n + 3)), ("v", n), ("opening", 1), ("pull", n), ("Z", n * n))
     add = Routine(
@@ -199,7 +207,7 @@ def _slab(shape: StackShape, rows: int, precision: Precision, *, named: bool, fa
 
 
 def _side(shape: StackShape, precision: Precision) -> Program:
-    """Return a program that chooses the better of two solutions and the next desired value of a set-based level."""
+    """Return a program that chooses between the two solutions for a set-based level 1, and its next desired value."""
     n, (flat, levels) = shape.n, shape.symbols()
     sizes = (n, n, n, 1, 1, 1)
     old = [ca.SX.sym(f"{name}_old", size) for name, size in zip(_SOLUTION, sizes, strict=True)]
@@ -220,7 +228,7 @@ def _side(shape: StackShape, precision: Precision) -> Program:
 
 
 def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) -> tuple[Step, ...]:
-    """Return the steps of the last projection with damping, in the variables (v, s) with J v − λs = x."""
+    """Return the steps of the last projection with damping λ, in the variables v and s = (J v − x)/λ."""
     # the first `safe_step`, without a task, opens soft limits if necessary
     n, level = shape.n, shape.levels[0]
     q, wide = level.rows, shape.n + level.rows
@@ -244,7 +252,7 @@ def _damped(shape: StackShape, rows: int, damping: float, precision: Precision) 
 
 
 def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
-    """Return a program for the inputs of `safe_step` over (v, s); a set-based level becomes a constraint row."""
+    """Return a program for the inputs of `safe_step` in variables (v, s); a set-based level becomes a row."""
     n, (flat, levels) = shape.n, shape.symbols()
     level = levels[0]
     q = level.J.shape[0]
@@ -265,7 +273,7 @@ def _with_miss(shape: StackShape, rows: int, damping: float) -> Program:
 
 
 def _narrow(n: int, wide: int, rows: int, damping: float) -> Program:
-    """Return a program for v of the solution over (v, s) or, if that failed, of the solution without a task."""
+    """Return a program for the final v, from the solution (v, s) or, if that failed, from the solution without task."""
     # at most n active rows are independent, so n slots are enough; the multipliers belong to the damped problem
     plain = [ca.SX.sym(f"{name}_plain", size) for name, size in zip(_SOLUTION, (n, n, n, 1, 1, 1), strict=True)]
     full = [ca.SX.sym(f"{name}_wide", size) for name, size in zip(_SOLUTION, (wide,) * 3 + (1, 1, 1), strict=True)]

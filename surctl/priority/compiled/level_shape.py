@@ -1,4 +1,4 @@
-"""The shape of a stack of tasks: the sizes for which a priority step is compiled."""
+"""Number of velocities, and number of Jacobian rows and kind of each level, for which a priority step is compiled."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["LevelShape", "StackShape", "SymbolicLevel"]
 
 @dataclass(frozen=True)
 class LevelShape:
-    """The size and kind of one level of a compiled priority step.
+    """Number of Jacobian rows and kind of one level of a compiled priority step.
 
     Attributes:
-        rows: number of rows k of J, at least 1.
-        is_set: True for a level lower ≤ J v ≤ upper, whose J has 1 row; False for a level J v = lower.
+        rows: number of rows of the level's Jacobian J, at least 1.
+        is_set: True for a set-based level lower ≤ J v ≤ upper, whose J must have 1 row; False for a level J v = lower.
     """
 
     rows: int
@@ -29,7 +29,7 @@ class LevelShape:
 
 @dataclass(frozen=True)
 class SymbolicLevel:
-    """A level as symbolic expressions: J (k, n), Jacobian; lower, upper (k, 1), bounds of J v."""
+    """A priority level as symbolic expressions: Jacobian J (k, n), and lower, upper (k, 1), the bounds of J v."""
 
     J: ca.SX
     lower: ca.SX
@@ -37,24 +37,24 @@ class SymbolicLevel:
     is_set: bool
 
     def desired(self, w: ca.SX) -> ca.SX:
-        """Return the desired value of J z for z near w: lower if not set-based, else J w moved into the bounds."""
+        """Return the desired value of J v in the projection of w: `lower`, or J w clipped if the level is set-based."""
         return ca.fmin(ca.fmax(self.J @ w, self.lower), self.upper) if self.is_set else self.lower
 
 
 @dataclass(frozen=True)
 class StackShape:
-    """The shape of a stack: n velocities and the levels of tasks for these velocities, highest priority first.
+    """The number of velocities n, and the shapes of all levels of a task stack, highest priority first.
 
     Raises:
-        InputError: n or the number of rows of a J is not a whole number of at least 1, the stack has no level, or the J
-            of a set-based level has more than one row.
+        InputError: n or the number of rows of a Jacobian is not a whole number of at least 1, the stack has no level,
+            or the Jacobian of a set-based level has more than one row.
     """
 
     n: int
     levels: tuple[LevelShape, ...]
 
     def __post_init__(self) -> None:
-        """Check the sizes."""
+        """Check the number of velocities and the number of Jacobian rows of each level."""
         if not isinstance(self.n, int | np.integer) or self.n < 1:
             raise InputError("must be a whole number of at least 1", key="n", value=self.n)
         if not self.levels:
@@ -73,26 +73,26 @@ class StackShape:
 
     @property
     def rows(self) -> int:
-        """Return the number of rows of the J of all levels together."""
+        """Return the number of Jacobian rows of all levels together."""
         return sum(level.rows for level in self.levels)
 
     @property
     def tallest(self) -> int:
-        """Return the number of rows of the largest J."""
+        """Return the largest number of Jacobian rows of a level."""
         return max(level.rows for level in self.levels)
 
     @property
     def starts(self) -> tuple[int, ...]:
-        """Return the index of the first row of each level in the stacked J."""
+        """Return the index of the first row of each level in the stacked Jacobian J."""
         return tuple(sum(level.rows for level in self.levels[:i]) for i in range(len(self.levels)))
 
     @property
     def inputs(self) -> tuple[tuple[str, int], ...]:
-        """Return (name, number of entries) of the arrays that hold the stack: J (row by row), lower, upper."""
+        """Return (name, number of entries) of the arrays for all levels together: J (row by row), lower, upper."""
         return (("J", self.rows * self.n), ("lower", self.rows), ("upper", self.rows))
 
     def symbols(self) -> tuple[list[ca.SX], list[SymbolicLevel]]:
-        """Return symbols for the arrays in `inputs`, and the levels as expressions of these symbols."""
+        """Return symbols for the arrays named in `inputs`, and the levels as expressions of these symbols."""
         flat = [ca.SX.sym(name, size) for name, size in self.inputs]
         return flat, list(self._levels(flat))
 

@@ -1,9 +1,9 @@
-"""A level of the cascade that limits keep from its desired value: met as well as the limits allow, then fixed.
+"""A strict priority level that is not reachable within the limits: met as well as they allow, then fixed.
 
-`safe_step` minimises ‖J v − x‖ over the variables y of v + N y, from a v that satisfies the limits, so y = 0 is always
-feasible. Nearly dependent constraint rows can reduce the accuracy, so `safe_step` is repeated from its own solution
-until the optimality conditions hold, that is, until the active constraints balance the gradient (`tangent`). The value
-of J v is then fixed by elimination.
+Let v be a velocity that satisfies the limits, and v + N y the velocities that do not change the higher levels.
+`safe_step` minimises the residual ‖J (v + N y) − x‖ of the level over y within the limits; y = 0 is always feasible.
+Nearly dependent constraint rows can reduce the accuracy, so `safe_step` is repeated from the resulting velocity until
+the optimality conditions hold (module `tangent`). The value of J v is then fixed by elimination.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ _STILL = 1e-13  # a step of at most this length, relative to 1 + max |v|, counts
 
 
 def limited_level(n: int, k: int, m: int) -> Routine:
-    """Routine (skip, v, base, N, rows, held, hold, active, multipliers, count) → new values after the level is fixed.
+    """Return the routine that meets one level as well as the limits allow and then fixes its value of J v.
 
-    Before and after the routine, v satisfies the constraint rows (m·(n + 3), of length 1). In the new values, the J v
-    of the level is fixed. base and N exclude the directions of the level; v is the remaining point nearest to 0; active
-    lists the constraint rows active at v; held also lists the rows that limit the level. Further inputs, which stay
-    unchanged: N with and N without the directions of the level; Q, T Q and Pᵀ·scale of the level inside N (see
-    `decomposition`); J and x; square = 1/scale², which scales the multipliers.
+    The routine updates these variables: skip, nonzero to do nothing; v, a velocity that satisfies the constraint rows,
+    afterwards the one nearest to 0; base and N of the velocities base + N y that are still free; rows (m·(n + 3),), the
+    constraint rows, of length 1; held and hold, numbers and multipliers of the rows that limit levels; active and
+    multipliers, numbers and multipliers of the rows active at v; count, number of iterations. Further inputs: N with
+    and N without the directions of the level; Q, T Q and Pᵀ·scale from the `Decomposition` of J N; J and x; square =
+    1/scale², which scales the multipliers.
     """
     row, space = n + 3, Space(n, n)
     state = (
@@ -90,7 +91,7 @@ def _nothing(n: int) -> Program:
 
 
 def _again(n: int, k: int, m: int) -> Routine:
-    """Return a routine for one pass: `safe_step` from v, the rows that limit the level, and a test of optimality."""
+    """Return a routine for one repetition: `safe_step` from v, the rows that limit the level, a test of optimality."""
     state = (("v", n), ("numbers", n), ("u", n), ("count", 1), ("converged", 1))
     fixed = (
         ("rows", m * (n + 3)), ("N", n * n), ("task", k * n), ("turn", k * k), ("J", k * n), ("x", k), ("square", 1),
@@ -153,7 +154,7 @@ def _converged(n: int) -> Program:
 
 
 def _frozen(n: int, k: int) -> Program:
-    """Return a program for the base of the remaining freedom on which the level keeps its value of J v."""
+    """Return a program for the base of the velocities that are still free once the level's value of J v is fixed."""
     v, base, Q = ca.SX.sym("v", n), ca.SX.sym("base", n), ca.SX.sym("Q", k * n)
     directions = as_matrix(Q, n)
     return lower(ca.Function("frozen", [v, base, Q], [ca.vertcat(base + directions.T @ (directions @ (v - base)), 0)]))

@@ -1,4 +1,4 @@
-"""Operations of the compiled modes on one constraint row lower ≤ a·v ≤ upper: normal a (n,), lower, upper, soft."""
+"""Programs that change one constraint row lower ≤ a·v ≤ upper, stored as normal a (n,), lower, upper, soft."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ _FLAT = 1e-12  # if N leaves less than this of a row of length 1, the row does n
 
 
 def opened_row(n: int) -> Program:
-    """Instruction list (row, opening, v) → row of length 1, opened if soft, widened so that v satisfies it exactly.
+    """Return a program that scales a row to length 1, moves its bounds outwards if soft, and makes the row hard.
 
-    The resulting constraint row is hard.
+    The program takes the row, the amount `opening` by which soft bounds move, and a velocity v. It also widens the
+    bounds so that v satisfies the row exactly.
     """
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
@@ -29,7 +30,7 @@ def opened_row(n: int) -> Program:
 
 
 def holding_row(n: int) -> Program:
-    """Instruction list (row, v) → the constraint row, widened so that v satisfies it exactly."""
+    """Return a program that widens the bounds of a row so that the velocity v satisfies the row exactly."""
     row, v = ca.SX.sym("row", n + 3), ca.SX.sym("v", n)
     value = ca.dot(row[:n], v)
     bounds = [ca.fmin(row[n], value), ca.fmax(row[n + 1], value)]
@@ -37,7 +38,10 @@ def holding_row(n: int) -> Program:
 
 
 def reduced_row(n: int) -> Program:
-    """Instruction list (row of length 1, v, N) → constraint row on y in v + N y, widened so that y = 0 satisfies it."""
+    """Return a program that converts a row of length 1 on v + N y to a constraint row on y.
+
+    The program takes the row, v and N, and widens the bounds so that y = 0 satisfies the new row.
+    """
     row, v, N = ca.SX.sym("row", n + 3), ca.SX.sym("v", n), ca.SX.sym("N", n * n)
     a, value = as_matrix(N, n) @ row[:n], ca.dot(row[:n], v)
     flat = ca.sqrt(ca.sumsqr(a)) <= _FLAT
@@ -47,6 +51,6 @@ def reduced_row(n: int) -> Program:
 
 
 def longer_row(n: int, more: int) -> Program:
-    """Instruction list: row → the constraint row over `more` additional variables, which the row does not bound."""
+    """Return a program that appends `more` variables with coefficient 0 to a constraint row."""
     row = ca.SX.sym("row", n + 3)
     return lower(ca.Function("longer_row", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(more), row[n:]))]))

@@ -1,4 +1,4 @@
-"""Fast priority steps in Python: compiled once, with named arrays for inputs and outputs; each step is one call."""
+"""Fast priority steps in Python: one compiled call per control period, with named arrays for inputs and outputs."""
 
 from __future__ import annotations
 
@@ -26,29 +26,30 @@ _VIEWS = frozenset(("J", "lower", "upper", "rows", "box", *OUTPUTS))
 
 
 class PriorityStep:
-    """A compiled `priority_step` with its own arrays: write the inputs, call `solve`, read the outputs.
+    """A compiled `priority_step` with its own arrays: write the input arrays, call `solve`, read the output arrays.
 
         step = PriorityStep.of(problem, mode="projected")
         step.J[...], step.lower[...], step.upper[...] = J, x, x
         step.solve()
         step.v, step.stage, step.binding()
 
-    Every array is a view of one buffer that each `solve` reads or overwrites. Copy results that must last, and assign
-    to the elements of an input array, not to its name. Replacing an array raises an InputError, because `solve` would
+    Every call of `solve` reads the input arrays and overwrites the output arrays. Copy outputs that you need later.
+    Write into the elements of an input array; the replacement of an array raises an InputError, because `solve` would
     never read the new array. Do not share a step between threads. Without a C compiler, `replay` interprets the step
     slowly, with equal results.
 
     Attributes:
-        J (K, n), lower (K,), upper (K,): the Jacobians and the bounds of J v, stacked, highest priority first; upper =
-            lower for a level with one desired value.
+        J (K, n), lower (K,), upper (K,): the Jacobians of all levels and the bounds of J v, stacked, highest priority
+            first; upper = lower for a level with one desired value.
         rows (m, n + 3): constraint rows, the bounds of the box included; each is normal, lower, upper, soft (1 if the
-            row may open).
-        box (2, n): lower and upper bounds into which v is moved at the end.
-        v (n,), active, multipliers (n,), opening, status, count (1,), target (n,): see `priority_step`.
-        solve: computes one step; no arguments, returns None.
-        level_names, row_names: set by `load`; otherwise "level 1", … and "row 0", … for the constraint rows.
-        levels: the shape of each level.
-        compiled: whether the step runs as compiled C code.
+            row may be relaxed).
+        box (2, n): lower and upper bounds to which v is clipped at the end.
+        v (n,), active, multipliers (n,), opening, status, count (1,), target (n,): outputs of `priority_step`.
+        solve: function without arguments that computes one step and returns None.
+        level_names, row_names: names of levels and constraint rows; set by `load`, otherwise "level 1", … and "row 0",
+            …
+        levels: number of Jacobian rows and kind of each level.
+        compiled: whether the step runs as C code.
     """
 
     J: Array
@@ -76,9 +77,9 @@ class PriorityStep:
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> None:
-        """Compile a step; arguments and errors are those of `priority_step`.
+        """Compile a priority step; arguments and errors are those of `priority_step`.
 
-        Initially all constraint rows are idle and the box is unbounded.
+        Initially all constraint rows are zero with infinite bounds, and the box is unbounded.
         """
         shapes = tuple(levels)
         routine = priority_step(mode, n=n, levels=shapes, rows=rows, sweeps=sweeps, damping=damping, fallback=fallback)
@@ -88,7 +89,7 @@ class PriorityStep:
         self.box[:] = [[-np.inf], [np.inf]]
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Refuse to replace a view by another array; `step.J += 1` is allowed: it assigns the array to itself."""
+        """Raise an InputError if an array is replaced; `step.J += 1` is allowed, because it changes elements only."""
         if name in _VIEWS and name in self.__dict__ and value is not self.__dict__[name]:
             raise InputError("is a view of the step's buffer", key=name, remedy=f"write into it: step.{name}[...] = …")
         super().__setattr__(name, value)
@@ -113,9 +114,9 @@ class PriorityStep:
         damping: float = 0.0,
         fallback: Fallback = "exact",
     ) -> PriorityStep:
-        """Return a step for problems of the shape of `problem`, loaded with `problem`.
+        """Compile a step for problems with the levels of `problem`, and write `problem` into its arrays.
 
-        rows: number of constraint rows; None takes the number of limits of the problem.
+        rows: number of constraint rows; None means the number of limits in `problem`.
         """
         places = max(1, len(problem.rows)) if rows is None else rows
         step = PriorityStep(
@@ -131,13 +132,14 @@ class PriorityStep:
         return step
 
     def load(self, problem: PriorityProblem) -> None:
-        """Write a checked problem into the arrays: levels, limits with their names, and the box from actuator limits.
+        """Write a problem into the input arrays: levels, limits with their names, and velocity bounds as the box.
 
-        Limits of kind "barrier" and "set" may open; unlike in `solve`, both kinds open together.
+        Limits of kind "barrier" and "set" may be relaxed; unlike in the function `solve`, both kinds are relaxed
+        together.
 
         Raises:
-            InputError: a level has another shape (the message names the level), or the problem has more limits than the
-                step has constraint rows.
+            InputError: a level has a different number of Jacobian rows or a different kind (the message names the
+                level), or the problem has more limits than the step has constraint rows.
         """
         self._check(problem)
         self.J[:] = np.vstack([level.J for level in problem.levels])
@@ -153,18 +155,18 @@ class PriorityStep:
 
     @property
     def stage(self) -> Stage:
-        """Return the fallback stage that gave the last solution; raise an InputError before the first `solve`."""
+        """Return which fallback stage computed the last v; raise an InputError before the first `solve`."""
         if self.status[0] == 0.0:
             raise InputError("has no solution yet", key="step", remedy="call solve() first")
         stages: tuple[Stage, ...] = get_args(Stage)
         return stages[int(self.status[0]) - 1]
 
     def binding(self) -> tuple[tuple[str, float], ...]:
-        """Return (name, multiplier) of the limits that determine v, for unscaled rows; positive at an upper bound.
+        """Return (name, Lagrange multiplier) of the active limits, in their units; positive at an upper bound.
 
-        Limits that restrict a task come first, with multipliers of min ½‖J v − x‖²; then follow the limits that bind in
-        the last projection, with multipliers of min ½‖v − target‖². A set-based level that binds appears under its own
-        name.
+        First come the limits that restrict a task, with multipliers of min ½‖J v − x‖². Then come the limits that are
+        active when v approaches `target`, with multipliers of min ½‖v − target‖². A set-based level at its bound is
+        listed under the name of the level.
         """
         pairs = []
         for number, multiplier in zip(self.active, self.multipliers, strict=True):
@@ -204,12 +206,12 @@ class PriorityStep:
 
 
 def level_shapes(problem: PriorityProblem) -> tuple[LevelShape, ...]:
-    """Return the shape of each level; a level with different lower and upper bounds is set-based."""
+    """Return the shape of each level; a level is set-based if its lower and upper bounds differ."""
     return tuple(LevelShape(level.lower.size, not level.is_goal) for level in problem.levels)
 
 
 def bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None], bool]:
-    """Return input arrays, output arrays, a function that computes the outputs, and whether it is compiled."""
+    """Return input arrays, output arrays, the function that computes the outputs, and whether it is C code."""
     try:
         workspace = compile_block(routine).workspace()
     except ToolMissing:

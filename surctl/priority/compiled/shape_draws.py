@@ -1,4 +1,4 @@
-"""Random priority problems of a given shape, for tests of a compiled step."""
+"""Random priority problems with given numbers of Jacobian rows, for tests of a compiled step."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _N = 4
 def draw_of_shape(
     rng: np.random.Generator, shapes: tuple[LevelShape, ...], *, limits: bool = True, conditioned: bool = False
 ) -> PriorityProblem:
-    """Return random levels of these shapes for 4 velocities, with the actuator and barrier limits of `draw_problem`.
+    """Return random levels of these shapes for 4 velocities, with actuator and barrier limits as in `draw_problem`.
 
-    Some levels are rank-deficient, repeat a row of J, have J = 0, or contradict a row of the level above. Limits often
+    Some Jacobians are rank-deficient, repeat a row, or are 0, and some levels contradict the level above. Limits often
     contradict each other. There are at most 22 limits.
 
     Args:
         limits: whether the problem has limits.
-        conditioned: if true, the singular values of each J lie between 0.3 and 3 and no level is rank-deficient.
+        conditioned: if true, the singular values of each Jacobian are between 0.3 and 3, and none is rank-deficient.
     """
     levels: list[Level] = []
     while len(levels) < len(shapes):

@@ -1,9 +1,9 @@
-"""One compiled step for each priority mode: (tasks, limits, box) → a velocity that is always finite.
+"""One compiled step for each priority mode, which computes a finite velocity from any tasks and limits.
 
-nsb: the law (16) as projections from the lowest level to level 1, without limits.
-filter: the point that satisfies the limits and is nearest to the result of nsb.
-projected: the projections up to level 2, then the projection on level 1 subject to the limits (`last_projection`).
-lexicographic: strict priority subject to the limits (`cascade`).
+nsb: the NSB law, equation (16) of the paper, as projections from the lowest level to level 1, without limits.
+filter: the velocity that satisfies the limits and is nearest to the velocity of nsb.
+projected: the projections of nsb from the lowest level to level 2, then the projection on level 1 within the limits.
+lexicographic: strict priority within the limits.
 """
 
 from __future__ import annotations
@@ -48,45 +48,55 @@ def priority_step(
     named: bool = True,
     fallback: Fallback = "exact",
 ) -> Routine:
-    """Routine (J (K·n,), lower (K,), upper (K,), rows (m·(n + 3),), box (2n,)) → outputs of one control step.
+    """Return the routine that computes the velocity v of one control period for a priority mode.
 
-    J: Jacobians of all levels, K rows together, stored row by row, highest priority first. lower, upper: bounds of J v;
-    lower = upper for a level with one desired value. rows: m constraint rows of any length, the bounds of the box
-    included; each is a (n,), lower, upper, soft (1: may open if rows contradict each other); a row of zeros with
-    infinite bounds is idle. box: lower (n,), upper (n,); v is moved into the box at the end.
+    Inputs: J (K·n,), the Jacobians of all levels, K rows together, stored row by row, highest priority first; lower,
+    upper (K,), the bounds of J v, equal for a level with one desired value; rows (m·(n + 3),), m constraint rows lower
+    ≤ a·v ≤ upper of any length, the bounds of the box included, each stored as a (n,), lower, upper, soft (1 if the row
+    may be relaxed when rows contradict each other); box (2n,), lower and upper bounds to which v is clipped at the end.
+    An unused row is all zeros with infinite bounds.
 
-    Outputs: v (n,): velocity; active (n,): signed numbers of the active constraint rows, from 1 (+ at the upper bound,
-    − at the lower, 0 empty slot), the rows that limit a task first; multipliers (n,): Lagrange multipliers of the
-    active rows, for rows of length 1, in min ½‖J v − x‖² if the row limits a task, otherwise in min ½‖v − target‖²;
-    opening (1,): opening of the soft rows; status (1,): MET (level 1 is met as well as its Jacobian allows), LIMITED
-    (level 1 is met as well as the constraint rows allow), RELAXED (soft rows are opened), CLAMPED (v is only moved into
-    the box), or BOUNDED (result of the bounded fallback in place of LIMITED and RELAXED; without active rows); count
-    (1,): number of iterations; target (n,): the point from which the last projection started.
+    Outputs: v (n,), the velocity; active (n,), signed numbers of the active constraint rows, from 1 (+ at the upper
+    bound, − at the lower bound, 0 for an unused entry), the rows that limit a task first; multipliers (n,), Lagrange
+    multipliers of the active rows, for rows of length 1, in min ½‖J v − x‖² if the row limits a task, otherwise in min
+    ½‖v − target‖²; opening (1,), the amount by which the bounds of soft rows are moved outwards; status (1,): MET
+    (level 1 is met as well as its Jacobian allows), LIMITED (level 1 is met as well as the constraint rows allow),
+    RELAXED (soft rows are relaxed), CLAMPED (v is only clipped to the box), or BOUNDED (the bounded fallback was used;
+    no active rows are reported); count (1,), number of iterations; target (n,), the velocity that v approaches as far
+    as level 1 and the limits allow.
 
-    The projection on a set-based level leaves a point w unchanged inside the bounds and otherwise moves w to the
-    nearest bound, so v does not jump. In mode lexicographic the numbers m + 1, m + 2, … denote set-based levels that
-    bind, in level order. In mode nsb the status is MET whenever (16) is finite, v ignores limits and box, and target is
-    v. With damping λ every projection minimises λ²‖z − w‖² + ‖J z − x‖², in mode projected also the last projection
-    (subject to the limits). The result is exact while ‖J‖ of the first level is below 5e4·λ; for a larger ‖J‖, rounding
-    loses the terms with λ. The status is CLAMPED, with v = 0 moved into the box, if J, lower or upper contains a NaN or
-    a number above 1e300 (J: above 1e140), or if lower ≠ upper for a level with one desired value; in all modes but nsb
-    also if a constraint row is longer than 1e150.
+    The projection on a set-based level leaves a velocity w unchanged if J w is inside the bounds, and otherwise moves w
+    to the nearest bound; so v does not jump. In mode lexicographic, the numbers m + 1, m + 2, … in `active` denote
+    set-based levels at their bounds, in the order of the levels. In mode nsb, the status is MET if v is finite, v
+    ignores limits and box, and target is v.
+
+    With damping λ, every projection of a velocity w on a level minimises λ²‖z − w‖² + ‖J z − x‖² over z; in mode
+    projected this includes the last projection, within the limits. The result is exact while ‖J‖ of the first level is
+    below 5e4·λ; for a larger ‖J‖, rounding errors exceed the terms with λ.
+
+    The status is CLAMPED, with v = 0 clipped to the box, if J, lower or upper contains a NaN or a number above 1e300
+    (J: above 1e140), if lower ≠ upper for a level with one desired value, or, in all modes but nsb, if a constraint row
+    is longer than 1e150.
 
     Args:
-        mode: the priority law.
+        mode: the priority law, as described in the module docstring.
         n: number of velocities.
-        levels: shapes of the levels.
+        levels: number of Jacobian rows and kind of each level.
         rows: number of constraint rows m, at least 1.
-        sweeps: number of sweeps of (16), each started from the result of the previous sweep; 1 in mode lexicographic.
+        sweeps: number of sweeps over all levels; each sweep starts from the velocity of the previous sweep. 1 in mode
+            lexicographic.
         damping: λ [unit of J]; 0 in mode lexicographic.
-        precision: tolerances of the least-distance problems in modes filter and projected, for the number type with
-            which the routine runs; the other modes use the tolerances of double.
-        named: False leaves the constraint rows that limit task 1 out of `active` in mode projected, which saves time.
-        fallback: "exact", or "bounded" for modes filter and projected without damping: "bounded" computes a solution at
-            constant cost if limits and task 1 are incompatible or take more than 4 iterations, see `solver.bounded`.
+        precision: tolerances of the solver in modes filter and projected, for the number type with which the routine
+            runs; the other modes use the tolerances for double.
+        named: if False, mode projected does not list in `active` the constraint rows that limit task 1, which saves
+            time.
+        fallback: "exact", or "bounded" for modes filter and projected without damping. If limits and task 1 are
+            incompatible, or need more than 4 iterations, "bounded" computes a velocity that is not optimal, at constant
+            cost; see module `solver.bounded`.
 
     Raises:
-        InputError: the mode is unknown, or a size or number is out of range; the message names the level.
+        InputError: the mode is unknown, or n, `rows`, a level or a setting is out of range; the message names the
+            level.
 
     Example:
         >>> import numpy as np
@@ -144,7 +154,7 @@ def _filter(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ..
 
 
 def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
-    """Return the steps of mode projected: a sweep projects v on the levels from lowest to 2, then on level 1."""
+    """Return the steps of mode projected: each sweep projects v on the levels from the lowest to 2, then on level 1."""
     n, damping, fixed = shape.n, settings.damping, (*_STACK, "rows", "box")
     carried = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)

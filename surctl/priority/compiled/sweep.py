@@ -1,4 +1,4 @@
-"""The law (16) as a sequence of projections, in instruction lists, and a check that all inputs of a step are finite."""
+"""The NSB law, equation (16) of the paper, as compiled projections, and a check that all inputs are finite."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ HUGE = 1e300
 
 
 def project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
-    """Return the point nearest to w (n, 1) among the points that meet the level best; w itself if it meets the bounds.
+    """Return the velocity nearest to w (n, 1) among those that meet the level best; w itself if w meets the level.
 
-    With damping the formula is that of `symbolic.projection`. Without damping, a J with several rows is decomposed, so
-    that dependent and contradicting rows are met in the least-squares sense, as with the pseudo-inverse.
+    With damping, the formula is that of `symbolic.projection`. Without damping, linearly dependent or contradicting
+    rows of the Jacobian are met in the least-squares sense, as with the pseudo-inverse.
     """
     if level.J.shape[0] == 1 or damping > 0.0:
         return projection(w, level.J, level.desired(w), damping=damping)
@@ -30,7 +30,10 @@ def project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
 
 
 def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
-    """Instruction list (w (n,), J, lower, upper) → w after projections on the lowest level up to index `highest`."""
+    """Return a program that projects w (n,) on one level after another, from the lowest up to level index `highest`.
+
+    The inputs are w and the arrays J, lower, upper of all levels; the output is the projected w.
+    """
     flat, levels = shape.symbols()
     start = ca.SX.sym("w", shape.n)
     w = start
@@ -40,7 +43,7 @@ def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
 
 
 def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
-    """Steps that compute `swept` from `zero`, J, lower and upper by the given number of sweeps."""
+    """Return the steps that compute the velocity after `settings.sweeps` sweeps over all levels, from v = 0."""
     one, fixed = sweep(shape, damping=settings.damping), ("J", "lower", "upper")
     if settings.sweeps == 1:
         return (Call(one, ("zero", *fixed), ("swept",)),)
@@ -48,11 +51,12 @@ def swept(shape: StackShape, settings: Settings) -> tuple[Step, ...]:
 
 
 def gate(shape: StackShape) -> Program:
-    """Instruction list (J, lower, upper) → sound (1,), zero (n,), none (1,).
+    """Return a program that checks the levels of a step, from the arrays J, lower and upper.
 
-    sound: 1 if all numbers are finite, lower = upper for levels with one desired value, and lower ≤ upper for set-based
-    levels. The test is written as the condition that must hold, because every comparison with a NaN is false.
+    Outputs: sound (1,), which is 1 if all numbers are finite, lower = upper for levels with one desired value, and
+    lower ≤ upper for set-based levels; zero (n,) and none (1,), which are 0.
     """
+    # each test is the condition that must hold, because every comparison with a NaN is false
     flat, levels = shape.symbols()
     sound = ca.SX(1)
     for level in levels:
@@ -67,7 +71,7 @@ def gate(shape: StackShape) -> Program:
 
 
 def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    """Return the value with each entry moved between its bounds; 0 where the result would not be finite."""
+    """Return the value with each entry clipped to its bounds; an entry is 0 if it would not be finite."""
     moved = []
     for i in range(value.numel()):
         above = ca.if_else(value[i] >= low[i], value[i], low[i])

@@ -1,9 +1,9 @@
-"""The constraint rows that limit a task, and their multipliers in its least-squares problem, from the solution.
+"""The constraint rows that limit a task, and their Lagrange multipliers, computed from the least-squares solution.
 
-At the minimiser v of ½‖J v − x‖² subject to the constraint rows, the negative gradient Jᵀ(x − J v), here called the
-pull, is a combination of the normals of the active constraint rows. The projection of the pull on the cone of feasible
-directions is then 0, and the multipliers of this projection are the multipliers of the least-squares problem. A nonzero
-projection measures how far v is from optimal.
+At the minimiser v of ½‖J v − x‖² subject to the constraint rows, the negative gradient Jᵀ(x − J v) is a combination of
+the normals of the active rows. So its projection on the directions in which v may move is 0, and the Lagrange
+multipliers of this projection are the multipliers of the least-squares problem. A nonzero projection measures how far v
+is from optimal. In the code, the negative gradient is called the pull.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ __all__ = ["holding", "largest", "merged"]
 
 
 def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
-    """Routine (rows (m·(n + 3),), opening (1,), v (n,), pull (n,), Z (n·n,)) → numbers, multipliers, rest, count.
+    """Return the routine that finds the constraint rows which limit a task at the velocity v, and their multipliers.
 
-    numbers (n,): signed numbers, from 1, of the constraint rows that balance the pull (+ at the upper bound), 0 if
-    empty; multipliers (n,) for rows of length 1; rest (n,): the part of the pull in the range of the projector Z that
-    the constraint rows do not balance; count (1,): number of iterations. The bounds of soft constraint rows are first
-    moved outwards by `opening`.
+    Inputs: rows (m·(n + 3),), the constraint rows; opening (1,), the amount by which the bounds of soft rows are moved
+    outwards; v (n,); pull (n,), the negative gradient of the task at v; Z (n·n,), projector on the free directions.
+    Outputs: numbers (n,), signed numbers, from 1, of the rows that limit the task (+ at the upper bound, 0 for an
+    unused entry); multipliers (n,), for rows of length 1; rest (n,), the part of the pull in the range of Z that is not
+    a combination of the normals; count (1,), number of iterations.
     """
     space = Space(n, n, precision=precision)
     steps = (
@@ -64,7 +65,7 @@ def _unit_pull(n: int, precision: Precision) -> Program:
 
 
 def _touching(n: int, precision: Precision) -> Program:
-    """Return a program for a row's bounds on directions from v: 0 at a bound that v touches, otherwise infinite."""
+    """Return a program for a row's bounds on a direction of motion from v: 0 if v is at the bound, else infinite."""
     row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
     length = ca.sqrt(ca.sumsqr(row[:n]))
     inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
@@ -90,10 +91,9 @@ def _scaled(n: int) -> Program:
 
 
 def merged(n: int) -> Program:
-    """Instruction list (numbers, multipliers, further numbers, further multipliers), (n,) each → both lists joined.
+    """Return a program that joins two lists of active constraint rows, with numbers (n,) and multipliers (n,) each.
 
-    A constraint row that the first list already contains is not added again; a row for which no slot is free is
-    dropped.
+    A constraint row of the second list is left out if the first list contains this row or has no unused entry.
     """
     numbers, multipliers = ca.SX.sym("numbers", n), ca.SX.sym("multipliers", n)
     more, further = ca.SX.sym("more", n), ca.SX.sym("further", n)

@@ -1,4 +1,4 @@
-"""Analysis of a task stack before a run: equality of NSB and strict priority, conflicts, singularities."""
+"""Analysis of a task stack before a run: whether NSB equals strict priority, which tasks conflict, singular poses."""
 
 from __future__ import annotations
 

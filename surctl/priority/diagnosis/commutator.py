@@ -1,17 +1,13 @@
-"""The commutator condition for numeric Jacobians, which decides whether the law (16) equals strict priority.
+"""Commutator condition on the task Jacobians, which decides whether the NSB law equals strict priority.
 
-For all references x, NSB equals strict (lexicographic) priority
+For all desired rates x_i, the NSB law, equation (16) of the paper, equals strict (lexicographic) priority
 
     v_i = v_{i−1} + (J_i N)⁺(x_i − J_i v_{i−1}),   N = I − P,   P the projector on the row space of all tasks above i
 
-if and only if J_iᵀJ_i commutes with P at every level i ≥ 2. The condition holds for any ranks: a task may be
-rank-deficient, depend on the tasks above it, or have no freedom left. Sketch of the proof: With x_i = 0, both laws for
-the first i levels must equal the laws for the first i − 1 levels inside range(P), because strict priority uses all of
-range(P) for the levels above i. So the correction by level i vanishes in range(P): (J_i N)⁺J_i P = 0, which means N
-J_iᵀJ_i P = 0. Conversely, N then commutes with J_iᵀJ_i, hence with J_i⁺J_i, so that (J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i is
-the projector on the intersection of the null spaces.
+if and only if J_iᵀJ_i commutes with P at every level i ≥ 2, where J_i is the Jacobian of level i. The condition is
+valid for Jacobians of any rank: a task may be rank-deficient, depend on the tasks above it, or have no freedom left.
 
-All functions of this module accept arrays with leading axes for samples: J (..., k, n).
+All functions of this module accept arrays with additional leading axes, one entry for each sample: J (..., k, n).
 """
 
 from __future__ import annotations
@@ -36,7 +32,7 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Right singular vectors and singular values of J (..., k, n); singular values below the cut-off are set to 0.
+    """Right singular vectors and singular values of J (..., k, n); singular values below a cut-off are set to 0.
 
     Attributes:
         vectors: (..., n, n), unit vectors as rows, largest singular value first.
@@ -66,7 +62,7 @@ class Directions:
 
 
 def directions(J: Array, *, cutoff: float = CUTOFF) -> Directions:
-    """Decompose J (..., k, n), finite; singular values up to `cutoff`·‖J‖ (or `ZERO_ROW`) count as 0."""
+    """Return the singular vectors and values of J (..., k, n); values up to `cutoff`·‖J‖ or `ZERO_ROW` count as 0."""
     _, singular, vectors = np.linalg.svd(J, full_matrices=True)
     s = np.zeros(vectors.shape[:-1])
     s[..., : singular.shape[-1]] = singular
@@ -74,7 +70,7 @@ def directions(J: Array, *, cutoff: float = CUTOFF) -> Directions:
 
 
 def absorb(P: Array, task: Directions) -> Array:
-    """Return the projector P (..., n, n) extended by the row space of a task."""
+    """Return the projector on the sum of the range of P (..., n, n) and the row space of a task."""
     N = np.eye(P.shape[-1]) - P
     _, s, vectors = np.linalg.svd(task.rows @ N)
     new = vectors @ N * (s > CUTOFF)[..., None]  # N again, because a short remainder has lost digits
@@ -82,20 +78,26 @@ def absorb(P: Array, task: Directions) -> Array:
     return enlarged
 
 
+# Sketch of the proof of the condition. With x_i = 0, both laws for the first i levels must equal the laws for the first
+# i − 1 levels inside range(P), because strict priority uses all of range(P) for the levels above i. So the correction
+# by level i vanishes in range(P): (J_i N)⁺J_i P = 0, which means N J_iᵀJ_i P = 0. Conversely, N then commutes with
+# J_iᵀJ_i, hence with J_i⁺J_i, so that (J_i N)⁺ = N J_i⁺, and N_1 ⋯ N_i projects on the intersection of the null spaces.
 def commutator_norms(jacobians: Sequence[Array]) -> Array:
-    """Return the commutator norm of J_iᵀJ_i and P for each level i, (..., levels); 0 for the first level.
+    """Return, for each level i, a norm of the commutator of J_iᵀJ_i and P, (..., levels); 0 for the first level.
 
-    It is the spectral norm of the commutator, written in the basis of the singular vectors of J_i, with each entry (a,
-    b) divided by s_a² + s_b². The norm has no unit, is at most 1/2 for a task of one row and √(n/8) for any task, and
-    is zero if and only if the commutator is zero. If all rows of J_i have equal length, the norm is ‖[J_iᵀJ_i,
-    P]‖/‖J_i‖². This simpler ratio would neglect the short rows of a task that also has long rows, although short rows
-    have the same effect in both laws.
+    J_i is the Jacobian of level i, and P the projector on the row space of all levels above. The commutator is J_iᵀJ_i
+    P − P J_iᵀJ_i, written in the basis of the right singular vectors of J_i. Its entry (a, b) is divided by s_a² +
+    s_b², where s are the singular values of J_i; the returned number is the spectral norm of this matrix. This norm has
+    no unit, is at most 1/2 for a task of one row and √(n/8) for any task, and is zero if and only if the commutator is
+    zero. The division makes short rows of J_i count as much as long rows, because short rows affect both laws as much
+    as long rows do.
 
     Args:
         jacobians: J (..., k, n) of each level, highest priority first.
 
     Raises:
-        InputError: no level, different numbers of columns, or a non-finite number; the message names the level.
+        InputError: there is no level, the Jacobians have different numbers of columns, or a number is not finite; the
+            message names the level.
     """
     levels = _checked(jacobians)
     n = levels[0].shape[-1]
@@ -109,15 +111,15 @@ def commutator_norms(jacobians: Sequence[Array]) -> Array:
 
 
 def equals_strict_priority(jacobians: Sequence[Array], *, tol: float = TOLERANCE) -> bool:
-    """Return whether NSB equals strict priority for all references, that is, no commutator norm is above `tol`.
+    """Return whether NSB equals strict priority for all desired rates, that is, no commutator norm exceeds `tol`.
 
     Args:
-        jacobians: J (k, n) of each level, highest priority first; with leading axes, the condition must hold at all
-            samples.
+        jacobians: J (k, n) of each level, highest priority first; with leading axes for samples, the condition must
+            hold at all samples.
         tol: largest value of `commutator_norms` that counts as zero.
 
     Raises:
-        InputError: `commutator_norms` raises an InputError for these Jacobians.
+        InputError: as in `commutator_norms`.
     """
     return bool((commutator_norms(jacobians) <= tol).all())
 

@@ -1,7 +1,7 @@
-"""Diagnosis of a stack over a region: equality of NSB and strict priority, conflicts, rank losses, unmet tasks.
+"""Diagnosis of a task stack over a region of poses: equality of NSB and strict priority, conflicts, rank losses.
 
-The diagnosis uses the symbolic Jacobians once, before a run. Results from identities of the expressions hold for all
-poses; results from samples and local searches are labelled as such.
+The diagnosis is computed once, before a run, from the symbolic Jacobians of the tasks. Findings from identities of the
+expressions hold for all poses; findings from samples and local searches are labelled as such.
 """
 
 from __future__ import annotations
@@ -43,23 +43,25 @@ def diagnose(
     threshold: float = 1e-3,
     starts: int = 4,
 ) -> Diagnosis:
-    """Analyse how the priority law handles this stack over a region of poses.
+    """Analyse how NSB and strict priority handle this task stack over a region of poses.
 
-    The function evaluates scrambled Sobol samples (rounded up to a power of two), then starts local searches from the
-    worst samples.
+    The function evaluates the tasks at scrambled Sobol samples of the region, then starts local searches from the worst
+    samples.
 
     Args:
         stack: the tasks, each with one desired value (replace a set-based task by the task at its bound).
-        region: lower and upper corner of η, (4,) each [m, m, m, rad] in {E}.
-        parameters: (symbol, lower, upper) of every other symbol in the Jacobians or references.
-        samples: number of samples, at least 1.
+        region: lower and upper bounds of the pose η, (4,) each [m, m, m, rad], in the earth frame {E}.
+        parameters: (symbol, lower bound, upper bound) of every other symbol in the Jacobians or desired rates.
+        samples: number of samples, at least 1; rounded up to a power of two.
         seed: seed of the samples; the same seed gives the same diagnosis.
-        threshold: sine of an angle, relative strength, or step [m or rad] below which a pose counts as singular.
+        threshold: a pose counts as singular if one of three numbers is below this threshold: the sine of an angle
+            between row spaces, a singular value relative to its usual size, or the step [m or rad] that may reverse a
+            Jacobian row.
         starts: largest number of local searches for each quantity, at least 1.
 
     Raises:
-        InputError: `build_region` refuses the region or a parameter, a symbol has no range, a number is out of
-            range, a task is set-based or not finite at a sample; the message names the symbol or the task.
+        InputError: the region or a parameter is invalid (see `build_region`), a symbol has no bounds, a number is out
+            of range, or a task is set-based or not finite at a sample. The message names the symbol or the task.
     """
     _check_numbers(samples, threshold, starts, seed)
     box = build_region(stack, region, parameters)
@@ -91,7 +93,7 @@ def _check_numbers(samples: int, threshold: float, starts: int, seed: int) -> No
 
 
 def _equality(stack: Stack, survey: Survey) -> Equality:
-    """Test the commutator condition on the expressions, then on samples, and search locally where samples fail."""
+    """Test whether NSB equals strict priority: on the expressions, then on samples, then by local searches."""
     structural = commuting_levels(stack)
     norms = commutator_norms(survey.values.jacobians)
     largest: dict[str, float] = {}

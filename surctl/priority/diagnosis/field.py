@@ -1,4 +1,4 @@
-"""The tasks of a stack as functions on a region: Jacobians, references, and how fast the rows of J change direction."""
+"""Numeric evaluation of a task stack over a region: Jacobians, desired rates, and how fast Jacobian rows change."""
 
 from __future__ import annotations
 
@@ -25,15 +25,14 @@ _APART = 0.1  # least distance between two starts, in unit boxes, times the root
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of all tasks of a stack at N points.
+    """Jacobians and desired rates of all tasks of a stack at N points (poses and parameters).
 
     Attributes:
         jacobians: Jacobians (N, k, 4) of each task.
         references: desired values (N, k) of σ̇ of each task [unit of σ per second].
-        turning: length scale (N,) [m or rad] of each task: the smallest ‖a‖/‖∂a/∂η‖ of the rows a of ∂σ/∂η, inf where
-            no row changes. A step of this length may reverse the row a. The length goes to 0 at a singular point of the
-            task, such as the point from which a distance is measured, although the gradient has length 1 around that
-            point.
+        turning: length (N,) [m or rad] of a step in the pose η that may reverse a row of ∂σ/∂η, for each task: the
+            smallest ‖a‖/‖∂a/∂η‖ over the rows a, inf if no row changes. The length goes to 0 at a singular point of the
+            task, such as the point from which a distance is measured.
     """
 
     jacobians: list[Array]
@@ -47,13 +46,14 @@ Measure: TypeAlias = Callable[[Values], Array]
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A stack of tasks, compiled to a numeric function over a region of poses and parameters.
+    """A task stack, compiled to a numeric function of pose and parameters, and the region of these variables.
 
     Attributes:
         names: names of the tasks. sizes: number of rows of each task. units: unit of σ̇ of each task.
         region: the region of poses and parameters.
-        function: CasADi function of a point (d,). Its output is one column that contains, for one task after another,
-            vec(J), x, and ‖a‖² and ‖∂a/∂η‖² of each row a of ∂σ/∂η.
+        function: CasADi function of a point (d,) of the region. The output is one column that contains, for one task
+            after another, the Jacobian column by column, the desired rate, and ‖a‖² and ‖∂a/∂η‖² of each row a of
+            ∂σ/∂η.
     """
 
     names: tuple[str, ...]
@@ -63,7 +63,7 @@ class Field:
     function: ca.Function
 
     def at(self, points: Array) -> Values:
-        """Return the values of all tasks at points (N, d); non-finite values are passed on unchanged."""
+        """Evaluate all tasks at points (N, d); numbers that are not finite are returned unchanged."""
         column = np.asarray(self.function(points.T), dtype=float).T
         values, start = Values([], [], []), 0
         for k in self.sizes:
@@ -77,7 +77,7 @@ class Field:
         return values
 
     def require_finite(self, values: Values, points: Array) -> None:
-        """Raise an InputError with the task and the pose if a Jacobian or a reference is not finite."""
+        """Raise an InputError that names task and pose if a Jacobian or a desired rate is not finite."""
         for name, J, x in zip(self.names, values.jacobians, values.references, strict=True):
             broken = np.flatnonzero(~(np.isfinite(J).all(axis=(1, 2)) & np.isfinite(x).all(axis=1)))
             if broken.size:
@@ -86,7 +86,7 @@ class Field:
 
 
 def build_field(stack: Stack, region: Region) -> Field:
-    """Compile a stack over a region from `build_region`."""
+    """Compile a task stack for evaluation over a region from `build_region`."""
     parts = []
     for (J, x), A in zip(stack.levels(), world_jacobians(stack), strict=True):
         square = ca.sum2(A**2)
@@ -99,7 +99,7 @@ def build_field(stack: Stack, region: Region) -> Field:
 
 
 def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:
-    """Return the indices of up to `most` samples (N, f), well apart, with the smallest finite measures (N,)."""
+    """Return the indices of up to `most` samples with the smallest finite measures (N,), at some distance apart."""
     order = np.argsort(measure, kind="stable")
     left = order[np.isfinite(measure[order])]
     chosen: list[np.intp] = []
@@ -111,10 +111,11 @@ def best_of(measure: Array, unit: Array, *, most: int) -> NDArray[np.intp]:
 
 
 def descend(field: Field, measure: Measure, start: Array) -> tuple[Array, float]:
-    """Return (point (d,), measure at this point) of a local minimum, found from a start (f,) in the unit box.
+    """Return a point (d,) at which `measure` has a local minimum, and this minimum, by a search from `start` (f,).
 
-    The method is L-BFGS-B with central differences on the squared measure, which is smooth where a distance or a sine
-    reaches 0. The measure at the result is never larger than at the start.
+    `start` is in the unit box: coordinates of the f free variables of the region, scaled to 0 … 1. The search uses
+    L-BFGS-B with central differences on the squared measure, because a distance or a sine that reaches 0 is not smooth
+    there, but its square is. The returned minimum is never larger than the measure at the start.
     """
     from scipy.optimize import minimize
 
@@ -136,7 +137,7 @@ def descend(field: Field, measure: Measure, start: Array) -> tuple[Array, float]
 
 
 def _value(field: Field, measure: Measure, unit: Array) -> Array:
-    """Return the measure (N,) at points of the unit box; inf where a Jacobian is not finite."""
+    """Return the measure (N,) at points of the unit box (the scaled region); inf where a Jacobian is not finite."""
     values = field.at(field.region.place(unit))
     finite = np.logical_and.reduce([np.isfinite(J).all(axis=(1, 2)) for J in values.jacobians])
     cleaned = [np.where(finite[:, None, None], J, 0.0) for J in values.jacobians]

@@ -1,4 +1,4 @@
-"""Findings of a diagnosis as data, with one class for each kind of finding."""
+"""Findings of the diagnosis of a task stack, with one class for each kind of finding."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from surctl.priority.diagnosis.region import Pose
 __all__ = ["Equality", "LevelReport", "Met", "Pair", "PairKind", "Residual", "Singularity", "Symptom", "Verdict"]
 
 Verdict: TypeAlias = Literal["everywhere", "on all samples", "differs"]
-"""everywhere: the commutators vanish as expressions, for every pose and parameter; on all samples: no difference was
-found, which is not a proof; differs: a pose with a difference was found."""
+"""everywhere: NSB equals strict priority for every pose and parameter, shown on the expressions. on all samples: no
+difference was found, which is not a proof. differs: a pose with a difference was found."""
 
 PairKind: TypeAlias = Literal[
     "orthogonal", "independent", "dependent somewhere", "dependent everywhere", "never active together"
 ]
-"""Relation of two row spaces: at 90 degrees; without a common direction; with a common direction at some pose (within
-the threshold) or at every sample; or one of the two is empty at every sample."""
+"""Relation of the row spaces of two Jacobians. orthogonal: at 90 degrees. independent: no common direction. dependent
+somewhere: a common direction at some pose (within the threshold). dependent everywhere: a common direction at every
+sample. never active together: one of the two row spaces is empty at every sample."""
 
 Met: TypeAlias = Literal["by both laws", "by strict priority only", "by neither law"]
-"""Whether the level attains its reference at all samples."""
+"""Which laws meet the level (J v equals the desired rate) at all samples."""
 
 Symptom: TypeAlias = Literal["sine", "strength", "turning"]
-"""The quantity below the threshold: the sine of the angle to the row space above; the strength, a singular value
-relative to the median of ‖J‖; or the turning, the step [m or rad] that may reverse a row."""
+"""The quantity below the threshold. sine: sine of the angle to the row space of the tasks above. strength: a singular
+value of the Jacobian J relative to the median of ‖J‖. turning: the step [m or rad] that may reverse a row of J."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +34,13 @@ class Equality:
     """The finding on whether NSB equals strict priority for the whole stack.
 
     Attributes:
-        verdict: see `Verdict`.
-        largest: the largest commutator norm found (see `commutator_norms`).
+        verdict: whether NSB equals strict priority, and on which evidence; see `Verdict`.
+        largest: the largest commutator norm found, which is 0 if both laws are equal; see `commutator_norms`.
         task: the level with the largest commutator norm; None if NSB equals strict priority at all levels. where: the
-            pose of this norm, or None.
+            pose at which this norm was found, or None.
         by_task: largest commutator norm found at each level.
-        structural: names of the levels whose commutator vanishes as an expression.
-        searches: number of local searches.
+        structural: names of the levels whose commutator is zero at all poses, as an identity of the expressions.
+        searches: number of local searches for poses with a larger norm.
     """
 
     verdict: Verdict
@@ -57,14 +58,15 @@ class Pair:
 
     Attributes:
         first: name of the task with the higher priority. second: name of the other task.
-        kind: see `PairKind`.
+        kind: relation of the two row spaces; see `PairKind`.
         smallest, largest: smallest and largest value, over the region, of the smallest principal angle between the row
             spaces [rad]. `smallest` comes from a search, `largest` from samples. Both are None if the two tasks are
             never active together.
         where: the pose at which the angle is `smallest`.
-        shared: largest number of directions that both row spaces contain, over the samples.
-        structural: True if the tasks are orthogonal as an identity of the expressions.
-        equal: `Equality.verdict` for a stack of only these two tasks (from samples, without local search).
+        shared: largest dimension, over the samples, of the intersection of both row spaces.
+        structural: True if the tasks are orthogonal at all poses, as an identity of the expressions.
+        equal: whether NSB equals strict priority for a stack of only these two tasks, as in `Equality.verdict`, but
+            from samples without local search.
     """
 
     first: str
@@ -84,13 +86,13 @@ class Singularity:
 
     Attributes:
         task: name of the task.
-        kind: `algorithmic`: a direction of the task lies in the row space of the tasks above while its own Jacobian is
-            regular; `kinematic`: the Jacobian itself loses rank, or has no limit value at the pose.
-        symptom: see `Symptom`.
-        value: the smallest value of the measure found.
+        kind: `algorithmic` if a direction of the task lies in the row space of the tasks above, although its own
+            Jacobian has its usual rank; `kinematic` if the Jacobian itself loses rank, or has no limit at the pose.
+        symptom: the quantity that shows the singularity; see `Symptom`.
+        value: the smallest value found of the quantity `symptom`.
         poses: the singular poses, worst first, at some distance from each other.
         also_singular: tasks of higher priority whose own Jacobians are singular at the first pose.
-        share: fraction of the samples with a measure below the threshold (0 … 1).
+        share: fraction of the samples at which the quantity `symptom` is below the threshold (0 … 1).
     """
 
     task: str
@@ -104,7 +106,7 @@ class Singularity:
 
 @dataclass(frozen=True)
 class Residual:
-    """Residual ‖J_i v − x_i‖ over the samples [unit of σ per second]: median, largest, and the pose of the largest."""
+    """Median and largest residual ‖J v − x‖ of a task over the samples [unit of σ per second], and the worst pose."""
 
     median: float
     largest: float
@@ -118,11 +120,11 @@ class LevelReport:
     Attributes:
         task: name of the task.
         rank: largest rank of the task's Jacobian among the samples.
-        gained: largest number, among the samples, of the task's directions outside the row space of the tasks above.
+        gained: largest number, among the samples, of directions that the task adds to the row space of the tasks above.
         rank_above: largest rank of all tasks above together, among the samples.
-        exhausted: share of the samples where the tasks above leave no freedom at all (0 … 1).
-        strict: residuals with strict priority. nsb: residuals with the law (16).
-        met: see `Met`.
+        exhausted: fraction of the samples at which the tasks above leave no freedom at all (0 … 1).
+        strict: residuals with strict priority. nsb: residuals with the NSB law, equation (16) of the paper.
+        met: which of the two laws meets the task at all samples; see `Met`.
         unit: unit of the residuals, for example "m/s"; "" if the task has none.
     """
 
@@ -138,5 +140,5 @@ class LevelReport:
 
     @property
     def dependent(self) -> int:
-        """Return the number of directions that the task shares with the tasks above it at every sample."""
+        """Return how many directions of the task lie in the row space of the tasks above it at every sample."""
         return self.rank - self.gained

@@ -16,12 +16,13 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def strict_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
-    """Return v (..., n) of strict priority: v ← v + (J_i N)⁺(x_i − J_i v).
+    """Return the velocity v (..., n) of strict priority for each sample (Siciliano and Slotine 1991).
 
-    N is the projector on the null space of all levels above.
+    Level i with Jacobian J_i and desired rate x_i changes v to v + (J_i N)⁺(x_i − J_i v), where N is the projector on
+    the null space of all levels above.
 
-    Siciliano and Slotine (1991). Singular values of J_i N up to `CUTOFF`·‖J_i‖ count as 0: where a task depends on the
-    tasks above it, v stays bounded but jumps.
+    Singular values of J_i N up to `CUTOFF`·‖J_i‖ count as 0. So near poses where a task becomes dependent on the tasks
+    above it, v stays bounded but jumps.
 
     Args:
         jacobians: J (..., k, n) of each level, highest priority first, finite.
@@ -38,9 +39,10 @@ def strict_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -
 
 
 def nsb_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> Array:
-    """Return v (..., n) of the law (16), computed by w ← w + J_i⁺(x_i − J_i w) from the lowest level to the highest.
+    """Return the velocity (..., n) of the NSB law, equation (16) of the paper, for each sample.
 
-    The arguments are those of `strict_velocities`.
+    The law is computed by w ← w + J_i⁺(x_i − J_i w) from the lowest level to the highest. The arguments are those of
+    `strict_velocities`.
     """
     w = np.zeros(jacobians[0].shape[-1])
     for J, x in zip(reversed(jacobians), reversed(references), strict=True):
@@ -49,7 +51,7 @@ def nsb_velocities(jacobians: Sequence[Array], references: Sequence[Array]) -> A
 
 
 def residual_norms(jacobians: Sequence[Array], references: Sequence[Array], v: Array) -> Array:
-    """Return the residual norms ‖J_i v − x_i‖ of all levels, (..., levels) [unit of σ per second]."""
+    """Return the residual ‖J_i v − x_i‖ of each level i for each sample, (..., levels) [unit of σ per second]."""
     return np.stack(
         [np.linalg.norm(_times(J, v) - x, axis=-1) for J, x in zip(jacobians, references, strict=True)], axis=-1
     )

@@ -1,4 +1,4 @@
-"""The box of poses and parameters that a diagnosis covers: its bounds, samples in it, and text for its points."""
+"""The region of poses and parameters that a diagnosis covers: bounds, samples, and text for a pose."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Bounds", "Parameter", "Pose", "Region", "build_region", "pose_text"]
 
 Array: TypeAlias = NDArray[np.float64]
 Bounds: TypeAlias = tuple[Sequence[float] | Array | float, Sequence[float] | Array | float]
-"""Lower and upper corner of a box."""
+"""Lower and upper bounds of the pose."""
 Parameter: TypeAlias = tuple[ca.SX, Sequence[float] | Array | float, Sequence[float] | Array | float]
 """A symbol (k, 1) with its lower and upper bounds: k numbers each (or one for all), in the unit of the symbol."""
 Pose: TypeAlias = Mapping[str, float]
@@ -29,11 +29,11 @@ _AXES = ("x", "y", "z", "psi")
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A box of poses and parameters; `build_region` checks and builds it.
+    """Lower and upper bounds of the pose and of all parameters of a task stack; build it with `build_region`.
 
     Attributes:
-        symbols: SX (d, 1): the entries of eta, then those of every parameter that the stack uses.
-        names: (d,) names of the variables, as in a `Pose`.
+        symbols: SX (d, 1): the entries of the pose eta, then the entries of every parameter that the stack uses.
+        names: names of the d variables, for example "x", "psi", "waypoint_0".
         lower, upper: (d,) bounds of the variables [m, m, m, rad, then the unit of each parameter].
     """
 
@@ -48,13 +48,13 @@ class Region:
         return np.flatnonzero(self.upper > self.lower)
 
     def place(self, unit: Array) -> Array:
-        """Return the points (N, d) of the region that correspond to points (N, f) of the unit box."""
+        """Return the points (N, d) of the region for coordinates (N, f) of the free variables, scaled to 0 … 1."""
         points = np.tile(self.lower, (len(unit), 1))
         points[:, self.free] += np.clip(unit, 0.0, 1.0) * (self.upper - self.lower)[self.free]
         return np.clip(points, self.lower, self.upper)
 
     def sample(self, samples: int, seed: int) -> Array:
-        """Return 2^k ≥ `samples` scrambled Sobol points (2^k, f) of the unit box; one point if no variable is free."""
+        """Return scrambled Sobol points (2^k, f) in 0 … 1, with 2^k ≥ `samples`; one point if no variable is free."""
         from scipy.stats import qmc
 
         if self.free.size == 0:
@@ -63,18 +63,18 @@ class Region:
         return np.asarray(points, dtype=float)
 
     def pose(self, point: Array) -> dict[str, float]:
-        """Return the point (d,) as a mapping from names to values."""
+        """Return a point (d,) as a mapping from the names of the variables to their values."""
         return {name: float(value) for name, value in zip(self.names, point, strict=True)}
 
 
 def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] = ()) -> Region:
-    """Return the checked region from the bounds of eta, (4,) each [m, m, m, rad], and of the parameters.
+    """Check the bounds of the pose, (4,) each [m, m, m, rad], and of the parameters, and return the region.
 
     Parameters that the stack does not use are dropped.
 
     Raises:
-        InputError: a wrong size, NaN or infinity, crossed bounds, a parameter that is not a symbol, occurs twice or
-            has a name already in use, or a symbol of the stack without a range (the message names its task).
+        InputError: bounds have a wrong size, are not finite, or have lower > upper; a parameter is not a symbol, occurs
+            twice, or has a name already in use; or a symbol of the stack has no bounds (the message names its task).
     """
     lower, upper = _corners(region, 4, key="region", names=_AXES)
     symbols, names, low, high = [stack.eta[i] for i in range(4)], list(_AXES), [lower], [upper]

@@ -1,4 +1,4 @@
-"""A diagnosis: all findings on one stack over one region, as data and as text."""
+"""All findings of the diagnosis of one task stack over one region, as data and as text."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["Diagnosis"]
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All findings on a stack over a region; `explain` (or `str`) returns them as sentences.
+    """All findings on a task stack over a region of poses; `explain` (or `str`) returns the findings as sentences.
 
     Attributes:
         tasks: names of the tasks, highest priority first.
-        region: (lower, upper) of every variable [m, m, m, rad, then the unit of each parameter].
+        region: (lower, upper) bounds of every variable by name [m, m, m, rad, then the unit of each parameter].
         samples: number of samples.
         seed: seed of the samples.
-        threshold: sine of an angle, relative strength, or step [m or rad] below which a pose counts as singular.
+        threshold: number below which a pose counts as singular; see `diagnose`.
         equality, pairs, singularities, levels: the findings of each kind.
     """
 
@@ -36,7 +36,7 @@ class Diagnosis:
     levels: tuple[LevelReport, ...]
 
     def explain(self) -> str:
-        """Return one sentence per line on equality, pairs, singularities, levels, and the origin of the numbers."""
+        """Return all findings as text, one sentence per line, and a last line on how the numbers were computed."""
         lines = [say_equality(self.equality, levels=len(self.tasks), samples=self.samples)]
         lines += [say_pair(pair) for pair in self.pairs]
         lines += [say_singularity(singularity) for singularity in self.singularities]
@@ -52,7 +52,7 @@ class Diagnosis:
         return self.explain()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the diagnosis as plain data for JSON; every number is finite."""
+        """Return the diagnosis as dictionaries and lists for JSON; every number is finite."""
         return {name: _plain(value) for name, value in asdict(self).items()}
 
 

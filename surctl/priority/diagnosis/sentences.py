@@ -1,4 +1,4 @@
-"""Sentences that describe the findings of a diagnosis."""
+"""Sentences that describe the findings of the diagnosis of a task stack."""
 
 from __future__ import annotations
 

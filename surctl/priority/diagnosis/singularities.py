@@ -1,4 +1,4 @@
-"""Search for poses where a level loses rank by itself (kinematic) or because of the tasks above it (algorithmic)."""
+"""Search for poses at which a task loses rank by itself (kinematic) or because of the tasks above it (algorithmic)."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """The samples of a diagnosis and the local searches that start from them.
+    """The samples of a diagnosis, with the settings of the local searches that start from these samples.
 
     Attributes:
         field: the stack, compiled over its region.
-        unit: (N, f), the samples in the unit box.
-        points: (N, d), the samples.
-        values: the values of the tasks at the samples.
-        threshold: a measure up to this value counts as singular.
-        starts: largest number of local searches for one quantity.
+        unit: (N, f), the samples in coordinates that scale each of the f free variables to 0 … 1.
+        points: (N, d), the samples as values of all d variables of the region.
+        values: Jacobians and desired rates of all tasks at the samples.
+        threshold: a pose whose measure is at most this number counts as singular.
+        starts: largest number of local searches for one measure.
     """
 
     field: Field
@@ -41,18 +41,18 @@ class Survey:
     starts: int
 
     def search(self, measure: Measure) -> list[tuple[Array, float]]:
-        """Return the end (point (d,), measure) of each search from the best samples, smallest measure first."""
+        """Return final point (d,) and measure of each local search from the best samples, smallest measure first."""
         chosen = best_of(measure(self.values), self.unit, most=self.starts)
         return sorted((descend(self.field, measure, self.unit[k]) for k in chosen), key=lambda end: end[1])
 
 
 def task_rank(values: Values, i: int) -> int:
-    """Return the largest rank of J_i over the samples."""
+    """Return the largest rank of the Jacobian of level i over the samples."""
     return int(directions(values.jacobians[i]).rank.max())
 
 
 def gained_rank(values: Values, i: int) -> int:
-    """Return the largest number, over the samples, of directions of level i outside the row space above it."""
+    """Return the largest number, over the samples, of directions that level i adds to the row space above it."""
     return int(np.count_nonzero(freedom(values, i) > TOLERANCE, axis=1).max())
 
 
@@ -70,7 +70,7 @@ def find_singularities(survey: Survey) -> tuple[Singularity, ...]:
 
 
 def _own(survey: Survey, i: int) -> dict[Symptom, Measure]:
-    """Return the two measures that involve task i alone; empty if task i is never active."""
+    """Return the two measures of a singularity of task i alone, by symptom; empty if task i is never active."""
     rank = task_rank(survey.values, i)
     if rank == 0:
         return {}

@@ -1,10 +1,11 @@
-"""Properties of a stack that hold as identities of its expressions: levels that commute at every pose.
+"""Symbolic tests that show, for all poses at once, that NSB equals strict priority or that tasks are orthogonal.
 
-J = A(η) R(ψ) with A = ∂σ/∂η and the rotation matrix R of (2), which is orthogonal. So J_iᵀJ_i commutes with the
-row-space projector of the tasks above if and only if A_iᵀA_i commutes with the corresponding projector formed from A.
-In frame {E}, the matrices A contain no sines and cosines of ψ from R, and most A are constant.
+The Jacobian of a task is J = A(η) R(ψ), where A = ∂σ/∂η and R is the orthogonal rotation matrix in equation (2) of the
+paper. So J_iᵀJ_i commutes with the projector on the row space of the tasks above if and only if A_iᵀA_i commutes with
+the corresponding projector formed from A. The tests use A, because A does not contain the sines and cosines of R, and
+most A are constant.
 
-A result of True means that an identity of the expressions was shown. False means only that no identity was shown.
+True means that the property holds as an identity of the expressions. False means only that no identity was shown.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _ROUNDING = 1e-12  # constants of this size are rounding errors of zero
 
 
 def world_jacobians(stack: Stack) -> list[ca.SX]:
-    """Return A = ∂σ/∂η (k, 4) of each task, with σ̇ = A η̇ in {E}. The expressions share equal subexpressions."""
+    """Return A = ∂σ/∂η (k, 4) of each task, so that σ̇ = A η̇ in {E}; equal subexpressions are shared."""
     parts = [ca.jacobian(task.sigma, stack.eta) for task in stack.tasks]
     together = ca.cse(ca.vertcat(*parts))
     ends = np.cumsum([0, *(task.size for task in stack.tasks)])
@@ -35,10 +36,10 @@ def world_jacobians(stack: Stack) -> list[ca.SX]:
 
 
 def commuting_levels(stack: Stack) -> tuple[bool, ...]:
-    """Return for each level whether its commutator vanishes as an expression, that is, for all η and all parameters.
+    """Return for each level whether its commutator is zero for all poses η and all parameters.
 
-    The commutator vanishes if A_iᵀA_i maps the row space of the higher levels into itself, which is tested row by row,
-    or if the row space of the higher levels contains all rows of A_i.
+    See module `commutator`. With A_i = ∂σ_i/∂η, the commutator of level i is zero if A_iᵀA_i maps the row space of the
+    higher levels into itself, which is tested row by row, or if this row space contains all rows of A_i.
     """
     levels = world_jacobians(stack)
     rows = [[A[i, :].T for i in range(A.shape[0])] for A in levels]
@@ -46,17 +47,17 @@ def commuting_levels(stack: Stack) -> tuple[bool, ...]:
 
 
 def orthogonal_pairs(stack: Stack) -> set[tuple[int, int]]:
-    """Return the pairs (i, j), i < j, of tasks whose Jacobian rows are orthogonal as expressions."""
+    """Return the pairs (i, j), i < j, of tasks whose Jacobian rows are orthogonal for all poses and parameters."""
     levels = world_jacobians(stack)
     return {(i, j) for j, B in enumerate(levels) for i, A in enumerate(levels[:j]) if _vanishes(A @ B.T)}
 
 
 def _commutes(A: ca.SX, above: list[ca.SX]) -> bool:
-    """Return whether AᵀA maps the span of the rows of higher levels, given as columns (n, 1), into itself.
+    """Return whether AᵀA maps the span of the vectors `above`, the rows of higher levels as columns, into itself.
 
-    P is the projector on the constant rows. The span is range(P) plus the parts of the other rows outside range(P). The
-    result is also valid if the dimension of the span varies from pose to pose.
+    The return value is also valid if the dimension of the span varies from pose to pose.
     """
+    # the span is range(P), P the projector on the constant rows, plus the parts of the other rows outside range(P)
     P = _projector([np.array(ca.DM(row)).ravel() for row in above if row.is_constant()], A.shape[1])
     outside = ca.SX(ca.sparsify(ca.DM(np.eye(A.shape[1]) - P)))
     moving = [b for b in (_clean(outside @ row) for row in above if not row.is_constant()) if b.nnz()]

@@ -1,3 +1,3 @@
-"""This package's own least-distance solver: a dual active-set method with fallback stages."""
+"""Solver for the velocity nearest to a target within limits, with fallbacks that give a velocity for any limits."""
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
-"""The last stage of the bounded fallback: a result at constant cost that replaces stages 2 to 4 of the exact fallback.
+"""The bounded fallback: a velocity, computed at constant cost, if none is found that meets task and constraints.
 
-The stage first determines a safe point: the target moved into the box, or v = 0, whichever satisfies the hard
-constraint rows and violates the soft rows less. From the point where stage 1 stopped, the stage projects on one
-violated row after another, in a few sweeps over all constraint rows (Agmon 1954; Motzkin and Schoenberg 1954). The last
-sweep makes shorter steps, because constraint rows may contradict each other. Then v moves from the safe point towards
-the result of the projections. The move ends before v violates a hard row, or a soft row by more than the safe point
-does.
+This fallback runs after stage 1 of module `fallback`, the search for a velocity that meets the task, has failed or
+needs too many iterations. It first determines a safe point: the target clipped to the box, or v = 0, whichever
+satisfies the hard constraint rows and violates the soft rows less. Then it starts from the velocity at which stage 1
+stopped and projects on one violated row after another, in a few sweeps over all constraint rows (Agmon 1954; Motzkin
+and Schoenberg 1954). The last sweep makes shorter steps, because constraint rows may contradict each other. Finally v
+moves from the safe point towards the projected velocity. This move ends before v violates a hard row, or a soft row by
+more than the safe point does.
 
-So v violates the constraint rows no more than the safe point does, but v is not optimal: the stage may miss a point
-that satisfies all rows, and it does not reduce the task residual.
+So v violates the constraint rows no more than the safe point does, but v is not optimal: the fallback may miss a
+velocity that satisfies all rows, and it does not reduce the task residual.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ CAP = 4
 """Largest number of iterations of stage 1 with the bounded fallback."""
 
 BOUNDED = 5
-"""Status of a solution of constant cost; its opening is an upper bound on the violation of any soft row."""
+"""Status of the bounded fallback; the opening is then an upper bound on the violation of any soft row."""
 
 _SWEEPS = (1.0, 0.75)  # fractions of the step to a violated row, one for each sweep
 _TOGETHER = 4  # rows in one pass of a loop, which keeps the point in registers meanwhile
@@ -39,11 +40,12 @@ _Body: TypeAlias = Callable[[list[ca.SX], ca.SX, list[ca.SX]], list[ca.SX]]
 
 
 def eased(sizes: Sizes) -> Routine:
-    """Routine: body of a loop that runs once if stage 1 fails.
+    """Return the bounded fallback as the body of a loop that runs once if stage 1 of module `fallback` fails.
 
-    Inputs: point (n + 1,), active (n,), multipliers (n,), status, count, end, unit, target, box; the first six are also
-    the outputs. end: status of the search of stage 1. status: `BOUNDED`, or 0 if neither the target in the box nor v =
-    0 satisfies the hard constraint rows; the point is then the target in the box.
+    The body updates point (n + 1,), which is v and the opening; active (n,) and multipliers (n,), which become 0; and
+    status. The number of iterations and the final status of stage 1 stay unchanged. Further inputs are the constraint
+    rows, the target and the box. The new status is `BOUNDED`, or 0 if neither the target clipped to the box nor v = 0
+    satisfies the hard constraint rows; the point is then the clipped target.
     """
     n = sizes.n
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("end", 1))
@@ -81,7 +83,7 @@ def _over_rows(
     *,
     results: tuple[str, ...],
 ) -> Loop:
-    """Return a loop over all constraint rows, one after another even if several rows are stored side by side."""
+    """Return a loop that applies `body` to one constraint row after another."""
     width, lanes = sizes.n + 3, sizes.lanes
     together = lanes if lanes > 1 else math.gcd(sizes.m, _TOGETHER)
     block = ca.SX.sym("rows", together * width)
@@ -98,11 +100,11 @@ def _over_rows(
 
 
 def _start(sizes: Sizes) -> Program:
-    """Return a program for the initial values of the bounded stage.
+    """Return a program for the initial values of the bounded fallback.
 
-    Outputs: the target moved into the box; the allowed violation of a hard row by this point and by v = 0; the initial
-    values 0 of the largest violations of all rows and of the hard rows; whether the box contains v = 0; the start of
-    the projections.
+    Outputs: the target clipped to the box; the largest violation at which a hard row counts as satisfied, for this
+    point and for v = 0; initial values 0 for the largest violations of all rows and of the hard rows; whether the box
+    contains v = 0; the velocity from which the projections start.
     """
     n, precision = sizes.n, sizes.precision
     point, end = ca.SX.sym("point", n + 1), ca.SX.sym("end")
@@ -126,12 +128,12 @@ def _start(sizes: Sizes) -> Program:
 
 
 def _misses(row: ca.SX, value: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the amounts by which a·v exceeds the upper bound and falls below the lower bound (negative if inside)."""
+    """Return the amounts by which `value` is above a row's upper and below its lower bound (negative if not)."""
     return value - row[-2], row[-3] - value
 
 
 def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Project on one row in the first sweep, and update the largest violations by `near` and by v = 0."""
+    """Project on one row in the first sweep; update the largest violations by the clipped target and by v = 0."""
     (point, worst, hard), (near,) = state, fixed
     after: list[tuple[ca.SX, ca.SX]] = []
     for k, (above, below) in enumerate((_misses(row, dot(row[:-3], near)), (-row[-2], row[-3]))):
@@ -141,11 +143,10 @@ def _compare(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
 
 
 def _choose(sizes: Sizes) -> Program:
-    """Return a program that chooses the safe point: `near` or v = 0.
+    """Return a program that chooses the safe point: the clipped target `near` or v = 0.
 
-    Outputs: the safe point; the violation of a soft row and of a hard row that stays allowed, which is the violation by
-    the safe point plus rounding; whether the safe point satisfies the hard rows; the initial values 1 and 0 of
-    `_step_fraction`.
+    Outputs: the safe point; the allowed violation of a soft row (that of the safe point plus rounding) and of a hard
+    row (rounding); whether the safe point satisfies the hard rows; the initial values 1 and 0 for `_step_fraction`.
     """
     near, limits, stands = ca.SX.sym("near", sizes.n), ca.SX.sym("limits", 2), ca.SX.sym("stands")
     worst, hard = ca.SX.sym("worst", 2), ca.SX.sym("hard", 2)
@@ -184,7 +185,10 @@ def _inside(sizes: Sizes) -> Program:
 
 
 def _step_fraction(state: list[ca.SX], row: ca.SX, fixed: list[ca.SX]) -> list[ca.SX]:
-    """Update the fraction of the path safe → goal with violations of at most slack, and the largest goal violation."""
+    """Reduce the fraction of the path from `safe` to `goal` until the row is violated by at most its allowed amount.
+
+    Also update the largest violation of a row by `goal`.
+    """
     (part, missed), (safe, goal, slack) = state, fixed
     from_, to = dot(row[:-3], safe), dot(row[:-3], goal)
     above, below = _misses(row, from_)

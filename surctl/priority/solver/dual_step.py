@@ -1,16 +1,16 @@
-"""One iteration of the dual active-set method of Goldfarb and Idnani (1983) for min ‖y‖, as symbolic expressions.
+"""One iteration of the dual active-set method of Goldfarb and Idnani (1983) for min ‖y‖ subject to linear constraints.
 
-The constraint rows apply to a point, which depends on the unknown y (d,):
+The constraint rows, with normals g, apply to a point that depends on the unknown y (d,):
 
     lower ≤ g·point ≤ upper,   point = start + M y
 
-or, if the opening t of the soft constraint rows is free, lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). The
-violation of the constraint rows is evaluated (priced) at the point itself, `lanes` rows side by side, so the last
-evaluation also checks the returned point. Up to d active rows are stored in slots, with empty slots at the end. A slot
-holds normal, multiplier and signed row number (+ at the upper bound, − at the lower, 0 empty). Every iteration
-orthogonalises the normals again (modified Gram–Schmidt), so errors do not accumulate as they would in an updated
-factorisation. A violated constraint row that needs several steps to enter the active set is called pending between
-these steps.
+The opening t is the amount by which the bounds of soft rows are moved outwards. If t is an unknown too, the constraint
+is lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). The violations are evaluated at the point itself, so the
+last evaluation also checks the returned point. Up to d active rows are stored in a list; each entry, called a slot,
+consists of normal, multiplier and signed row number (+ at the upper bound, − at the lower bound, 0 if the slot is
+empty). Empty slots are at the end. Every iteration orthogonalises the normals again (modified Gram–Schmidt), so errors
+do not accumulate as they would in an updated factorisation. A violated row that needs several steps to become active is
+called pending between these steps.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ OPTIMAL, STUCK, SKIPPED = 1, 2, 3
 
 @dataclass(frozen=True)
 class Space:
-    """Sizes of the active-set search, and which variables are free.
+    """Numbers of unknowns of the active-set search, and which variables are unknown.
 
     Attributes:
-        n: number of entries of v, that is, of the point without the opening t.
-        d: length of y, at least 1.
-        opening: whether the opening t is free as well; the point then has n + 1 entries, and d = n + 1.
-        mapped: whether the matrix M is an input; otherwise M is the identity.
+        n: number of velocities v, that is, entries of the point without the opening t of the soft rows.
+        d: number of unknowns y, at least 1.
+        opening: whether the opening t is unknown too; the point then has n + 1 entries, and d = n + 1.
+        mapped: whether the matrix M in point = start + M y is an input; otherwise M is the identity.
         precision: tolerances.
     """
 
@@ -63,22 +63,25 @@ class Space:
 
     @property
     def row(self) -> int:
-        """Return the number of entries of a constraint row: normal, lower, upper, soft.
+        """Return the number of entries that store a constraint row: normal, lower, upper, soft.
 
-        The entry soft is absent if M is the identity and t is fixed.
+        The entry soft is absent if M is the identity and the opening t is fixed.
         """
         return self.n + 3 if self.opening or self.mapped else self.n + 2
 
     @property
     def point(self) -> int:
-        """Return the number of entries of the point."""
+        """Return the number of entries of the point: n, or n + 1 with the opening."""
         return self.n + self.opening
 
 
 def pricing(space: Space) -> Program:
-    """Instruction list (turn, best, row, point) → best: (violation, signed number) of the worst constraint row so far.
+    """Return a program that compares one constraint row with the most violated row so far.
 
-    The comparison is strict: of equally violated constraint rows the first is chosen, and a NaN is never chosen.
+    Its inputs are the index of the row, violation and signed number of the most violated row, the row and the point.
+    Its output is the violation and signed number of the row violated more.
+
+    Of equally violated rows the first is chosen; a row with a NaN is never chosen.
     """
     turn, best = ca.SX.sym("turn"), ca.SX.sym("best", 2)
     row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.point)
@@ -92,7 +95,7 @@ def pricing(space: Space) -> Program:
 
 
 def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the amounts by which the point is above the upper and below the lower bound (negative if inside)."""
+    """Return the amounts by which a row at the point is above its upper and below its lower bound (negative if not)."""
     n = space.n
     value = _sum([row[i] * point[i] for i in range(n)])
     if not space.opening:
@@ -109,19 +112,19 @@ def _sum(terms: list[ca.SX]) -> ca.SX:
 
 
 def dot(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return the scalar product a · b, summed in pairs."""
+    """Return the scalar product a · b; the products are summed in pairs."""
     return _sum([a[i] * b[i] for i in range(a.numel())])
 
 
 def threshold(space: Space) -> Program:
-    """Instruction list: point → (smallest violation that counts, row number 0)."""
+    """Return a program for the start of the search for the most violated row: the smallest violation that counts."""
     point = ca.SX.sym("point", space.point)
     least = space.precision.priced * _size(point[: space.n])
     return lower(ca.Function("threshold", [point], [ca.densify(ca.vertcat(least, 0))]))
 
 
 def halve() -> Program:
-    """Instruction list (two violations, two numbers) → those of the row violated more, or of the first if equal."""
+    """Return a program that selects the more violated of two rows (the first if equal), by violation and number."""
     four = ca.SX.sym("four", 4)
     tie = ca.logic_and(ca.eq(four[0], four[1]), ca.fabs(four[3]) < ca.fabs(four[2]))
     second = ca.logic_or(four[0] < four[1], tie)
@@ -130,7 +133,7 @@ def halve() -> Program:
 
 
 def close() -> Program:
-    """Instruction list (best, pending, status) → status: optimal if no row is violated and no row is pending."""
+    """Return a program that sets the status to optimal if no row is violated and no row is pending."""
     best, pending, status = ca.SX.sym("best", 2), ca.SX.sym("pending", 2), ca.SX.sym("status")
     idle = ca.logic_and(ca.eq(best[1], 0), ca.eq(pending[0], 0))
     after = ca.if_else(ca.logic_and(ca.eq(status, 0), idle), OPTIMAL, status)
@@ -145,7 +148,7 @@ def _size(v: ca.SX) -> ca.SX:
 
 
 def which() -> Program:
-    """Instruction list (best, pending) → index and signed number of the row to process (a pending row goes first)."""
+    """Return a program for index and signed number of the next row: the pending row, else the most violated one."""
     best, pending = ca.SX.sym("best", 2), ca.SX.sym("pending", 2)
     number = ca.if_else(ca.eq(pending[0], 0), best[1], pending[0])
     return lower(ca.Function("which", [best, pending], [ca.fabs(number) - 1, number]))
@@ -153,7 +156,7 @@ def which() -> Program:
 
 @dataclass(frozen=True)
 class _Slots:
-    """Active constraint rows in slots; empty slots have number 0 and are at the end."""
+    """Normals, multipliers and numbers of the active rows; unused entries have number 0 and are at the end."""
 
     normals: list[ca.SX]  # (d,) each
     multipliers: list[ca.SX]
@@ -162,7 +165,7 @@ class _Slots:
 
 @dataclass(frozen=True)
 class _Triangle:
-    """Factors Q R of the normals, by modified Gram–Schmidt without square roots; R has a unit diagonal."""
+    """QR factorisation of the active normals, by modified Gram–Schmidt without square roots; R has a unit diagonal."""
 
     Q: list[ca.SX]  # orthogonal columns
     R: list[list[ca.SX]]  # entries above the diagonal
@@ -184,7 +187,7 @@ class _Triangle:
         return _Triangle(Q, R, inverse)
 
     def split(self, normal: ca.SX) -> tuple[ca.SX, list[ca.SX]]:
-        """Return the part of the normal outside the span of Q, and the coordinates of the rest in Q."""
+        """Return the part of a normal outside the span of the columns of Q, and the coordinates of the rest in Q."""
         # two passes suffice (Parlett 1998, 6.9); if the last slot is in use, every normal lies in the span, so
         # `outside` may ignore the last slot
         outside, inside = normal, [ca.SX(0)] * len(self.Q)
@@ -207,7 +210,7 @@ class _Triangle:
 
 @dataclass(frozen=True)
 class _Entering:
-    """Constraint row to process, with the sign that makes its violated bound an upper bound."""
+    """The violated row that enters the active set, with the sign that makes its violated bound an upper bound."""
 
     number: ca.SX  # signed row number
     normal: ca.SX  # with respect to y
@@ -226,7 +229,7 @@ class _Entering:
 
 @dataclass(frozen=True)
 class _Place:
-    """Relation of the entering constraint row to the active constraint rows."""
+    """Relation of the normal of the entering row to the normals of the active rows."""
 
     outside: ca.SX  # whether the normal of the entering row is sufficiently outside the span of the active normals
     whole: ca.SX  # if outside: step of the multiplier that satisfies the entering row
@@ -285,13 +288,14 @@ class _Step:
 
 
 def iteration(space: Space) -> Program:
-    """Instruction list for one iteration: it updates the first seven of its inputs.
+    """Return the program for one iteration, which updates the first seven of its inputs.
 
     The inputs are point, normals, multipliers, numbers, pending, status, count, number, row and, if `mapped`, M.
 
-    normals: (d·d,), slot by slot. multipliers: (d,), Lagrange multiplier in each slot. numbers: (d,), signed row number
-    in each slot. pending: (2,), signed number (0: none) and multiplier of the pending row. number: signed number of the
-    row to process. row: the entries of this row. M: (n·d,), stored row by row, only if `mapped`.
+    normals: (d·d,), normals of the active rows, one after another. multipliers: (d,), their Lagrange multipliers.
+    numbers: (d,), their signed row numbers, 0 for an unused entry. pending: (2,), signed number (0: none) and
+    multiplier of the row that is about to become active. status: status of the search. count: number of iterations.
+    number: signed number of the row to process. row: the entries of this row. M: (n·d,), stored row by row.
     """
     n, d = space.n, space.d
     point, normals, u = ca.SX.sym("point", space.point), ca.SX.sym("normals", d * d), ca.SX.sym("multipliers", d)
@@ -323,7 +327,7 @@ def iteration(space: Space) -> Program:
 
 
 def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, multiplier: ca.SX) -> _Slots:
-    """Return the slots after the step: slots behind a dropped row move up, the entering row takes an empty slot."""
+    """Return the list of active rows after the step: a dropped row is removed, and the entering row is appended."""
     columns: tuple[list[ca.SX], ...] = ([], [], [])
     left = [ca.fmax(u - step.length * ratio, 0) for u, ratio in zip(slots.multipliers, r, strict=True)]
     new = (entering.normal, multiplier, entering.number)

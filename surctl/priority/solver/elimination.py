@@ -1,4 +1,4 @@
-"""Equalities eliminated by Householder reflections (Golub and Van Loan 2013, 5.1), as symbolic expressions."""
+"""Elimination of linear equalities by Householder reflections (Golub and Van Loan 2013, 5.1), in symbolic form."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ class Elimination(NamedTuple):
     """Result of the elimination of p equalities J x = b, J (p, n), from n variables.
 
     Attributes:
-        lift: (n, p): v + lift (b − J v) is the point of J x = b nearest to v. The columns for dependent rows of J are
-            zero.
-        basis: (n, n), orthonormal columns; the first `rank` columns span the row space of J, the others the free
-            directions.
-        rank: number of independent rows of J.
+        lift: (n, p); v + lift (b − J v) is the solution of J x = b nearest to v. The columns for linearly dependent
+            rows of J are zero.
+        basis: (n, n), orthonormal columns; the first `rank` columns span the row space of J, the others its null space.
+        rank: number of linearly independent rows of J.
     """
 
     lift: ca.SX
@@ -33,7 +32,7 @@ def as_matrix(entries: ca.SX, columns: int) -> ca.SX:
 
 
 def flat(matrix: ca.SX) -> ca.SX:
-    """Return the entries of a matrix, row by row, as a column."""
+    """Return the entries of a matrix as one column, row by row."""
     return ca.reshape(ca.densify(matrix).T, -1, 1)
 
 
@@ -42,9 +41,9 @@ class Reflection(NamedTuple):
 
     Attributes:
         origin: (n,), the shortest x with J x = b.
-        free: (n, n − p), orthonormal columns that span the free directions.
-        start: (n − p,), the target's coordinates in the free directions.
-        full: whether the rows of J are independent; if not, the other attributes are invalid.
+        free: (n, n − p), orthonormal columns that span the null space of J.
+        start: (n − p,), coordinates of the target in the columns of `free`.
+        full: whether the rows of J are linearly independent; if not, the other attributes are invalid.
     """
 
     origin: ca.SX
@@ -54,7 +53,7 @@ class Reflection(NamedTuple):
 
 
 def reflect(J: ca.SX, b: ca.SX, target: ca.SX, precision: Precision = FLOAT64) -> Reflection:
-    """Eliminate p < n independent rows of J by Householder reflections, at a third of the cost of `eliminate`."""
+    """Eliminate J x = b with p < n independent rows of J (p, n), at a third of the cost of `eliminate`."""
     p, n = J.shape
     full, normals, weights, solved = ca.SX(1), list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for k in range(p):
@@ -82,7 +81,7 @@ def _mirror(x: ca.SX, normal: ca.SX, weight: ca.SX) -> ca.SX:
 
 
 def eliminate(J: ca.SX, precision: Precision = FLOAT64) -> Elimination:
-    """Eliminate the rows of J (p, n) by Householder reflections; a row that depends on earlier rows is skipped."""
+    """Eliminate J x = b for any J (p, n); a row that is linearly dependent on earlier rows is skipped."""
     p, n = J.shape
     basis, rank = ca.SX.eye(n), ca.SX(0)
     triangle = ca.SX.zeros(n, p)  # column k: coefficients of b − J v for the variable that row k determines
@@ -114,8 +113,7 @@ def eliminate(J: ca.SX, precision: Precision = FLOAT64) -> Elimination:
 def pseudo_inverse(J: ca.SX, precision: Precision = FLOAT64) -> ca.SX:
     """Return the Moore-Penrose inverse (n, p) of J (p, n), by a complete orthogonal decomposition.
 
-    J = L Q.T, where the columns of Q are an orthonormal basis of the row space of J. Then L, which has full column
-    rank, is eliminated as well.
+    J = L Qᵀ, where the columns of Q are an orthonormal basis of the row space of J, and L has full column rank.
     """
     left = eliminate(J, precision)
     Q = ca.horzcat(*(ca.if_else(left.rank > i, left.basis[:, i], 0) for i in range(J.shape[1])))
@@ -123,12 +121,12 @@ def pseudo_inverse(J: ca.SX, precision: Precision = FLOAT64) -> ca.SX:
 
 
 def _at_least(i: int, rank: ca.SX, k: int) -> ca.SX:
-    """Return whether variable i is still free before row k is eliminated; always true for i ≥ k."""
+    """Return whether variable i is still undetermined before row k is eliminated; always true for i ≥ k."""
     return ca.SX(1) if i >= k else rank <= i
 
 
 def _is(i: int, rank: ca.SX, k: int) -> ca.SX:
-    """Return whether row k of J, if independent of earlier rows, determines variable i."""
+    """Return whether row k of J, if linearly independent of earlier rows, determines variable i."""
     if k == 0:
         return ca.SX(1 if i == 0 else 0)
     return ca.SX(0) if i > k else ca.eq(rank, i)

@@ -1,15 +1,16 @@
-"""The safe step as one routine: least-distance problems in fallback stages give a finite velocity for any input.
+"""The safe step: a velocity nearest to a target within constraints, with fallback stages so that one always exists.
 
-1. Stage 1 finds the point nearest to the target that meets the task J v = x and satisfies every constraint row.
-2. If stage 1 has no solution, stage 2 finds, of the points that meet the task as well as the constraint rows allow, the
-   point nearest to the target.
-3. If the constraint rows contradict each other, stage 3 opens the soft rows as little as possible and repeats stage 2.
-4. If the hard constraint rows contradict each other, the result is the target moved into the box.
+1. Stage 1 finds the velocity nearest to the target that meets the task J v = x and satisfies every constraint row.
+2. If stage 1 has no solution, stage 2 meets the task as well as the constraint rows allow. Of all velocities that do
+   so, it finds the one nearest to the target.
+3. If the constraint rows contradict each other, stage 3 moves the bounds of the soft rows outwards by the smallest
+   sufficient amount, called the opening, and repeats stage 2.
+4. If the hard constraint rows contradict each other, the velocity is the target clipped to the box.
 
-Every result is moved into the box and checked. Module `stages` describes how stages 1 to 3 are solved.
+The velocity of every stage is clipped to the box and checked. Module `stages` describes how stages 1 to 3 are solved.
 
-The bounded fallback runs stage 1 for a few iterations and, if stage 1 fails, one stage of constant cost; see module
-`bounded`.
+With the bounded fallback, stage 1 runs for a few iterations only. If stage 1 fails, a method of constant computing cost
+replaces the other stages; see module `bounded`.
 """
 
 from __future__ import annotations
@@ -28,26 +29,29 @@ from surctl.priority.solver.stages import LIMITED, RELAXED, exact_stage, lower_s
 __all__ = ["BOUNDED", "CLAMPED", "LIMITED", "MET", "RELAXED", "safe_step"]
 
 MET, CLAMPED = 1, 4
-"""Status values besides `LIMITED`, `RELAXED`, `BOUNDED`. MET: task met. CLAMPED: v is only moved into the box."""
+"""Status values besides `LIMITED`, `RELAXED`, `BOUNDED`. MET: task met. CLAMPED: v is only clipped to the box."""
 
 
 def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallback: Fallback = "exact") -> Routine:
-    """Routine (target (n,), J (p·n,), x (p,), rows (m·(n + 3),), box (2n,)) → finite outputs of a safe step.
+    """Return the routine of a safe step, which finds the velocity v nearest to a target within constraints.
 
-    rows: m constraint rows of any length; each is a (n,), lower, upper, soft (1: may open, 0: may not open). box: lower
-    (n,), upper (n,) bounds of v. Outputs: v (n,): velocity; active (n,): signed numbers of the active constraint rows,
-    from 1 (+ at the upper bound, − at the lower, 0 empty slot); multipliers (n,): Lagrange multipliers of the active
-    rows in min ½‖v − target‖², for rows of length 1; opening (1,): opening of the soft rows [row of length 1]; status
-    (1,): see `MET` …; count (1,): total number of iterations.
+    Inputs: target (n,); J (p·n,) and x (p,) of the task J v = x; rows (m·(n + 3),), m constraint rows lower ≤ a·v ≤
+    upper of any length, each stored as a (n,), lower, upper, soft (1 if the row may be relaxed, otherwise 0); box
+    (2n,), lower and upper bounds of v. Outputs, always finite: v (n,); active (n,), signed numbers of the active
+    constraint rows, from 1 (+ at the upper bound, − at the lower bound, 0 for an unused entry); multipliers (n,),
+    Lagrange multipliers of the active rows in min ½‖v − target‖², for rows of length 1; opening (1,), the amount by
+    which the bounds of soft rows are moved outwards [row of length 1]; status (1,), `MET`, `LIMITED`, `RELAXED`,
+    `BOUNDED` or `CLAMPED`; count (1,), total number of iterations.
 
     Args:
         n: number of velocities, at least 1.
         p: number of rows of J, at least 1 (for no task, pass a row of zeros with x = 0).
-        m: number of constraint rows, at least 1 (a row of zeros with infinite bounds is idle); multiples of 8 are
+        m: number of constraint rows, at least 1 (an unused row is all zeros with infinite bounds); multiples of 8 are
             fastest.
         precision: tolerances for the number type with which the routine runs.
-        fallback: "exact" or "bounded". Both fallbacks give the same result, to the last bit, if stage 1 succeeds within
-            `bounded.CAP` iterations. If J has several rows, "bounded" does not handle dependent rows of J.
+        fallback: "exact" for stages 2 to 4 of the module docstring, or "bounded" for a velocity that is not optimal, at
+            constant computing cost. Both give equal velocities, to the last bit, if stage 1 succeeds within
+            `bounded.CAP` iterations. If J has several rows, "bounded" requires linearly independent rows.
 
     Example:
         >>> import numpy as np
@@ -85,7 +89,7 @@ def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallbac
 
 
 def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Return the steps that check the result of stage 1, and run the lower stages if stage 1 failed."""
+    """Return the steps that check the velocity of stage 1, and run the other stages if stage 1 failed."""
     carried = ("point", "active", "multipliers", "status", "count", "none")
     after = tuple(f"{name}_down" for name in carried)
     return (
@@ -96,7 +100,7 @@ def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
 
 
 def _bounded_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Return the steps that check the result of stage 1, and run the stage of constant cost if stage 1 failed."""
+    """Return the steps that check the velocity of stage 1, and run the bounded fallback if stage 1 failed."""
     end = ca.SX.sym("end")
     failed = lower(ca.Function("failed", [end], [ca.logic_not(ca.eq(end, OPTIMAL))]))
     one = lower(ca.Function("done", [ca.SX.sym("failed")], [ca.SX.ones(1)]))
@@ -121,7 +125,7 @@ def _zero() -> Program:
 
 
 def _down(sizes: Sizes) -> Routine:
-    """Return the body of a loop that runs once if stage 1 failed, with up to two passes over the lower stages."""
+    """Return the body of a loop that runs once if stage 1 failed; it runs stages 2 and 3 up to two times."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("box", 2 * n))

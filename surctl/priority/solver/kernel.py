@@ -1,8 +1,8 @@
-"""The least-distance solver as a routine: it repeats the iteration of `dual_step` in a bounded loop.
+"""The least-distance solver, which repeats the active-set iteration of module `dual_step` in a bounded loop.
 
-Constraint rows are stored in groups (blocks) of as many rows as the processor handles side by side (lanes), entry by
-entry (`surctl.ir.Loop`), so that one instruction evaluates several rows. The choice between equally violated rows does
-not depend on the number of lanes: the result with one lane equals the result with four lanes.
+The processor can evaluate several constraint rows with one vector instruction; the number of rows is called the number
+of lanes. Constraint rows are therefore stored in blocks of as many rows as there are lanes: first entry 1 of all rows
+in the block, then entry 2, and so on. The solution does not depend on the number of lanes.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ CAP = 40
 """Largest number of iterations."""
 
 OPEN_CAP = 80
-"""Largest number of iterations if the opening is free: then every soft row can enter."""
+"""Largest number of iterations if the opening is unknown too, because every soft row can then become active."""
 
 
 def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
-    """Return the number of rows in a block: the largest of 4, 2, 1 that divides `rows` and is at most the lanes."""
+    """Return the number of rows in a block: the largest of 4, 2, 1 that divides `rows` and is ≤ `precision.lanes`."""
     return math.gcd(rows, precision.lanes)
 
 
 def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Reorder constraint rows (…, rows, width) to blocks (…, rows·width), as the routines expect in double."""
+    """Reorder constraint rows (…, rows, width) to blocks (…, rows·width) as the routines for double take them."""
     *batch, count, width = rows.shape
     lanes = lanes_of(count)
     return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
 
 
 def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> Routine:
-    """Return the routine with its first input, `rows` constraint rows, stored row by row instead of in blocks."""
+    """Return a version of the routine whose first input, the constraint rows, is stored row by row, not in blocks."""
     if lanes_of(rows, precision) == 1:
         return routine
     (name, size), *others = routine.inputs
@@ -64,14 +64,16 @@ def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> R
 
 
 def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """Routine (rows, base, skip[, Z]) → (point, numbers, multipliers, status, count).
+    """Return the routine that finds the point base + Z y with the smallest ‖y‖ that satisfies all constraint rows.
 
-    The routine finds the point that satisfies all constraint rows and is nearest to the base, measured in y.
+    The point consists of v and the opening t, the amount by which the bounds of soft rows are moved outwards. If t is
+    unknown, Z is the identity; otherwise Z acts on v only.
 
-    rows: (rows·(n + 3),), constraint rows in blocks; each is a (of length 1 or 0), lower, upper, soft. base: (n + 1,),
-    v and the opening t. skip: if nonzero, the result is the base with status `SKIPPED`. Z: (n·d,), row by row,
-    orthonormal columns (or an orthogonal projector); absent if the opening is free. status: final status of the search,
-    0 if `cap` (`CAP`, or `OPEN_CAP`) was reached; the point then violates rows.
+    Inputs: rows (rows·(n + 3),), constraint rows in blocks, each a (of length 1 or 0), lower, upper, soft; base (n +
+    1,); skip, nonzero to return the base with status `SKIPPED`; Z (n·d,), row by row, with orthonormal columns, or an
+    orthogonal projector; Z is absent if t is unknown. Outputs: point (n + 1,); numbers and multipliers (d,) of the
+    active rows; status, 0 if the iteration limit `cap` (None: `CAP` or `OPEN_CAP`) was reached, and the point then
+    violates rows; count, number of iterations.
     """
     n, d = space.n, space.d
     free = () if space.opening else (("Z", n * d),)
@@ -94,11 +96,12 @@ def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
 
 
 def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """Routine (rows, origin, start, skip, Z) → outputs of `kernel`, by a search in d < n variables.
+    """Return a routine with the outputs of `kernel` that searches in d < n unknowns y.
 
-    The point is origin + Z y with opening 0, and y (d,) is the feasible value nearest to start. The constraint rows are
-    converted once to constraints on y. The origin (n,) should be about as large as the solution, or the bounds of the
-    constraint rows lose digits; start may be far from the solution.
+    Inputs: rows and skip as in `kernel`, origin (n,), start (d,), Z (n·d,). The velocity is origin + Z y, where y is
+    the feasible vector nearest to start; the opening is 0. The constraint rows are converted once to constraints on y.
+    If the origin is much larger than the solution, the bounds of the converted rows are inaccurate; start may be far
+    from the solution.
     """
     n, d = space.n, space.d
     lanes = lanes_of(rows, space.precision)
@@ -174,7 +177,7 @@ def _start(space: Space) -> Program:
 
 
 def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
-    """Return the steps that find the most violated row at point{tag}: first in each lane, then among the lanes."""
+    """Return the steps that find the row most violated at the variable point{tag}: first per lane, then over lanes."""
     lanes = lanes_of(rows, space.precision)
     names = [f"best{tag}" if left == 1 else f"best{tag}_of_{left}" for left in (8, 4, 2, 1) if left <= lanes]
     halves: list[Step] = []
@@ -192,7 +195,7 @@ def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
 
 
 def _turn(space: Space, rows: int) -> Routine:
-    """Return a routine for one iteration with the pending row, if any, or else with the most violated row."""
+    """Return a routine for one iteration, with the row that is still becoming active or else the most violated row."""
     state, lanes = _state(space), lanes_of(rows, space.precision)
     free = (("M", space.n * space.d),) if space.mapped else ()
     names = tuple(name for name, _ in state[:-2])
@@ -211,9 +214,10 @@ def _turn(space: Space, rows: int) -> Routine:
 
 
 def certificate(space: Space, rows: int) -> Routine:
-    """Routine (rows, point) → 1 if the point (n + 1,) satisfies every row to `feasibility`·max(1, |v|), else 0.
+    """Return a routine that tests whether a point (n + 1,), v and opening, satisfies every constraint row.
 
-    The test is written as the condition that must hold, because every comparison with a NaN is false.
+    The output is 1 if no row is violated by more than `precision.feasibility`·max(1, |v|), otherwise (also for a NaN)
+    0.
     """
     n, lanes = space.n, lanes_of(rows, space.precision)
     full = Space(n, space.d, space.opening, precision=space.precision)

@@ -1,11 +1,10 @@
-"""Stage 2: the least-squares solution of the task subject to the constraint rows, exact to rounding.
+"""Stage 2 of the safe step: minimise the task residual ‖J v − x‖ subject to the constraint rows, exact to rounding.
 
-min ‖v − c‖² + ‖J v − x‖²/δ² subject to the constraint rows is a proximal step from c (Rockafellar 1976). It is also a
-least-distance problem in v and the scaled residuals (J v − x)/δ, with equalities that are always independent. The
-proximal step finds the active constraint rows, and the least-squares problem is then solved directly with these rows as
-equalities. If the direct solution satisfies every constraint row and its multipliers have the right signs, it is the
-minimiser. Otherwise the proximal step is repeated from its result with a smaller δ, because v hardly moves in a
-direction in which J is shorter than δ.
+A proximal step from c minimises ‖v − c‖² + ‖J v − x‖²/δ² over v subject to the constraint rows (Rockafellar 1976). This
+is a least-distance problem in v and the scaled residuals (J v − x)/δ. The proximal step finds the active constraint
+rows. Then the least-squares problem is solved directly with these rows as equalities. If this direct solution satisfies
+every constraint row and its multipliers have the right signs, it is the minimiser. Otherwise the next proximal step
+starts from the v of this step, with a smaller δ, because v hardly moves in a direction in which J is shorter than δ.
 """
 
 from __future__ import annotations
@@ -24,11 +23,12 @@ _STEPS = 5
 
 
 def least_squares(sizes: Sizes) -> Routine:
-    """Routine (open, near (n,), opening (1,), J, x) → (point (n + 1,), active (n,), multipliers (n,), status, count).
+    """Return the routine that minimises ‖J v − x‖ subject to the constraint rows.
 
-    The point minimises ‖J v − x‖ subject to the constraint rows `open` (m·(n + 3),); status is 1 if the point was
-    found. active: constraint rows active in this minimisation. multipliers: 0, since no distance to a target is
-    minimised.
+    Inputs: open (m·(n + 3),), constraint rows whose soft bounds are already moved outwards by opening (1,); near (n,),
+    the initial v; J and x. Outputs: point (n + 1,), the minimiser v and the opening; active (n,), signed numbers of the
+    active rows; multipliers (n,), which are 0 because no distance to a target is minimised; status, 1 if a minimiser
+    was found; count, number of iterations.
     """
     n, p = sizes.n, sizes.p
     inputs = (("open", sizes.rows), ("near", n), ("opening", 1), ("J", p * n), ("x", p))
@@ -59,7 +59,7 @@ def _begin(sizes: Sizes) -> Program:
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """Return a routine for one proximal step, followed by the direct solution with the active rows of the step."""
+    """Return a routine for one proximal step and the direct solution with the active rows of this step."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("delta", 1), ("status", 1), ("count", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p))
@@ -87,7 +87,7 @@ def _unsolved() -> Program:
 
 
 def _polish(sizes: Sizes) -> Routine:
-    """Return the body of a loop that runs once if the solver found a point; it computes the direct solution."""
+    """Return the body of a loop that computes the direct solution once, if the proximal step succeeded."""
     n, p = sizes.n, sizes.p
     state = (("candidate", n + 1), ("good", 1), ("feasible", 1), ("stop", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p), ("numbers", n))
@@ -104,7 +104,7 @@ def _polish(sizes: Sizes) -> Routine:
 
 
 def _weigh(sizes: Sizes) -> Program:
-    """Return a program for base and Z (in v) of the problem in (v, (J v − x)/δ)."""
+    """Return a program for the inputs base and Z of `kernel`, for the least-distance problem of a proximal step."""
     n, p = sizes.n, sizes.p
     point, delta = ca.SX.sym("point", n + 1), ca.SX.sym("delta")
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
@@ -122,9 +122,9 @@ def _indices(n: int) -> Program:
 
 
 def _direct(sizes: Sizes) -> Program:
-    """Return a program for the minimiser of ‖J v − x‖ on the active rows, and whether the minimiser is optimal.
+    """Return a program for the minimiser of ‖J v − x‖ with the active rows as equalities, and a test of optimality.
 
-    The minimiser is optimal if Jᵀ(x − J v) is a combination of the active normals with multipliers of the right sign.
+    The minimiser is optimal if Jᵀ(x − J v) is a combination of the active normals with coefficients of the right sign.
     """
     n, p = sizes.n, sizes.p
     candidate, numbers = ca.SX.sym("candidate", n + 1), ca.SX.sym("numbers", n)

@@ -1,10 +1,11 @@
-"""Stage 3: the smallest opening t of the soft constraint rows that makes all rows consistent, exact to rounding.
+"""Stage 3 of the safe step: the smallest amount t by which soft bounds must move outwards so that all rows agree.
 
-The minimisation of t subject to the constraint rows is a linear programme. A proximal step of this programme from (v,
-t) is a least-distance problem with target (v, t − γ). Finitely many steps reach a minimiser (Mangasarian and Meyer 1979
-for a single step, Ferris 1991 for several steps). After a step of length s, t is at most s·D/γ above the minimum, where
-D is the diameter of the feasible set; the steps stop when this bound is negligible. γ grows, since nearly parallel
-constraint rows need a large γ. In the last step, γ is small to limit rounding errors.
+The amount t is called the opening. The minimisation of t over v and t subject to the constraint rows is a linear
+programme, which is solved by proximal steps. A proximal step with step size γ finds the feasible point nearest to (v, t
+− γ), which is a least-distance problem. Finitely many steps reach a minimiser (Mangasarian and Meyer 1979 for a single
+step, Ferris 1991 for several steps). After a step of length s, t is at most s·D/γ above the minimum, where D is the
+diameter of the feasible set; the iteration stops when this bound is negligible. γ increases from step to step, since
+nearly parallel constraint rows need a large γ. In the last step, γ is small to limit rounding errors.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ _STEPS = 7
 
 
 def opened(sizes: Sizes) -> Routine:
-    """Routine (unit, near (n,), point (n + 1,), skip) → (wide (n + 1,), solved, feasible, count).
+    """Return the routine that finds the smallest opening of the soft constraint rows.
 
-    wide: a point with the smallest opening plus a margin for rounding, or the input point if the search failed; its
-    opening is never below the opening of the input point. skip: if nonzero, nothing is done. feasible: whether wide
-    satisfies the opened constraint rows.
+    Inputs: unit, the constraint rows scaled to length 1; near (n,), the initial v; point (n + 1,), velocity and opening
+    so far; skip, nonzero to do nothing. Outputs: wide (n + 1,), a velocity and the smallest opening plus a margin for
+    rounding, at least the opening so far, or `point` if the search failed; solved, whether the search succeeded;
+    feasible, whether wide satisfies the constraint rows with this opening; count, number of iterations.
     """
     n, tight = sizes.n, sizes.precision
     state = ("low", "gamma", "ends", "solved", "count")
@@ -56,7 +58,7 @@ def _begin(n: int, precision: Precision) -> Program:
 
 
 def _turn(sizes: Sizes) -> Routine:
-    """Return a routine for one proximal step; a step that fails ends the loop and leaves the point unchanged."""
+    """Return a routine for one proximal step; if the step fails, the loop ends and the point stays unchanged."""
     n = sizes.n
     steps = (
         Call(_pull(n), ("low", "gamma"), ("base", "go")),

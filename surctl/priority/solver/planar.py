@@ -1,4 +1,4 @@
-"""The step of `dual_step` for two unknowns by Cramer's rule; the chain of dependent operations is half as long."""
+"""Active-set step of module `dual_step` for two unknowns by Cramer's rule, with half as many sequential operations."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ __all__ = ["Planar", "planar"]
 
 
 class Planar(NamedTuple):
-    """Relation of the normal of the entering constraint row to the normals of the active rows.
+    """Relation of the normal of the entering row, which becomes active, to the normals of the active rows.
 
     Attributes:
         apart: component of the entering normal outside the span of the active normals, times the length of the first
             active normal.
         first: squared length of the first active normal.
-        r: coordinates of the entering normal in the active normals, 0 in empty slots. ratios: multipliers divided by r.
-        full: (2,), displacement that satisfies the entering row, for a violation of 1. rate: (2,), component of the
-            entering normal outside the span of the active normals.
-        whole: length of the full step of the multiplier, for a violation of 1.
+        r: coefficients of the entering normal as a combination of the active normals, 0 for an unused entry. ratios:
+            multipliers divided by r.
+        full: (2,), displacement of the unknowns that satisfies the entering row, for a violation of 1. rate: (2,),
+            component of the entering normal outside the span of the active normals.
+        whole: change of the multiplier in this displacement, for a violation of 1.
     """
 
     apart: ca.SX
@@ -32,10 +33,9 @@ class Planar(NamedTuple):
 
 
 def planar(normals: list[ca.SX], numbers: list[ca.SX], multipliers: list[ca.SX], entering: ca.SX) -> Planar:
-    """Compute the step for two slots, empty slots last; a perpendicular vector replaces the normal of an empty slot.
+    """Compute the step for at most two active rows; unused entries of the lists have number 0 and are last.
 
-    All divisions that depend on the entering constraint row run in parallel, so the longest chain contains one
-    division.
+    A perpendicular vector replaces a missing normal. All divisions that depend on the entering row can run in parallel.
     """
     one, two = numbers[0] != 0, numbers[1] != 0
     first = ca.if_else(one, normals[0], _across(-entering))
@@ -64,5 +64,5 @@ def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
 
 
 def _across(a: ca.SX) -> ca.SX:
-    """Return the vector rotated by 90° counter-clockwise."""
+    """Return the vector (2,) rotated by 90° counter-clockwise."""
     return ca.vertcat(-a[1], a[0])

@@ -1,4 +1,4 @@
-"""Tolerances of the solver for one number type, and the number of constraint rows processed side by side."""
+"""Tolerances of the solver for the number types double and float."""
 
 from __future__ import annotations
 
@@ -12,27 +12,30 @@ LONGEST = 1e140
 
 @dataclass(frozen=True)
 class Precision:
-    """Tolerances of the solver; tolerances of rows apply to rows of length 1 and are relative to 1 + max |v|.
+    """Tolerances of the solver for one number type; those for rows apply to rows of length 1, relative to 1 + max |v|.
 
     Attributes:
-        priced: largest violation at which a constraint row counts as satisfied during the search.
-        rounding: largest violation at which a row that depends on the active rows counts as satisfied; with a larger
-            violation, the rows are incompatible.
-        feasibility: largest violation at which a constraint row counts as satisfied when a solution is checked.
-        parallel: smallest squared component of a normal outside the span of the active normals.
-        pushing: smallest decrease rate of a multiplier that does not count as 0.
-        cutoff: largest distance from the span of the rows above at which a row of length 1 counts as dependent.
-        short: largest length at which a row counts as a row of zeros.
+        priced: largest violation at which a constraint row counts as satisfied during the active-set search.
+        rounding: largest violation at which a row that is linearly dependent on the active rows counts as satisfied;
+            with a larger violation, the rows contradict each other.
+        feasibility: largest violation at which a constraint row counts as satisfied in the check of a solution.
+        parallel: squared component of a normal outside the span of the active normals below which the normal counts as
+            linearly dependent.
+        pushing: rate of decrease of a multiplier below which the rate counts as 0.
+        cutoff: largest distance from the span of earlier rows of J at which a row of length 1 counts as linearly
+            dependent.
+        short: largest length at which a row of J counts as a row of zeros.
         unit: largest difference between squared length and 1 at which a constraint row is not scaled.
         never: number that replaces infinity. huge: largest allowed entry of a solution.
-        delta: start value of δ in the proximal steps of stage 2. shrink: reduction factor of δ.
-        sign: tolerance for a multiplier of the wrong sign in stage 2, relative to the task residual. noise: the
-            corresponding tolerance relative to 1 + max |v|.
-        pull: start value of γ in the proximal steps of stage 3. growth: growth factor of γ. gap: tolerance at which
-            these steps stop.
-        margin: margin added to the smallest opening.
-        lanes: number of constraint rows processed side by side: 1, 2 or 4; 1 for float, for processors without vector
-            units.
+        delta: initial value of the weight δ in the proximal steps of stage 2 (module `least_squares`). shrink: factor
+            by which δ is reduced in each step.
+        sign: tolerance for a multiplier of the wrong sign in stage 2, relative to the task residual. noise: tolerance
+            for such a multiplier relative to 1 + max |v|; the larger of both applies.
+        pull: initial value of the step size γ in the proximal steps of stage 3 (module `opened`). growth: factor by
+            which γ is increased in each step. gap: tolerance at which these steps stop.
+        margin: margin for rounding that is added to the smallest opening of the soft rows.
+        lanes: number of constraint rows that one vector instruction evaluates: 1, 2 or 4; 1 for float, which is meant
+            for processors without vector instructions.
     """
 
     priced: float

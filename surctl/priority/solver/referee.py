@@ -1,15 +1,15 @@
-"""An independent check of the results of fallback stages 2 and 3, by linear programmes and non-negative least squares.
+"""Independent check of the safe step when the task is not met, by linear programmes and non-negative least squares.
 
-The check shares no code with the solver. For `limited` and `relaxed` solutions v with opening t of the soft constraint
-rows, the check computes
+The check shares no code with the solver. The solver returns a velocity v and the opening t, the amount by which the
+bounds of soft constraint rows are moved outwards. The check computes
 
-* by how much t could be smaller: from the linear programme min t subject to all constraint rows (HiGHS);
-* by how much ‖J v − x‖ could be smaller: with r = x − J v, an upper bound is the largest r·J(w − v)/‖r‖ over all w that
-  satisfy the constraint rows (a convex function lies above its tangent), also a linear programme. The multipliers of
-  this programme show how much of the bound is due to rounding of the constraint rows, because nearly parallel rows make
-  any solution inaccurate;
-* the point nearest to the target with the value of J v, from a least-distance problem solved as non-negative least
-  squares (Lawson and Hanson 1974, chapter 23; scipy's nnls).
+* by how much t could be smaller, from the linear programme min t subject to all constraint rows (solver HiGHS);
+* an upper bound on the amount by which the task residual ‖J v − x‖ could be smaller. With r = x − J v, this bound is
+  the largest r·J(w − v)/‖r‖ over all w that satisfy the constraint rows, because a convex function lies above its
+  tangent. It is the solution of another linear programme, whose multipliers show how much of the bound may be due to
+  rounding errors in nearly parallel constraint rows;
+* the feasible velocity w nearest to the target with J w = J v, from a non-negative least-squares problem (Lawson and
+  Hanson 1974, chapter 23; scipy's nnls).
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ _TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of the check for one solution; an attribute is NaN if its check fails to run.
+    """Differences between one solution of the safe step and the optimum; NaN if a difference could not be computed.
 
     Attributes:
-        opening: opening t of the solution minus the smallest possible opening.
-        task: ‖J v − x‖ minus the smallest value that the opened constraint rows allow, divided by the length of J's
-            longest row.
-        weight: largest sum of the multipliers in the bound for `task`, that is, the sensitivity of `task` to changes of
-            the constraint rows.
-        distance: largest entry of the difference between v and the nearest point, relative to 1 + max |target|.
+        opening: opening t of the soft rows minus the smallest possible opening.
+        task: upper bound on the difference between ‖J v − x‖ and the smallest residual that the constraint rows with
+            this opening allow, divided by the length of the longest row of J.
+        weight: largest sum of the Lagrange multipliers of the linear programme for `task`, which is the sensitivity of
+            `task` to changes of the constraint rows.
+        distance: largest entry of the difference between v and the velocity with the same J v that is nearest to the
+            target, relative to 1 + max |target|.
     """
 
     opening: float
@@ -48,7 +49,7 @@ class Finding:
 
 
 def examine(trials: Trials, v: Array, opening: Array) -> list[Finding]:
-    """Return one `Finding` for each of N problems, with solutions v (N, n) and openings (N,)."""
+    """Check the velocities v (N, n) and openings (N,) of N problems, and return one `Finding` for each."""
     A, lower, upper, soft = trials.unit()
     findings = []
     for k, (point, t) in enumerate(zip(v, opening, strict=True)):
@@ -67,7 +68,7 @@ def examine(trials: Trials, v: Array, opening: Array) -> list[Finding]:
 
 
 def _one_sided(rows: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return G, h of the constraints G z ≤ h; the last entry of z is the opening, which widens both bounds."""
+    """Convert constraint rows with two bounds to one-sided constraints G z ≤ h, and return G and h."""
     above, below = np.isfinite(upper), np.isfinite(lower)
     turned = np.column_stack([-rows[below, :-1], rows[below, -1]])
     return np.vstack([rows[above], turned]), np.concatenate([upper[above], -lower[below]])
@@ -83,10 +84,11 @@ def _least_opening(G: Array, h: Array) -> float:
 
 
 def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, float]:
-    """Return by how much ‖J v − x‖ exceeds a lower bound of its minimum, and the largest sum of multipliers.
+    """Return ‖J v − x‖ minus a lower bound of its minimum over G v ≤ h, and the largest sum of multipliers.
 
-    The bound comes from the tangent of ‖J v − x‖ at v. If this bound is loose, the tangent is taken at the best
-    combination of v and the solutions of the linear programmes so far (Frank and Wolfe 1956, fully corrective).
+    The lower bound is the minimum of the tangent of ‖J v − x‖ at v. If this bound is loose, the tangent at another
+    point is used: the best convex combination of v and the solutions of the linear programmes so far (fully corrective
+    method of Frank and Wolfe 1956).
     """
     from scipy.optimize import linprog
 
@@ -115,7 +117,7 @@ def _excess(G: Array, h: Array, J: Array, x: Array, v: Array) -> tuple[float, fl
 
 
 def _closest(corners: Array, J: Array, x: Array) -> Array:
-    """Return the convex combination of the corners that minimises ‖J v − x‖."""
+    """Return the convex combination v of the points `corners` that minimises ‖J v − x‖."""
     from scipy.optimize import nnls
 
     images = (J @ corners.T) - x[:, None]
@@ -128,7 +130,7 @@ def _closest(corners: Array, J: Array, x: Array) -> Array:
 
 
 def _distance(G: Array, h: Array, J: Array, target: Array, v: Array) -> float:
-    """Return the distance between v and the minimiser of ‖w − target‖ over all w with J w = J v and G w ≤ h."""
+    """Return the distance from v to the w nearest to the target among all w with J w = J v and G w ≤ h."""
     from scipy.optimize import nnls
 
     length = np.linalg.norm(J, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Sizes shared by the routines of the fallback stages, and routines that several stages call."""
+"""Numbers of variables and constraint rows in the safe step, and routines that several of its stages call."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ __all__ = ["Sizes", "into", "unit_rows"]
 
 
 class Sizes:
-    """Sizes of the fallback routines: n velocities, p rows of the task Jacobian J, m constraint rows.
+    """Numbers for which a safe step is compiled: n velocities, p rows of the task Jacobian J, m constraint rows.
 
     Attributes:
-        precision: tolerances.
-        cap: largest number of iterations of a search for v; None means the limit that module `kernel` sets.
-        general: search space with v free in n directions. fast: search space with v free in n − p directions, after
-            elimination of p independent rows of J (None if p ≥ n). opening: search space with v and the opening free.
-        rows: number of entries of all constraint rows. lanes: number of rows in a block. blocks: number of blocks.
-        general_kernel, opening_kernel: solver routines from module `kernel`. certificate, opening_certificate:
-            feasibility checks from that module.
+        precision: tolerances of the solver.
+        cap: largest number of iterations in a search for v; None means the limit in module `kernel`.
+        general: search with n unknowns. fast: search with n − p unknowns, after elimination of p independent rows of J
+            (None if p ≥ n). opening: search in which v and the opening of the soft rows are unknown.
+        rows: number of entries that store all constraint rows. lanes: number of rows in a block (see module `kernel`).
+            blocks: number of blocks.
+        general_kernel, opening_kernel: solver routines for the searches `general` and `opening`. certificate,
+            opening_certificate: routines that test whether a point satisfies all constraint rows.
     """
 
     def __init__(self, n: int, p: int, m: int, precision: Precision = FLOAT64, *, cap: int | None = None) -> None:
@@ -40,11 +41,11 @@ class Sizes:
 
 
 def unit_rows(sizes: Sizes) -> tuple[Step, ...]:
-    """Steps that convert `rows` (m·(n + 3),), stored row by row, to `unit`: in blocks, each row scaled to length 1.
+    """Return the steps that scale each constraint row to length 1 and store the rows in blocks.
 
-    A constraint row with zero normal keeps its bounds, so it is either always or never satisfied. A constraint row
-    whose squared length exceeds `huge` is never satisfied. If a block holds one constraint row (one lane), rows that
-    already have length 1 are not copied.
+    The steps convert the variable `rows` (m·(n + 3),), stored row by row, to the variable `unit`. A row with normal 0
+    is not scaled; all velocities satisfy this row, or none does. No velocity satisfies a row whose squared length
+    exceeds `precision.huge`.
     """
     if sizes.lanes == 1:
         look: tuple[Step, ...] = (
@@ -93,7 +94,7 @@ def _every(lanes: int) -> Program:
 
 
 def _scaling(sizes: Sizes) -> Routine:
-    """Return the body of a loop that runs once if some constraint row has a length other than 0 or 1."""
+    """Return the body of a loop that scales the rows once, if some row has a length other than 0 or 1."""
     n = sizes.n
     row = ca.SX.sym("row", n + 3)
     square = ca.sumsqr(row[:n])
@@ -113,6 +114,6 @@ def _scaling(sizes: Sizes) -> Routine:
 
 
 def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    """Return the value moved between the bounds; a NaN is replaced by the lower bound."""
+    """Return the value clipped to the bounds; a NaN becomes the lower bound."""
     above = ca.if_else(low <= value, value, low)
     return ca.if_else(above <= high, above, high)

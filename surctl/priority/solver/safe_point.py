@@ -1,4 +1,4 @@
-"""The safe step as a Python function of arrays, compiled for fixed sizes."""
+"""The velocity nearest to a target within constraints, as a Python function of arrays that calls compiled code."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ __all__ = ["SafePoint", "Stage", "idle_row", "least_distance", "nearest_to_zero"
 Array: TypeAlias = NDArray[np.float64]
 Runner: TypeAlias = Callable[..., list[Array]]
 Stage: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded"]
-"""met: task and rows hold; limited: the task is met as well as the rows allow; relaxed: soft rows opened; clamped: v is
-only moved into the box; bounded: the bounded fallback ended in its stage of constant cost, see `bounded`."""
+"""met: v meets the task and satisfies all constraint rows. limited: the task is met as well as the rows allow. relaxed:
+soft rows are relaxed. clamped: v is only clipped to the box. bounded: v comes from the bounded fallback, see module
+`bounded`."""
 
 _STAGES: tuple[Stage, ...] = get_args(Stage)
 _BUCKET = 8  # rows are padded to a multiple of this, to limit the number of compiled sizes
@@ -31,16 +32,15 @@ _BUCKET = 8  # rows are padded to a multiple of this, to limit the number of com
 
 @dataclass(frozen=True, eq=False)
 class SafePoint:
-    """Result of `least_distance`.
+    """Result of `least_distance`: the nearest velocity, active constraints, and the fallback stage.
 
     Attributes:
         v: velocity (n,), always finite and inside the box.
-        stage: the fallback stage that gave v.
-        binding: (name, Lagrange multiplier) of each active constraint row in min ½‖v − target‖², for the unscaled row;
-            positive at an upper bound, negative at a lower bound. `binding` is empty unless v solves a least-distance
-            problem.
-        opening: amount by which soft constraint rows had to open [row of length 1].
-        iterations: number of active-set iterations, over all stages.
+        stage: which fallback stage computed v; see module `fallback`.
+        binding: (name, Lagrange multiplier) of each active constraint row in min ½‖v − target‖², for the row as given;
+            positive at an upper bound, negative at a lower bound. Empty if v was not computed as the nearest velocity.
+        opening: amount by which the bounds of soft constraint rows had to be moved outwards [row of length 1].
+        iterations: number of active-set iterations of all stages together.
     """
 
     v: Array
@@ -52,7 +52,10 @@ class SafePoint:
 
 @cache
 def step_runner(n: int, p: int, m: int) -> Runner:
-    """A `safe_step` of fixed sizes, compiled once; without a compiler, `replay` gives the same numbers more slowly."""
+    """Return a function that runs `safe_step` for n velocities, p rows of J and m constraint rows, compiled once.
+
+    Without a C compiler, `replay` computes the same numbers more slowly.
+    """
     return runnable(safe_step(n, p, m))
 
 
@@ -73,28 +76,29 @@ def least_distance(
     box: tuple[ArrayLike, ArrayLike] | None = None,
     names: tuple[str, ...] | None = None,
 ) -> SafePoint:
-    """Return the point nearest to target (n,) with J v = x and lower ≤ A v ≤ upper.
+    """Return the velocity v nearest to `target` (n,) that satisfies J v = x and lower ≤ A v ≤ upper.
 
-    If there is no such point, return the result of the next fallback stage (see `fallback`).
+    If there is no such v, meet J v = x as well as the constraint rows allow; if these contradict each other, relax the
+    soft ones. Module `fallback` describes these stages.
 
-    Results are exact to rounding, with two exceptions. If nearly parallel rows of A contradict each other, the opening
-    is the smallest possible, but the task residual may be larger than the opened rows allow (by 1e-11 divided by the
-    angle between the rows). Constraint rows that have common points only far away (1e9 times the size of the box) are
-    opened instead.
+    v is exact to rounding, with two exceptions. If nearly parallel rows of A contradict each other, the relaxation is
+    the smallest possible, but the residual of J v = x may be larger than necessary (by 1e-11 divided by the angle
+    between the rows). If the constraint rows have common points only far away (at 1e9 times the size of the box), they
+    are relaxed.
 
     Args:
-        target: (n,).
+        target: (n,) velocity.
         A: (m, n), normals of the constraint rows, of any length. lower, upper: (m,), bounds of A v; an absent bound is
             ±inf.
-        J, x: the task, (p, n) and (p,). None: no task.
-        soft: (m,), true for constraint rows that may open if the rows contradict each other. None: all may.
-        box: lower (n,) and upper (n,), bounds into which v is moved at the end. None: no box. A must contain the bounds
-            of the box as rows as well.
-        names: names of the constraint rows; "row 0", … if None.
+        J, x: the task J v = x, (p, n) and (p,). None: no task.
+        soft: (m,), true for constraint rows that may be relaxed if the rows contradict each other. None: all may.
+        box: lower (n,) and upper (n,), bounds to which v is clipped at the end. None: no box. The constraint rows must
+            contain these bounds too.
+        names: names of the constraint rows; None means "row 0", "row 1", …
 
     Raises:
-        InputError: the shapes disagree, a number is not finite, an entry of A or J exceeds 1e140, or bounds cross; the
-            message names the constraint row.
+        InputError: the shapes of the arrays disagree, a number is not finite, an entry of A or J exceeds 1e140, or
+            lower > upper; the message names the constraint row.
 
     Example:
         >>> import numpy as np
@@ -133,11 +137,11 @@ def least_distance(
 
 
 def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array, int, int]:
-    """Solve min ½‖y‖² with lower ≤ G y ≤ upper, rows of length 1.
+    """Find the y (d,) nearest to 0 with lower ≤ G y ≤ upper, for G (m, d) with rows of length 1.
 
-    Returns: y (d,), multipliers (m,), status, number of iterations.
+    Return y, the Lagrange multipliers (m,), the status, and the number of iterations.
 
-    The status is a status value of `dual_step`, or 0 if the iteration limit was reached.
+    The status is one of the values in module `dual_step`, or 0 if the iteration limit was reached.
     """
     m, d = G.shape
     size = -(-m // _BUCKET) * _BUCKET
@@ -153,7 +157,7 @@ def nearest_to_zero(G: Array, lower: Array, upper: Array) -> tuple[Array, Array,
 
 
 def idle_row(n: int) -> Array:
-    """Return a constraint row that never binds."""
+    """Return a constraint row that every velocity satisfies."""
     return np.concatenate([np.zeros(n), [-np.inf, np.inf, 0.0]])
 
 

@@ -1,11 +1,13 @@
-"""The stages of the safe step, each a routine that calls the least-distance solver.
+"""The first three stages of the safe step, each as a routine that calls the least-distance solver.
 
-1. `exact_stage`: the point nearest to the target that meets the task J v = x and satisfies every constraint row.
-2. Of the points that meet the task as well as the constraint rows allow (`least_squares`), the point nearest to the
-   target. It is found by stage 1 with J v fixed at the least-squares value.
-3. The smallest t by which the soft constraint rows must open (`opened`), then stage 2.
+1. `exact_stage` finds the velocity nearest to the target that meets the task J v = x and satisfies every constraint
+   row.
+2. `least_squares` meets the task as well as the constraint rows allow. Stage 1 with J v fixed at the least-squares
+   value then finds the velocity nearest to the target.
+3. `opened` finds the smallest amount, the opening, by which the bounds of the soft rows must be moved outwards. Stage 2
+   follows with the moved bounds.
 
-`lower_stages` is one pass over stages 2 and 3; `fallback` runs the passes.
+`lower_stages` runs stage 2 and, if stage 2 fails, stage 3; module `fallback` calls it up to two times.
 """
 
 from __future__ import annotations
@@ -23,15 +25,16 @@ from surctl.priority.solver.rows import Sizes
 __all__ = ["LIMITED", "RELAXED", "exact_stage", "lower_stages"]
 
 LIMITED, RELAXED = 2, 3
-"""Status of stages 2 and 3: task met as well as the rows allow; soft rows opened."""
+"""Status of stages 2 and 3: the task is met as well as the constraint rows allow; soft rows are relaxed."""
 
 
 def exact_stage(sizes: Sizes) -> Routine:
-    """Routine (unit, target, J, x, skip) → (point, active, multipliers, status, count) of stage 1; point has opening 0.
+    """Return the routine of stage 1, which meets the task J v = x and satisfies every constraint row.
 
-    If the rows of J are independent, they are eliminated, which leaves n − p unknowns; otherwise there are n unknowns.
-    The bounded fallback does not handle dependent rows in a J with several rows; stage 1 then ends with status
-    `SKIPPED`.
+    Inputs: unit, the constraint rows scaled to length 1; target; J and x; skip, nonzero to do nothing. Outputs: point,
+    which is v and the opening 0; numbers and multipliers of the active rows; status; number of iterations. If the p
+    rows of J are linearly independent, their elimination leaves n − p unknowns; otherwise there are n unknowns. With
+    the bounded fallback, stage 1 ends with status `SKIPPED` if J has several rows and these are linearly dependent.
     """
     n, p, fast = sizes.n, sizes.p, sizes.fast
     outputs = ("point", "active", "multipliers", "status", "count")
@@ -56,7 +59,7 @@ def exact_stage(sizes: Sizes) -> Routine:
 
 
 def _reflected(sizes: Sizes, d: int) -> Program:
-    """Return a program for origin, start and Z of the solver in n − p unknowns, and two flags."""
+    """Return a program for the inputs of `reduced_kernel`, and two flags: use only this search; skip it."""
     # first flag: this solver is enough (J has independent rows, or stage 1 is skipped); second flag: skip this solver
     n, p = sizes.n, sizes.p
     target, J, x, skip = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p), ca.SX.sym("skip")
@@ -78,7 +81,7 @@ def _padded(n: int, d: int) -> Program:
 
 
 def _otherwise(sizes: Sizes) -> Routine:
-    """Return the body of a loop that runs once if rows of J are dependent; it calls the solver in n unknowns."""
+    """Return the body of a loop that runs once if rows of J are linearly dependent, with a search in n unknowns."""
     n, p = sizes.n, sizes.p
     sizes_of = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("ends", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
@@ -91,7 +94,7 @@ def _otherwise(sizes: Sizes) -> Routine:
 
 
 def _dependent(sizes: Sizes) -> Routine:
-    """Return a variant of `exact_stage` for any J; a row of J that depends on earlier rows is skipped."""
+    """Return a variant of `exact_stage` for any J; a row that is linearly dependent on earlier rows is skipped."""
     n, p = sizes.n, sizes.p
     target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
     matrix = as_matrix(J, n)
@@ -112,7 +115,7 @@ def _dependent(sizes: Sizes) -> Routine:
 
 
 def lower_stages(sizes: Sizes) -> Routine:
-    """Routine for stages 2 and 3: meet the task as well as the rows allow, or open soft rows for the next pass."""
+    """Return the routine of stages 2 and 3, which minimises the task residual or else moves soft bounds outwards."""
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
     fixed = (("unit", sizes.rows), ("target", n), ("near", n), ("J", p * n), ("x", p))
@@ -146,7 +149,7 @@ def lower_stages(sizes: Sizes) -> Routine:
 
 
 def _again(sizes: Sizes) -> Routine:
-    """Return the body of a loop that runs once if stage 2 found a value of J v: stage 1 with this value of J v."""
+    """Return the body of a loop that runs stage 1 once with the value of J v from stage 2, if stage 2 succeeded."""
     n, p = sizes.n, sizes.p
     state = (
         ("point", n + 1), ("active", n), ("multipliers", n), ("end", 1), ("count", 1), ("feasible", 1), ("no", 1),
@@ -162,7 +165,7 @@ def _again(sizes: Sizes) -> Routine:
 
 
 def _opening_turn(sizes: Sizes) -> Routine:
-    """Return the body of a loop that runs once if stage 2 found no point; it computes the smallest opening."""
+    """Return the body of a loop that computes the smallest opening of the soft rows once, if stage 2 failed."""
     n = sizes.n
     state = (("point", n + 1), ("solved", 1), ("feasible", 1), ("count", 1), ("yes", 1))
     after = tuple(f"{name}_next" for name, _ in state)

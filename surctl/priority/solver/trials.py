@@ -1,4 +1,4 @@
-"""Random least-distance problems that are difficult for a solver, and an independent check of their solutions."""
+"""Random problems that are difficult for a least-distance solver, and an independent check of their solutions."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ FAMILIES = (
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """A batch of problems, in the arrays that `surctl.priority.solver.fallback.safe_step` takes.
+    """N problems in the form of the input arrays of `surctl.priority.solver.fallback.safe_step`.
 
     Attributes:
-        target: (N, n). J: (N, p·n). x: (N, p). rows: (N, m·(n + 3)). box: (N, 2n).
-        features: (N, len(FAMILIES)), the features of each problem.
+        target (N, n), J (N, p·n), x (N, p), rows (N, m·(n + 3)), box (N, 2n): inputs of `safe_step`, one problem in
+            each row.
+        features: (N, len(FAMILIES)), whether the problem has this feature of `FAMILIES`.
     """
 
     target: Array
@@ -43,11 +44,11 @@ class Trials:
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Return the five arrays of problem data, in the order of the attributes."""
+        """Return the arrays target, J, x, rows and box."""
         return self.target, self.J, self.x, self.rows, self.box
 
     def unit(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return normals A (N, m, n) of length 1, lower (N, m), upper (N, m), and a mask (N, m) of the soft rows."""
+        """Return normals (N, m, n), lower and upper bounds of rows scaled to length 1, and a mask of the soft rows."""
         n = self.target.shape[1]
         rows = self.rows.reshape(len(self.rows), -1, n + 3)
         A, length = rows[..., :n], np.linalg.norm(rows[..., :n], axis=2)
@@ -55,7 +56,7 @@ class Trials:
         return A / length[..., None], rows[..., n] / length, rows[..., n + 1] / length, rows[..., n + 2] > 0
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trials:
-        """Return the batch that contains only the chosen problems."""
+        """Return only the chosen problems."""
         return Trials(
             self.target[chosen],
             self.J[chosen],
@@ -67,13 +68,13 @@ class Trials:
 
 
 def draw_trials(count: int, *, n: int = 4, p: int = 2, m: int = 24, seed: int = 0, mixed: bool = True) -> Trials:
-    """Return random problems: box and some thrust rows are hard and satisfied by v = 0, all other rows are soft.
+    """Return random problems: box and some thrust rows are hard, and v = 0 satisfies these; all other rows are soft.
 
     Args:
         count: number of problems N.
         n: number of velocities. p: number of rows of J. m: number of constraint rows, m > n.
         seed: seed of numpy's PCG64 generator.
-        mixed: give each problem 0–3 features of `FAMILIES`; otherwise no problem has such a feature.
+        mixed: if true, each problem has 0–3 features of `FAMILIES`; if false, none.
     """
     rng = np.random.default_rng(seed)
     picks = rng.random((count, len(FAMILIES))) < 0.2 if mixed else np.zeros((count, len(FAMILIES)), dtype=bool)
@@ -145,12 +146,14 @@ def _task(inside: Array, p: int, has: dict[str, NDArray[np.bool_]], rng: np.rand
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """KKT residuals of a solution that is reported as optimal, (N,) each, relative to 1 + max(|v|, |target|).
+    """Residuals (N,) of the KKT conditions for solutions reported as optimal, relative to 1 + max(|v|, |target|).
 
     Attributes:
-        missed: largest violation of a constraint row of length 1. task: residual of J v = x for rows of J of length 1.
-        stationary: part of target − v outside the cone of the active normals and the span of the rows of J.
-        loose: largest distance from the bound for a constraint row with a nonzero multiplier.
+        missed: largest violation of a constraint row of length 1. task: residual of J v = x for rows of J scaled to
+            length 1.
+        stationary: largest entry of target − v after subtraction of the active normals times their multipliers, and of
+            the part in the row space of J.
+        loose: largest distance from its bound of a constraint row with a nonzero multiplier.
         negative: largest absolute value of a multiplier with the wrong sign.
     """
 
@@ -161,14 +164,14 @@ class Verdict:
     negative: Array
 
     def worst(self) -> Array:
-        """Return the largest residual (N,) of each problem; the KKT conditions hold if it is 0."""
+        """Return the largest residual (N,) of each problem; the KKT conditions hold if this residual is 0."""
         every = (self.missed, self.task, self.stationary, self.loose, self.negative)
         largest: Array = np.max(np.stack(every), axis=0)
         return largest
 
 
 def judge(trials: Trials, v: Array, active: Array, *, multipliers: Array) -> Verdict:
-    """Return the KKT residuals of v (N, n), for active rows (N, k) as signed numbers and their multipliers (N, k)."""
+    """Return the KKT residuals of v (N, n), from signed numbers of the active rows and their multipliers (N, k)."""
     A, lower, upper, _ = trials.unit()
     count, n = v.shape
     size = 1.0 + np.maximum(np.abs(v).max(axis=1), np.abs(trials.target).max(axis=1))
