@@ -55,7 +55,7 @@ __all__ = ["export"]
     metavar="FILE",
     help="Certificate to add to the bundle; repeatable.",
 )
-@click.option("--check", is_flag=True, help="Compare the output on several compilers and processors.")
+@click.option("--check", is_flag=True, help="Compare the C of several compilers and processors with Python.")
 @click.option(
     "--prove",
     is_flag=True,

@@ -105,7 +105,7 @@ def verify(
     prints which tasks of a law are orthogonal, independent or dependent, and which converge. Exit status: 1 if a
     verdict is not as expected, a named claim is not applicable, the linear loop is unstable, or the safety claim fails.
 
-    FILE.py:FUNCTION [NAME=VALUE]... names a system of your own: equilibrium, poles and margins of its sampled loop.
+    For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml;
     surctl verify my_system.py:build plant.mass=2; surctl verify braking-inertia-20 --scenario tank-static

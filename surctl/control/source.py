@@ -112,7 +112,7 @@ def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -
     except InputError as error:
         raise InputError(error.problem, key=where, value=name, remedy=error.remedy) from None
     if name in reserved:
-        raise InputError("is a name that every law has", key=where, value=name, remedy="choose another name")
+        raise InputError("is a gain, state or input of every law", key=where, value=name, remedy="choose another name")
     if not unit.strip():
         raise InputError("has no unit", key=f"{where}.{name}", remedy='give its unit, "1" if it has none')
 
