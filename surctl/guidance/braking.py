@@ -1,11 +1,11 @@
 """The barrier with inertia: at which distance from an obstacle must a vehicle with thrust lag start to brake?
 
-Let n be the unit vector from robot to obstacle, which does not change while the robot brakes. If the masses in surge
-and sway are equal, m11 = m22 = m, no Coriolis force acts along n, so m v̇ = F + f − D(v − c) and Ḟ = (u − F)/τ. Here v
-is the speed of the robot along n, F the thrust, τ the time constant of the thrust, u the thrust command, D the drag, c
-the speed of the water, all along n, and f any other force. While the robot brakes, u ≤ −F_b, where F_b is the
-guaranteed braking force. Let v_o be the largest speed of the obstacle towards the robot, s = v + v_o the closing speed,
-and z = s + τ max(F + F_b, 0)/m.
+Let n be the unit vector that points from robot to obstacle when the robot begins to brake. While the robot brakes, n is
+held fixed, even if the direction to the obstacle changes (step 5). If the masses in surge and sway are equal, m11 = m22
+= m, no Coriolis force acts along n, so m v̇ = F + f − D(v − c) and Ḟ = (u − F)/τ. Here v is the speed of the robot
+along n, F the thrust, τ the time constant of the thrust, u the thrust command, D the drag, c the speed of the water,
+all along n, and f any other force. While the robot brakes, u ≤ −F_b, where F_b is the guaranteed braking force. Let v_o
+be the largest speed of the obstacle towards the robot, s = v + v_o the closing speed, and z = s + τ max(F + F_b, 0)/m.
 
 1. By definition, z ≥ s. Let F' = F_b − f − D(v_o + c) be the net braking force for the largest drag. While s ≥ 0, ż ≤
    −(F_b − f + D(v − c))/m ≤ −F'/m, because D is odd and increasing. (If the robot brakes with more than F_b, then F <

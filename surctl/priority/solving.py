@@ -1,4 +1,4 @@
-"""The function `solve`, which solves a priority problem in one of the four priority modes."""
+"""The function `solve`: solve a priority problem in the mode nsb, filter, projected or lexicographic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The linear analysis in the HTML report: disk margins of all loops at once, poles, and the sampled loop."""
+"""The linear analysis in the HTML report: disk margins, poles, and stability of the sampled loop.
+
+The disk margins hold for simultaneous perturbations of all loops. For the sampled loop, the report gives the largest
+control period and the largest delay up to which the loop is stable.
+"""
 
 from __future__ import annotations
 

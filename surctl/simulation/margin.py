@@ -227,9 +227,10 @@ class Bound:
         return closing**2 * heaviest / (2 * self.gains["brake"] * weakest) + (closing + obstacle) * reaction
 
     def excess(self, speed: float) -> float:
-        """Return the excess over the speed bound [m/s] at which the velocity loop commands the least guaranteed thrust.
+        """Return by how much [m/s] the robot exceeds a speed bound when the loop brakes with the guaranteed thrust F_b.
 
-        The value includes the drag, because the velocity loop compensates drag by feedforward.
+        `speed` is the bound [m/s]. F_b is `brakes.least`. The velocity loop compensates drag by feedforward, which acts
+        against braking. So the loop commands −F_b only at an excess that corresponds to F_b plus the drag.
         """
         v, pairs = max(speed, 0.0), (("Xu", "Xuu"), ("Yv", "Yvv"))
         drag = max(self.vehicle[a] * v + self.vehicle[b] * v**2 for a, b in pairs)

@@ -33,8 +33,9 @@ class Gap:
     Attributes:
         between: names of the two bodies.
         place: point (x, y) [m] in the earth frame {E} where the path crosses the gap, to within a grid cell.
-        width: distance between the two bodies without drift [m]; zero or negative if they touch or overlap.
-        drift: amount by which drift may narrow the gap [m].
+        width: distance [m] between the two bodies when each obstacle is at the centre of its drift; zero or
+            negative if the bodies touch or overlap.
+        drift: amount [m] by which the drift of the obstacles may narrow the gap; walls do not drift.
     """
 
     between: tuple[str, str]

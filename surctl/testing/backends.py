@@ -29,7 +29,7 @@ class BackendReport:
 
     Attributes:
         name: name of the backend.
-        problems: number of problems solved in each family.
+        problems: number of problems given to the backend for each family; the same for all families.
         error: largest |y − y*|.
         violation: largest violation of an inequality with a normal of length 1.
         gradient: largest |y + Gᵀ·multipliers|, which is 0 at the optimum.

@@ -75,7 +75,11 @@ class Request:
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def simulate(self, sets: Sets) -> tuple[Pool, Figures]:
-        """Simulate gain sets; return them as a pool with evaluated goals, and the metrics of every run."""
+        """Simulate gain sets; return a `Pool` and the metrics of every run.
+
+        The `Pool` holds the values of the searched gains in each gain set, and for each gain set the evaluated goals
+        and claims. The metrics are arrays (gain sets, conditions) by metric name, as `figures` returns them.
+        """
         table = figures(self.goals, self.conditions, sets, threads=self.threads)
         values = {span.name: np.asarray(sets[span.name], dtype=float) for span in self.space}
         pool = Pool(values, judged(self.goals, self.conditions, table), excess(self.claims, self.base.values, sets))

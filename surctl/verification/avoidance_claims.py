@@ -180,9 +180,10 @@ def v2_obstacle(setting: Setting) -> Claim:
 def settling_intrusion(setting: Setting) -> float:
     """Return the equilibrium e2* < 0 [m] of the paper's equation (20) for an obstacle that approaches head-on.
 
-    Erratum E12 describes this equilibrium. e2 is the distance to the obstacle minus the anti-collision radius R_OB. The
-    obstacle's speed u_OB is less than the robot's speed u_dm. For the safety distance δ = 0, e2* = −k3 R_OB c/√(1 − c²)
-    with c = u_OB/u_dm and the convergence coefficient k3.
+    e2 is the distance from the robot to the centre of the obstacle, minus the anti-collision radius R_OB. Erratum E12:
+    equation (24) omits the obstacle's velocity and concludes V̇2 ≤ 0 with V2 = e2²/2. In fact e2 converges to e2* < 0,
+    so the robot ends inside the circle of radius R_OB. The obstacle's speed u_OB is less than the robot's speed u_dm.
+    For the safety distance δ = 0, e2* = −k3 R_OB c/√(1 − c²) with c = u_OB/u_dm and the convergence coefficient k3.
 
     Example:
         >>> from surctl.verification import Setting, settling_intrusion

@@ -146,7 +146,12 @@ def _value(field: Field, measure: Measure, unit: Array) -> Array:
 
 
 def _slope(field: Field, measure: Measure, u: Array, *, scale: float) -> tuple[float, Array]:
-    """Return (measure/scale)² and its gradient (f,) at a point u of the unit box."""
+    """Return q = min((m/scale)², 2) at a point u (f,) of the unit box, and the gradient (f,) of q with respect to u.
+
+    u holds the f free variables of the region, scaled to 0 … 1. m is the value of the function `measure` at u; inf if a
+    Jacobian is not finite or the value is NaN. `scale` > 0 is a constant divisor. The gradient is computed by finite
+    differences.
+    """
     steps = _STEP * np.eye(u.size)
     around = np.clip(np.vstack([u[None], u + steps, u - steps]), 0.0, 1.0)
     # where the measure is undefined it is capped at a value just high enough to shorten a step that ends there

@@ -15,8 +15,8 @@ class Elimination(NamedTuple):
     """Result of the elimination of p equalities J x = b, J (p, n), from n variables.
 
     Attributes:
-        lift: (n, p); v + lift (b − J v) is the solution of J x = b nearest to v. The columns for linearly dependent
-            rows of J are zero.
+        lift: (n, p); v + lift (b − J v) is the solution of J x = b nearest to v. Column k of `lift` is zero if row k of
+            J depends linearly on the rows above it, or is zero.
         basis: (n, n), orthonormal columns; the first `rank` columns span the row space of J, the others its null space.
         rank: number of linearly independent rows of J.
     """

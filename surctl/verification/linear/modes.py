@@ -199,7 +199,9 @@ def bearable_speed(vehicle: Vehicle, gains: Mapping[str, float], *, dt: float, m
 
 
 def cap_above_bearable(vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float) -> str | None:
-    """Return a line of text with both speeds if the loop becomes unstable below the speed cap [m/s]; otherwise None.
+    """Return a line of text if the linear loop becomes unstable below the speed cap `cap` [m/s]; otherwise None.
+
+    The text gives the cap and the bearable speed, up to which the loop is stable (see `bearable_speed`).
 
     The result is also None if the loop is stable at all speeds that the thrust can hold, even if the cap is higher.
 

@@ -126,7 +126,12 @@ def _by_derivatives(
 
 
 def _weight(jet: Jet, box: Ends) -> Array:
-    """Return each variable's contribution (n, B) to the width of a function; 0 where the function is never positive."""
+    """Return the share (n, B) of each of n variables in the width of a function's interval bound on each of B boxes.
+
+    The width is estimated as the sum, over the variables, of the largest |slope| times the side length of the box; the
+    share of a variable is its term divided by this sum. The share is 0 on a box where the interval bound shows that the
+    function is not positive, and where the sum is 0.
+    """
     assert jet.slope is not None
     steep = np.maximum(np.abs(jet.slope[0]), np.abs(jet.slope[1]))
     steep = np.where(np.isfinite(steep), steep, 1e100)
