@@ -55,7 +55,7 @@ def pinned(reference: str, *, key: str, folder: Path | None = None) -> str:
         >>> _ = Path("mine.py").write_text("def answer():\\n    return 42\\n")
         >>> reference = pinned("mine.py:answer", key="--law")
         >>> label(reference), reference[-8:]
-        ('mine.py:answer', 'b8fbd8d1')
+        ('mine.py:answer', '058f8c76')
     """
     path, function, stated = _parts(reference)
     whole = (folder or Path()) / path
@@ -72,7 +72,13 @@ def pinned(reference: str, *, key: str, folder: Path | None = None) -> str:
 
 
 def label(reference: str) -> str:
-    """Return a reference without folder and SHA-256, for display; the name of a built-in object is unchanged."""
+    """Return a reference without folder and SHA-256, for display; the name of a built-in object is unchanged.
+
+    Example:
+        >>> from surctl.own_code import label
+        >>> label("/home/ann/my_law.py:wall#2cf24dba"), label("guarded")
+        ('my_law.py:wall', 'guarded')
+    """
     if not is_own(reference):
         return reference
     path, function, _ = _parts(reference)

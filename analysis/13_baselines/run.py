@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.patches import Patch
 
-from surctl.control import LawName, load_gains
+from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import prepare_folder
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, dress, legend_below, new_figure
@@ -43,7 +43,7 @@ class Line:
 
     scenario: str
     sensing: Sensing
-    law: LawName
+    law: str
     runs: BatchResult
 
     def share(self, name: str) -> float:
@@ -66,7 +66,7 @@ class Line:
         return f"| {' | '.join(told)} |"
 
 
-def flown(scenario: str, sensing: Sensing, law: LawName, *, gains: str, seeds: int) -> Line:
+def flown(scenario: str, sensing: Sensing, law: str, *, gains: str, seeds: int) -> Line:
     """Simulate all seeds; only one run if nothing depends on the seed."""
     mission = load_scenario(scenario)
     case = Case(mission, load_vehicle(mission.vehicle), load_gains(gains), law=law, sensing=sensing)
@@ -74,14 +74,14 @@ def flown(scenario: str, sensing: Sensing, law: LawName, *, gains: str, seeds: i
     return Line(scenario, sensing, law, simulate_batch(case, seeds=np.arange(drawn), threads=2))
 
 
-def flown_worlds(plan: RandomWorlds, sensing: Sensing, law: LawName, *, worlds: int) -> Line:
+def flown_worlds(plan: RandomWorlds, sensing: Sensing, law: str, *, worlds: int) -> Line:
     """Simulate the first random worlds, which are the same for every law."""
     case = replace(plan.case, law=law, sensing=sensing)
     runs = simulate_batch(case, plan.values(0, worlds), seeds=plan.seeds(0, worlds), threads=2)
     return Line(WORLDS, sensing, law, runs)
 
 
-def summary(lines: Sequence[Line], sensing: Sensing, law: LawName) -> str:
+def summary(lines: Sequence[Line], sensing: Sensing, law: str) -> str:
     """Return the row of a law over all scenarios, each with the same weight."""
     mine = [line for line in lines if (line.sensing, line.law) == (sensing, law)]
     reached, collided = (100 * float(np.mean([line.share(name) for line in mine])) for name in ("reached", "collided"))
@@ -90,7 +90,7 @@ def summary(lines: Sequence[Line], sensing: Sensing, law: LawName) -> str:
     return f"| {sensing} | {law} | {reached:.1f} % | {collided:.1f} % | {always} | {never} | {len(mine)} |"
 
 
-def draw(lines: Sequence[Line], laws: Sequence[LawName], sensing: Sequence[Sensing], file: Path) -> None:
+def draw(lines: Sequence[Line], laws: Sequence[str], sensing: Sequence[Sensing], file: Path) -> None:
     """Draw the outcomes: one panel per sensing, one group of bars per scenario, one bar per law."""
     scenarios = sorted({line.scenario for line in lines})
     figure = new_figure(1.6 + 1.15 * len(scenarios) * len(laws) / 6, 3.2 * len(sensing))

@@ -59,7 +59,7 @@ def test_from_a_tape_measure_to_code(tmp_path: Path) -> None:
     assert made["sil"]["passed"] and made["run"]["vehicle"] == "mine"
     assert shell.next[1:3] == [
         "make -C code controller && code/controller 5555",
-        "surctl simulate pool-static --vehicle mine.toml --gains tuned/gains.toml --sensing sonar"
+        "surctl simulate pool-static --vehicle mine.toml --gains tuned/gains.toml --law guarded --sensing sonar"
         " --controller tcp://127.0.0.1:5555",
     ]
     belongs = shell.follow("surctl check").json
