@@ -34,7 +34,7 @@ def _():
     from surctl.control import law_ref, law_source
 
     folder = Path(tempfile.mkdtemp())
-    text = '''
+    text = """
     import casadi as ca
 
     from surctl.control import Decision, GainSpec, LawSource
@@ -57,7 +57,7 @@ def _():
 
     def wall():
         return LawSource("wall_follower", decide, gains=GAINS)
-    '''
+    """
     (folder / "wall_law.py").write_text(dedent(text), encoding="utf-8")
     reference = law_ref("wall_law.py:wall", folder=folder)
     print(f"{law_source(reference).name}: own gains {', '.join(law_source(reference).gains)}")
@@ -67,8 +67,8 @@ def _():
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    The public check builds the law twice, evaluates it at random poses and compares the instruction list, which runs and
-    is exported, with CasADi.
+    The public check builds the law twice, evaluates it at random poses, and compares the instruction list, which is
+    simulated and exported, with CasADi.
 
     ## 2. Simulate, and sweep its own gains in compiled code
     """)
