@@ -99,8 +99,8 @@ def tune_system(
         ... )
         >>> cost = Cost(lambda s: s.x["speed"] ** 2 + 0.1 * s.f["force"] ** 2, "integral", "m^2/s")
         >>> tuned = tune_system(System(cart, brake, costs={"cost": cost}), 5.0, {"k": (0.2, 8.0)}, trials=90)
-        >>> round(tuned.gains["k"], 1), tuned.unmet
-        (2.7, ())
+        >>> 2.5 < tuned.gains["k"] < 3.0, tuned.unmet
+        (True, ())
     """
     from scipy.optimize import differential_evolution
 
