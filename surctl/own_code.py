@@ -7,6 +7,7 @@ with the SHA-256.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import sys
 import traceback
@@ -164,16 +165,17 @@ def _executed(path: Path, digest: str, key: str) -> dict[str, object]:
     module = ModuleType(name)
     module.__file__ = str(path)
     sys.modules[name] = module
-    folder = str(path.parent)
-    sys.path.insert(0, folder)
+    searched, before = sys.path, list(sys.path)
+    sys.path.insert(0, str(path.parent))
     try:
         # not through the import system, whose cached bytecode can be that of another text
         _guarded(path, "import", lambda: exec(compile(text, path, "exec"), vars(module)))
     except BaseException:
         del sys.modules[name]
         raise
-    finally:
-        sys.path.remove(folder)
+    finally:  # also if the file changed the list
+        searched[:] = before
+        sys.path = searched
     return vars(module)
 
 
@@ -193,7 +195,8 @@ def called(reference: str, function: Callable[..., Any], *arguments: object) -> 
 
 def _guarded(path: Path, key: str, call: Callable[[], Any]) -> Any:
     try:
-        return call()
+        with contextlib.redirect_stdout(sys.stderr):  # what the file prints must not stand in a command's JSON
+            return call()
     except InputError as error:
         raise error.inside(path, error.key or key) from None
     except SurctlError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import keyword
 import re
 import shlex
 from pathlib import Path
@@ -55,6 +56,7 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
 
     template = next(_TEMPLATES.glob(f"{kind}.*"))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
+    identifier += "_" * keyword.iskeyword(identifier)
     if kind in _IN_PYTHON and not identifier.isidentifier():
         raise InputError(f"cannot name a {kind}", key="name", value=name, remedy="begin with a letter")
     text = template.read_text(encoding="utf-8").replace("@NAME@", quoted(name)).replace("@IDENTIFIER@", identifier)

@@ -35,14 +35,14 @@ def tune_own_system(
     """Search gains, write them, and print costs and disk margin; exit with status 1 if a bound is violated."""
     from surctl.files import prepare_folder
     from surctl.tuning import tune_system
+    from surctl.tuning.systems import check_tuning
 
     own = load_system(words)
-    duration, cases = own.seconds(seconds), _cases(own.settings)
+    duration, cases, space = own.seconds(seconds), _cases(own.settings), _ranges(own, ranges)
+    check_tuning(own.system, space, cases)
     prepare_folder(out)
-    progress(f"{trials} gain sets")
-    result = tune_system(
-        own.system, duration, _ranges(own, ranges), cases=cases, trials=trials, seed=seed, threads=workers
-    )
+    progress(f"up to {trials} gain sets")
+    result = tune_system(own.system, duration, space, cases=cases, trials=trials, seed=seed, threads=workers)
     table = write_table(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
     lines = [f"{own.title}: {result.trials} gain sets, runs of {duration:g} s", *_lines(own, result), f"gains {table}"]
     data = {

@@ -96,6 +96,10 @@ class LawSource:
         for port in self.state:
             if not isinstance(port, Port):
                 raise InputError("is not a Port", key=f"{self.name}.state", value=type(port).__name__)
+            if min(port.shape, default=1) < 1:
+                raise InputError(
+                    "has no entries", key=f"{self.name}.state", value=port.name, remedy="give a shape of 1 or more"
+                )
             reserved = _ALWAYS | _LATCHED if self.latches else _ALWAYS
             _check_port(port.name, port.unit, where=f"{self.name}.state", reserved=reserved)
         for name, spec in self.gains.items():
@@ -152,6 +156,12 @@ def _check_decision(decision: object, source: LawSource, *, file: object) -> Non
     def fail(problem: str, key: str, remedy: str) -> InputError:
         return InputError(problem, file=file, key=f"{source.name}.{key}", remedy=remedy)
 
+    def symbolic(value: Any, key: str) -> ca.SX:
+        try:
+            return ca.SX(value)
+        except (NotImplementedError, RuntimeError, TypeError):
+            raise fail(f"is {type(value).__name__}", key, "give a CasADi SX expression or numbers") from None
+
     if not isinstance(decision, Decision):
         raise fail(f"returned {type(decision).__name__}, not Decision", "decide", "return Decision([task, …])")
     if not decision.levels:
@@ -159,7 +169,7 @@ def _check_decision(decision: object, source: LawSource, *, file: object) -> Non
     for level in decision.levels:
         if not isinstance(level, (Task, TaskLevel)):
             raise fail(f"contains {type(level).__name__}", "levels", "give surctl.tasks.Task or TaskLevel")
-    for level in decision.task_levels():
+    for level in called(str(file), decision.task_levels):
         rows = level.J.shape[0]
         if level.J.shape[1] != _VELOCITIES or level.reference.shape != (rows, 1) or not 0 < rows <= _VELOCITIES:
             shapes = f"J {level.J.shape} and reference {level.reference.shape}"
@@ -168,14 +178,14 @@ def _check_decision(decision: object, source: LawSource, *, file: object) -> Non
         if not hasattr(row, "rows"):
             raise fail(f"contains {type(row).__name__}", "rows", "give surctl.tasks.HalfPlane or a barrier's rows")
     for name, shape in (("velocity", (2, 1)), ("avoiding", (1, 1)), ("degraded", (1, 1)), ("stopped", (1, 1))):
-        if ca.SX(getattr(decision, name)).shape != shape:
-            raise fail(f"has shape {ca.SX(getattr(decision, name)).shape}", name, f"give {shape}")
+        if (actual := symbolic(getattr(decision, name), name).shape) != shape:
+            raise fail(f"has shape {actual}", name, f"give {shape}")
     known = {port.name: port for port in source.ports}
     for name, value in decision.state.items():
         if name not in known:
             raise fail("is no state port of this law", f"state.{name}", f"{nearest(name, known)}")
-        if ca.SX(value).numel() != known[name].size:
-            raise fail(f"has {ca.SX(value).numel()} numbers", f"state.{name}", f"give {known[name].size}")
+        if (count := symbolic(value, f"state.{name}").numel()) != known[name].size:
+            raise fail(f"has {count} numbers", f"state.{name}", f"give {known[name].size}")
 
 
 def _check_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:
@@ -187,7 +197,10 @@ def _check_thrust(returned: object, source: LawSource, *, file: object) -> tuple
     remedy = "return (thrust (4, 1), next state (4, 1))"
     if not isinstance(returned, tuple) or len(returned) != 2:
         raise InputError(f"returned {type(returned).__name__}", file=file, key=f"{source.name}.thrust", remedy=remedy)
-    thrust, following = (ca.SX(part) for part in returned)
+    try:
+        thrust, following = (ca.SX(part) for part in returned)
+    except (NotImplementedError, RuntimeError, TypeError):
+        raise InputError("returned no SX", file=file, key=f"{source.name}.thrust", remedy=remedy) from None
     if thrust.shape != (_VELOCITIES, 1) or following.shape != (_VELOCITIES, 1):
         shapes = f"returned shapes {thrust.shape} and {following.shape}"
         raise InputError(shapes, file=file, key=f"{source.name}.thrust", remedy=remedy)

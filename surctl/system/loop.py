@@ -132,7 +132,18 @@ class System:
             for name in table:
                 identifier(name)
             object.__setattr__(self, kind, MappingProxyType(dict(table)))
+        layouts = (
+            self.plant.state,
+            self.plant.measurements,
+            self.commands,
+            self.controller.inputs,
+            self.controller.gains,
+        )
+        named = {port.name for layout in layouts for port in layout}
         for name, cost in self.costs.items():
+            if name in named:
+                remedy = "choose another name for the cost"
+                raise InputError("is a signal or a gain of the system", key=f"costs.{name}", remedy=remedy)
             if cost.how not in get_args(How):
                 raise InputError(
                     "is not known",

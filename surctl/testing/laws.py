@@ -13,7 +13,7 @@ from surctl.ir import replay
 from surctl.simulation import law_numbers, load_scenario
 from surctl.system import NONFINITE
 from surctl.testing.finding import CheckFailed
-from surctl.testing.ranges import checked_count
+from surctl.testing.ranges import checked_count, checked_type
 from surctl.vehicle import load_vehicle
 
 __all__ = ["LawReport", "check_law"]
@@ -70,6 +70,7 @@ def check_law(source: LawSource, *, samples: int = 200, extent: float = 5.0, see
         (('depth', 1),)
     """
     checked_count("samples", samples)
+    checked_type(source, LawSource, key="check_law")
     law, again = build_law_of(source), build_law_of(source)
     what = f"law {source.name}"
     if law.block.digest() != again.block.digest():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["Parameter", "Ranges", "Sampled", "checked_count", "ranges_of"]
+__all__ = ["Parameter", "Ranges", "Sampled", "checked_count", "checked_type", "ranges_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -115,6 +115,13 @@ def checked_count(key: str, value: object, *, least: int = 1) -> None:
     """Raise an InputError unless the value is a whole number of at least `least`, since an empty check would pass."""
     if not isinstance(value, int | np.integer) or value < least:
         raise InputError("is too small", key=key, value=value, remedy=f"give {least} or more")
+
+
+def checked_type(value: object, kind: type, *, key: str) -> None:
+    """Raise an InputError unless the value is an instance of a class; a function in its place is to be called."""
+    if not isinstance(value, kind):
+        remedy = "give what the function returns" if callable(value) else f"give a surctl {kind.__name__}"
+        raise InputError(f"got {type(value).__name__}, not {kind.__name__}", key=key, remedy=remedy)
 
 
 def _spread(name: str, value: float | Sequence[float], size: int) -> Array:

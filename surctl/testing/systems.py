@@ -14,7 +14,7 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Block, Layout, on_vectors, replay
 from surctl.system import NONFINITE, Controller, Plant
 from surctl.testing.finding import CheckFailed
-from surctl.testing.ranges import checked_count
+from surctl.testing.ranges import checked_count, checked_type
 
 __all__ = ["SystemReport", "check_controller", "check_plant"]
 
@@ -77,6 +77,7 @@ def check_plant(
         0.0
     """
     checked_count("samples", samples)
+    checked_type(plant, Plant, key="check_plant")
     what = f"plant {plant.name}"
     layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
     points = _points(layouts, ranges or {}, fixed={"p"}, count=samples, seed=seed)
@@ -133,6 +134,7 @@ def check_controller(
         200
     """
     checked_count("samples", samples)
+    checked_type(controller, Controller, key="check_controller")
     what = f"controller {controller.name}"
     layouts = {"x": controller.state, "u": controller.inputs, "p": controller.gains}
     points = _points(layouts, ranges or {}, fixed={"p"}, count=samples, seed=seed)

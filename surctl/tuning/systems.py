@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.system import ENDED, System, linearise, simulate_system
+from surctl.system.values import run_numbers
 from surctl.verification import system_disk_margin
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
@@ -104,12 +105,8 @@ def tune_system(
     """
     from scipy.optimize import differential_evolution
 
-    name = next(iter(system.costs), "") if objective is None else objective
-    if name not in system.costs:
-        problem = "has no costs" if not system.costs else "no such cost"
-        remedy = "give System(..., costs={...})" if not system.costs else nearest(name, system.costs)
-        raise InputError(problem, key="objective", value=objective, remedy=remedy)
-    names, low, high = _box(ranges)
+    name = check_tuning(system, ranges, cases or {}, objective=objective)
+    names, (low, high) = list(ranges), np.array(list(ranges.values()), dtype=float).T
     logarithmic = low > 0
     ends = np.column_stack([np.where(logarithmic, np.log(np.where(logarithmic, e, 1)), e) for e in (low, high)])
     search = _Search(system, seconds, names, dict(cases or {}), name, threads)
@@ -134,16 +131,32 @@ def tune_system(
     return search.chosen(least_disk_margin)
 
 
-def _box(ranges: Mapping[str, tuple[float, float]]) -> tuple[list[str], Array, Array]:
+def check_tuning(
+    system: System,
+    ranges: Mapping[str, tuple[float, float]],
+    cases: Mapping[str, ArrayLike],
+    *,
+    objective: str | None = None,
+) -> str:
+    """Return the cost to minimise after a check of the arguments of `tune_system`; nothing is compiled.
+
+    Raises:
+        InputError: as in `tune_system`.
+    """
+    name = next(iter(system.costs), "") if objective is None else objective
+    if name not in system.costs:
+        problem = "has no costs" if not system.costs else "no such cost"
+        remedy = "give System(..., costs={...})" if not system.costs else nearest(name, system.costs)
+        raise InputError(problem, key="objective", value=objective, remedy=remedy)
     if not ranges:
         raise InputError("nothing is tuned", key="ranges", remedy="name at least one gain with (low, high)")
-    for name, ends in ranges.items():
+    for gain, ends in ranges.items():
         if not (np.isfinite(ends).all() and ends[0] < ends[1]):
-            raise InputError("is not a range", key=name, value=tuple(ends), remedy="give (low, high) with low < high")
-        if any(name.startswith(f"{group}.") for group in ("plant", "reference", "disturbance", "start")):
-            raise InputError("is not a gain", key=name, remedy="tune gains of the controller; put it into the cases")
-    low, high = np.array(list(ranges.values()), dtype=float).T
-    return list(ranges), low, high
+            raise InputError("is not a range", key=gain, value=tuple(ends), remedy="give (low, high) with low < high")
+        if gain.startswith(("plant.", "reference.", "disturbance.", "start.")):
+            raise InputError("is not a gain", key=gain, remedy="tune gains of the controller; put it into the cases")
+    run_numbers(system, {**{gain: ends[0] for gain, ends in ranges.items()}, **cases})
+    return name
 
 
 class _Search:

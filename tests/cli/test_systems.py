@@ -261,3 +261,21 @@ def test_mistakes_in_tune_are_one_line(file: str, words: tuple[str, ...], proble
     done = run("tune", file, *words, "--out", str(tmp_path))
     assert isinstance(done.exception, InputError)
     assert re.search(problem, str(done.exception))
+
+
+def test_a_refused_tuning_leaves_no_folder(file: str, tmp_path: Path) -> None:
+    done = run("tune", file, "--gain", "k=5..1", "--seconds", "3", "--out", str(tmp_path / "none"))
+    assert "is not a range" in str(done.exception)
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_cost_with_the_name_of_a_gain_is_refused(file: str) -> None:
+    Path("mine.py").write_text(FILE.replace('"final": Cost', '"k": Cost'))
+    done = run("simulate", file, "--seconds", "1")
+    assert "costs.k: is a signal or a gain of the system" in str(done.exception)
+
+
+def test_a_new_file_for_a_keyword_is_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("new", "law", "class").exit_code == 0
+    assert "def class_()" in Path("class.py").read_text()

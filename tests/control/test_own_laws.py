@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -184,6 +185,8 @@ BAD = {
     'return LawSource("a", lambda s: hold(s, s.p["dept"]))': "KeyError: 'dept'",
     'return LawSource("a", lambda s: Decision(hold(s).levels, velocity=ca.SX.zeros(3)))': "has shape",
     'return LawSource("a", lambda s: Decision(hold(s).levels, state={"z": 1}))': "is no state port of this law",
+    'return LawSource("a", lambda s: Decision(hold(s).levels, state={"side": ca.MX.sym("q")}))': "is MX; give",
+    'return LawSource("a", hold, state=(Port("z", (-1,), "m", "x"),))': "has no entries",
     'return LawSource("a", hold, thrust=lambda w, nu, z, p, dt: w)': "returned SX; return",
 }
 
@@ -280,3 +283,14 @@ def test_the_text_that_runs_is_the_text_that_was_compared(tmp_path: Path) -> Non
         os.utime(file, (1, 1))
         assert law_source(law_ref("my_law.py:wall", folder=tmp_path)).gains["k_wall"].default == float(gain)
     assert [entry.name for entry in tmp_path.iterdir()] == ["my_law.py"]
+
+
+def test_what_a_file_prints_or_does_to_the_path_stays_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = list(sys.path)
+    for name, line in {"clears": "sys.path.clear()", "replaces": "sys.path = []"}.items():
+        (tmp_path / f"{name}.py").write_text(f"import sys\n{line}\nprint('HELLO')\n{LAW}")
+        assert law_source(law_ref(f"{name}.py:wall", folder=tmp_path)).name == "wall"
+        assert sys.path == before
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "HELLO" in printed.err

@@ -64,3 +64,10 @@ def test_a_law_that_draws_numbers_is_named() -> None:
 def test_a_wrong_range_is_one_line(ranges: dict[str, tuple[float, float]]) -> None:
     with pytest.raises(InputError, match=r"^ranges\.ang"):
         check_controller(controller(lambda x, u, p: -u["angle"]), ranges=ranges)
+
+
+@pytest.mark.parametrize("check", [check_law, check_plant, check_controller])
+@pytest.mark.parametrize(("wrong", "remedy"), [(None, "give a surctl"), (lambda: 3, "give what the function returns")])
+def test_a_wrong_object_is_one_line(check: Callable[[Any], object], wrong: object, remedy: str) -> None:
+    with pytest.raises(InputError, match=f"^{check.__name__}: got .*, not .*; {remedy}"):
+        check(wrong)

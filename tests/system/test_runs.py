@@ -66,11 +66,11 @@ def test_what_is_no_longer_finite_ends_the_run_where_it_happens() -> None:
     position, force = Port("x", (1,), "m", "", 1.0), Port("force", (1,), "m/s", "")
     root = Plant("root", Layout((position,)), Layout((force,)), lambda x, f, d, p: -ca.sqrt(x["x"] - 0.5) - 0.1)
     idle = Controller("idle", 0.1, Layout((position,)), Layout((force,)), lambda x, u, p: 0 * u["x"])
-    system = System(root, idle, costs={"x": replace(COSTS["least"], of=lambda s: s.x["x"])})
+    system = System(root, idle, costs={"low": replace(COSTS["least"], of=lambda s: s.x["x"])})
     record, runs = run_system(system, 10.0), simulate_system(system, 10.0)
     assert record.stopped == runs.stopped[0] == "not finite"
     assert 0.3 < runs.time[0] < 2.0 and runs.time[0] == pytest.approx(record.time[-1])
-    assert np.isnan(runs["x"][0]) and np.isnan(record.figures["x"]) and np.isfinite(runs.state).all()
+    assert np.isnan(runs["low"][0]) and np.isnan(record.figures["low"]) and np.isfinite(runs.state).all()
 
 
 def test_twelve_states_with_twelve_inputs() -> None:
