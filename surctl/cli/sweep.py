@@ -198,6 +198,7 @@ def sweep(
         )
     sobol = None if sensitivity is None else indices(table, sensitivity)
     picked = table.picked
+    moved = _set_aside(out / "gains.toml") if picked is None else []
     gains_path = None if picked is None else write_file(out / "gains.toml", write_gains(table.gains))
     pictures = _pictures(table, sobol, out)
     if locus is not None:
@@ -209,7 +210,7 @@ def sweep(
         pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
     lines = [*_vehicles(cases, vehicles), *_lines(table, sobol)]
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
-    lines += ["", where, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
+    lines += ["", where, *moved, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]
     about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(gains_path)))
     named = shlex.join(law_words(law))
@@ -236,6 +237,13 @@ def _vehicles(cases: Sequence[Case], typed: Sequence[str]) -> list[str]:
     option = next(iter(typed), None)
     choices = [(choose_vehicle(option, (c.scenario.name, c.scenario.vehicle)), c.vehicle.name) for c in cases]
     return list(dict.fromkeys(choice.line(name) for choice, name in choices))
+
+
+def _set_aside(gains: Path) -> list[str]:
+    """Rename the gain file of an earlier sweep, which the present results do not confirm; return the line about it."""
+    if not gains.exists():
+        return []
+    return [f"the gain file of an earlier sweep is now {gains.replace(gains.with_stem('gains-before'))}"]
 
 
 def _executor(workers: int | None, dask: str | None) -> Executor:
