@@ -215,8 +215,8 @@ def sweep(
     about = shlex.join(at_hand(cases[0].scenario, cases[0].vehicle, str(gains_path)))
     named = shlex.join(law_words(law))
     # the claims of `verify` are about parts of the built-in laws
-    then = [f"surctl verify {about}" if law_source(law).parts else f"surctl export {about} {named} --sensing {sensing}"]
-    then = then if picked is not None else []
+    judged = f"surctl verify {about}" if law_source(law).parts else f"surctl export {about} {named} --sensing {sensing}"
+    then = [judged] if picked is not None else []
     data = {
         "axes": {axis.name: axis.values.tolist() for axis in table.axes},
         "units": {axis.name: axis.unit for axis in table.axes} | dict(table.units),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -120,9 +118,8 @@ def load_system(words: Sequence[str]) -> OwnSystem:
     from surctl.own_code import label, object_of, pinned
     from surctl.system import System
 
-    with contextlib.redirect_stdout(sys.stderr):
-        reference = pinned(words[0], key="system")
-        return OwnSystem(object_of(reference, System, key="system"), words[0], label(reference), tuple(words[1:]))
+    reference = pinned(words[0], key="system")
+    return OwnSystem(object_of(reference, System, key="system"), words[0], label(reference), tuple(words[1:]))
 
 
 def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:

@@ -98,7 +98,7 @@ class Gains:
     @property
     def specs(self) -> Mapping[str, GainSpec]:
         """Return unit, meaning and bounds of every gain of the set."""
-        return {**GAINS, **self.own}
+        return {**GAINS, **self.own} if self.own else GAINS
 
     def __getitem__(self, name: str) -> float:
         """Return the value of a gain; an unknown name raises InputError and the message suggests a similar name."""

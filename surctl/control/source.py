@@ -125,10 +125,7 @@ def decision_of(source: LawSource, situation: Situation, reference: str) -> Deci
     """Return the law's decision; an error in a law of the user's own is reported in one line that names its file."""
     if not is_own(reference):
         return source.decide(situation)
-    decision = called(reference, source.decide, situation)
-    _check_decision(decision, source, file=own_file(reference))
-    checked: Decision = decision
-    return checked
+    return _checked_decision(called(reference, source.decide, situation), source, file=own_file(reference))
 
 
 def thrust_of(source: LawSource, reference: str) -> Thrust | None:
@@ -139,13 +136,13 @@ def thrust_of(source: LawSource, reference: str) -> Thrust | None:
 
     def checked(*arguments: Any) -> tuple[ca.SX, ca.SX]:
         returned = called(reference, thrust, *arguments)
-        return _check_thrust(returned, source, file=own_file(reference))
+        return _checked_thrust(returned, source, file=own_file(reference))
 
     return checked
 
 
-def _check_decision(decision: object, source: LawSource, *, file: object) -> None:
-    """Raise InputError, in one line, unless the decision has the shapes, units and names that its law requires.
+def _checked_decision(decision: object, source: LawSource, *, file: object) -> Decision:
+    """Return the decision if it has the shapes, units and names that its law requires; else raise InputError.
 
     Args:
         decision: what the function `decide` returned.
@@ -186,9 +183,10 @@ def _check_decision(decision: object, source: LawSource, *, file: object) -> Non
             raise fail("is no state port of this law", f"state.{name}", f"{nearest(name, known)}")
         if (count := symbolic(value, f"state.{name}").numel()) != known[name].size:
             raise fail(f"has {count} numbers", f"state.{name}", f"give {known[name].size}")
+    return decision
 
 
-def _check_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:
+def _checked_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:
     """Return `returned` (from a law's function `thrust`) if it is a thrust (4, 1) and a next state (4, 1).
 
     Raises:
