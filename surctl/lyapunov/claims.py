@@ -60,8 +60,8 @@ class Stability:
     @property
     def statement(self) -> str:
         """The claim in words."""
-        pace = "" if self.rate is None else f", with V decreasing at the rate {self.rate:g}"
-        return f"every solution with V(x(0)) < {self.level:g} converges to the equilibrium{pace}"
+        pace = "" if self.rate is None else f" at the rate {self.rate:g}"
+        return f"where V < {self.level:g}, V decreases{pace} and every solution converges to the equilibrium"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
@@ -133,7 +133,7 @@ class Bound:
     @property
     def statement(self) -> str:
         """The claim in words."""
-        return f"every solution with V(x(0)) < {self.level:g} stays there, and V decays to {self.ultimate:g}"
+        return f"every solution that starts where V < {self.level:g} stays there, and V decays to {self.ultimate:g}"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
