@@ -150,10 +150,10 @@ class Bound:
         """Return the inequalities to prove: the region lies in the box, V decays."""
         d = self.dynamics
         inside = [self.function - exact(self.level)]
-        push = number(0)
+        driving = number(0)
         for name, gain in self.gains.items():
-            push = push + exact(gain) * power(variable(name), 2)
-        right = -(exact(self.rate) * (self.function - exact(self.inner))) + push
+            driving = driving + exact(gain) * power(variable(name), 2)
+        right = -(exact(self.rate) * (self.function - exact(self.inner))) + driving
         claims = _stays(d, inside) if d.discrete else _faces(d, self.level, self.function)
         return [*claims, _decrease(d, self.function, right, inside)]
 

@@ -213,13 +213,13 @@ def _short(value: float, *, up: bool = False) -> float:
 def _refuted(claim: Claim, seed: int) -> Mapping[str, float] | None:
     """Return a point at which interval arithmetic confirms that the inequality fails, or None."""
     try:
-        found = search(claim, samples=_SAMPLES, starts=_STARTS, seed=seed)
+        outcome = search(claim, samples=_SAMPLES, starts=_STARTS, seed=seed)
     except InputError as error:
         if "no sample lies in its domain" in error.problem:
             return None
         raise
-    worst = found.verdict.counterexample
-    sure = None if worst is None else confirmed(claim, worst, found.violating)
+    worst = outcome.verdict.counterexample
+    sure = None if worst is None else confirmed(claim, worst, outcome.violating)
     return None if sure is None else sure.values
 
 

@@ -61,12 +61,12 @@ class Problem:
     Attributes:
         dynamics: the dynamics.
         kind: `lyapunov` (a region of attraction) or `barrier` (a set that is never reached).
-        function: V or B; None if it is to be found.
-        level: level of the region V < level; None if it is to be found.
+        function: V or B; None if it is searched.
+        level: level of the region V < level; None if it is searched.
         rate: claimed decay rate of V; None means any strict decrease.
         initial: expressions that are ≤ 0 in the initial set of a barrier claim.
         unsafe: expressions that are ≤ 0 in the unsafe set of a barrier claim.
-        multiplier: expression λ of B' ≤ λ B; None if it is to be found, and in discrete time.
+        multiplier: expression λ of B' ≤ λ B; None if it is searched, and in discrete time.
         expected: the expected verdict.
     """
 
@@ -82,7 +82,7 @@ class Problem:
 
     @property
     def claim(self) -> DynamicClaim | None:
-        """The claim, or None if a part of it is to be found."""
+        """The claim, or None if a part of it is searched."""
         if self.function is None:
             return None
         if self.kind == "lyapunov":
