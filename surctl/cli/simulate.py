@@ -175,7 +175,7 @@ def simulate(
                     if as_json:
                         progress(lines[-1])
                     lines += linear_part(run, results[-1])
-                    if run.metrics.stopped_because in ("standstill", "dead end"):
+                    if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
                         results[-1]["stop_reason"] = stop_reason(run)
                         lines.append(f"  {run.metrics.stopped_because}: {results[-1]['stop_reason']}")
                     lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from surctl.system import System
 
-__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "load_system", "seconds_option"]
+__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "listed", "load_system", "seconds_option"]
 
 seconds_option = click.option("--seconds", type=float, metavar="S", help="Duration of a run of a system [s].")
 
@@ -126,13 +126,22 @@ def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
     """Return the numbers of words NAME=VALUE by name; commas separate the entries of a vector.
 
     Raises:
-        InputError: a word does not assign a value, a value is not a number, or a name is given twice.
+        InputError: as in `listed`.
     """
     import numpy as np
 
+    return {name: np.array(v[0] if len(v) == 1 else [v]) for name, v in listed(words).items()}
+
+
+def listed(words: Sequence[str]) -> dict[str, list[float]]:
+    """Return the numbers of words NAME=V1,V2,… by name.
+
+    Raises:
+        InputError: a word does not assign a value, a value is not a number, or a name is given twice.
+    """
     from surctl.errors import InputError
 
-    values: dict[str, NDArray[np.float64]] = {}
+    values: dict[str, list[float]] = {}
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
         if not (name and equals):
@@ -140,10 +149,9 @@ def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
         if name in values:
             raise InputError("is given twice", key=name, remedy="give it once")
         try:
-            numbers = [float(number) for number in text.split(",")]
+            values[name] = [float(number) for number in text.split(",")]
         except ValueError:
             raise InputError("is not a number", key=name, value=text, remedy=f"write {name}=1.5") from None
-        values[name] = np.array(numbers[0] if len(numbers) == 1 else [numbers])
     return values
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,7 @@ def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | 
         **own.names,
         "values": {name: value.ravel().tolist() for name, value in values.items()},
         "stopped": record.stopped,
+        "not_finite": record.lost or None,
         "duration_s": record.duration,
         "costs": cost_data(own.system, record.figures),
         "files": [str(file) for file in files],
@@ -45,12 +47,15 @@ def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | 
 
 def end_text(own: OwnSystem, record: Record) -> str:
     """Return one line with the system, and when and why the run ended."""
-    return f"{own.title}: ended after {record.duration:.10g} s ({record.stopped}), control period {own.system.dt:g} s"
+    why = f"{record.stopped}: {record.lost}" if record.lost else record.stopped
+    return f"{own.title}: ended after {record.duration:.10g} s ({why}), control period {own.system.dt:g} s"
 
 
 def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
     """Return one line for each cost: name, value with unit, and what it means."""
     width = max(map(len, figures), default=0)
+    if figures and all(map(math.isnan, figures.values())):
+        return ["  no costs: a run that ends at its start, or is not finite, has none"]
     return [
         f"  {name:<{width}}  {value:.6g} {cost.unit} ({cost.how}){f'  {cost.meaning}' if cost.meaning else ''}"
         for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True)

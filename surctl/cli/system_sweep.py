@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ __all__ = ["sweep_system"]
 
 _SHOWN = 40  # largest number of points in the text output
 _MOST_JSON = 100_000  # largest number of points printed as JSON
+_MOST_REPEATED = 20_000  # largest number of control periods of a run that is repeated in Python
 _NAMED = 5  # largest number of points that a line names
 
 
@@ -26,6 +28,7 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.system import LOST, simulate_system
+    from surctl.system.values import check_scalar
     from surctl.tuning import make_design, parse_axis
 
     own = load_system(words)
@@ -36,6 +39,8 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     if as_json and len(design.points) > _MOST_JSON:
         problem = f"would print {len(design.points)} points"
         raise InputError(problem, key="--json", remedy="drop this option and read sweep.csv")
+    for name in design.names:
+        check_scalar(own.system, name)
     values = {name: design.points[:, k] for k, name in enumerate(design.names)}
     prepare_folder(out)
     runs = simulate_system(own.system, duration, values, threads=workers or 2)
@@ -48,6 +53,7 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     if lost:
         named = "; ".join(_point(design, k) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(design.points)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
+        lines += [f"  in the first of them: {name}" for name in [_lost_number(own, design, runs, lost[0])] if name]
     lines.append(f"table {table}")
     data = {
         **own.names,
@@ -64,6 +70,14 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         at = next(iter(best.values()))["at"]
         then = [command_line("simulate", own, *(f"{n}={v!r}" for n, v in at.items()), "--seconds", f"{duration:g}")]
     finish(data, lines, as_json=as_json, passed=bool(best), then=then)
+
+
+def _lost_number(own: OwnSystem, design: Design, runs: Runs, k: int) -> str:
+    """Return the number of point k that is not finite, from a run in Python; "" if that run would take too long."""
+    from surctl.system import run_system
+
+    periods = round(float(runs.time[k]) / own.system.dt) + 2
+    return run_system(own.system, periods * own.system.dt, _at(design, k)).lost if periods < _MOST_REPEATED else ""
 
 
 def _at(design: Design, k: int) -> dict[str, float]:
@@ -90,7 +104,9 @@ def _columns(own: OwnSystem, design: Design, runs: Runs) -> dict[str, list[Any]]
 def _rows(own: OwnSystem, design: Design, runs: Runs) -> list[str]:
     rows, units = [], {name: cost.unit for name, cost in own.system.costs.items()}
     for k in range(min(len(design.points), _SHOWN)):
-        costs = "  ".join(f"{name}={values[k]:.6g} {units[name]}" for name, values in runs.figures.items())
+        figures = {name: float(values[k]) for name, values in runs.figures.items()}
+        costs = "  ".join(f"{name}={value:.6g} {units[name]}" for name, value in figures.items())
+        costs = "no costs" if all(map(math.isnan, figures.values())) else costs
         rows.append(f"  {_point(design, k)}: {costs}{_ended(str(runs.stopped[k]), float(runs.time[k]))}")
     more = len(design.points) - _SHOWN
     return [*rows, f"  ... and {more} more points in the table"] if more > 0 else rows

@@ -13,10 +13,11 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.system.loop import System
 
-__all__ = ["RunNumbers", "run_numbers"]
+__all__ = ["RunNumbers", "check_scalar", "run_numbers"]
 
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
+_NAMED = 4  # largest number of entries that a message names
 
 
 @dataclass(frozen=True)
@@ -48,10 +49,7 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
     Raises:
         InputError: a name is unknown, a number is not finite, or the arrays are for different numbers of runs.
     """
-    layouts: dict[str, Layout] = {
-        "gains": system.controller.gains, "plant": system.plant.parameters, "reference": system.references,
-        "disturbance": system.plant.disturbances, "start": system.plant.state,
-    }  # fmt: skip
+    layouts = _layouts(system)
     placed: list[tuple[str, slice, Array]] = []
     count = 1
     for name, value in values.items():
@@ -79,6 +77,27 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
     for group, place, array in placed:
         tables[group][:, place] = array
     return RunNumbers(*(tables[name] for name in ("start", "plant", "reference", "disturbance", "gains")))
+
+
+def check_scalar(system: System, name: str) -> None:
+    """Raise InputError if a name does not denote a single number of the system; the message names the entries.
+
+    Args:
+        system: the closed loop.
+        name: name of a number, as in `run_numbers`.
+    """
+    _, place = _place(name, _layouts(system))
+    size = place.stop - place.start
+    if size > 1:
+        entries = ", ".join(f"{name}[{k}]" for k in range(min(size, _NAMED))) + ", …" * (size > _NAMED)
+        raise InputError(f"has {size} entries", key=name, remedy=f"name one: {entries}")
+
+
+def _layouts(system: System) -> dict[str, Layout]:
+    return {
+        "gains": system.controller.gains, "plant": system.plant.parameters, "reference": system.references,
+        "disturbance": system.plant.disturbances, "start": system.plant.state,
+    }  # fmt: skip
 
 
 def _place(name: str, layouts: Mapping[str, Layout]) -> tuple[str, slice]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.system import ENDED, System, linearise, simulate_system
-from surctl.system.values import run_numbers
+from surctl.system.values import check_scalar, run_numbers
 from surctl.verification import system_disk_margin
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
@@ -155,6 +155,7 @@ def check_tuning(
             raise InputError("is not a range", key=gain, value=tuple(ends), remedy="give (low, high) with low < high")
         if gain.startswith(("plant.", "reference.", "disturbance.", "start.")):
             raise InputError("is not a gain", key=gain, remedy="tune gains of the controller; put it into the cases")
+        check_scalar(system, gain)
     run_numbers(system, {**{gain: ends[0] for gain, ends in ranges.items()}, **cases})
     return name
 
