@@ -259,9 +259,7 @@ def tune(
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
     arguments = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
     law = [*law_words(plan.law), "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
-    then = export_command(
-        about[1], about[3], str(gains_path), law=plan.law, guidance=kind["guidance"], sensing="truth"
-    )
+    then = export_command(about[1], about[3], str(gains_path), law=plan.law, guidance=kind["guidance"], sensing="truth")
     if law_source(plan.law).parts:  # the claims are about parts of the built-in laws
         then = [shlex.join(["surctl", "verify", *arguments]), *then]
     if not tuning.accepted:

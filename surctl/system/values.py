@@ -13,7 +13,7 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.system.loop import System
 
-__all__ = ["RunNumbers", "check_scalar", "run_numbers"]
+__all__ = ["RunNumbers", "check_scalar", "every_combination", "run_numbers"]
 
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
@@ -77,6 +77,39 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
     for group, place, array in placed:
         tables[group][:, place] = array
     return RunNumbers(*(tables[name] for name in ("start", "plant", "reference", "disturbance", "gains")))
+
+
+def every_combination(*groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Return the numbers of runs for every combination of the rows of groups; the rows of the first group vary slowest.
+
+    Args:
+        groups: numbers by name, as in `run_numbers`: scalars, (n,) or (n, size); the arrays of a group with more than
+            one row have equal n.
+
+    Raises:
+        InputError: a name is in two groups, or the arrays of a group have different lengths.
+
+    Example:
+        >>> from surctl.system import every_combination
+        >>> runs = every_combination({"k": [1.0, 2.0]}, {"start.x": [0.1, 0.2, 0.3], "plant.mass": 5.0})
+        >>> runs["k"].tolist(), runs["start.x"].tolist(), float(runs["plant.mass"])
+        ([1.0, 1.0, 1.0, 2.0, 2.0, 2.0], [0.1, 0.2, 0.3, 0.1, 0.2, 0.3], 5.0)
+    """
+    combined: dict[str, Array] = {}
+    count = 1
+    for group in groups:
+        arrays = {name: np.asarray(value, dtype=float) for name, value in group.items()}
+        rows = max((len(array) for array in arrays.values() if array.ndim), default=1)
+        combined = {name: np.repeat(array, rows, axis=0) if array.ndim else array for name, array in combined.items()}
+        for name, array in arrays.items():
+            if name in combined:
+                raise InputError("is in two groups", key=name, remedy="give it once")
+            if array.ndim and len(array) not in (1, rows):
+                raise InputError(f"has {len(array)} rows, others {rows}", key=name, remedy="give one length")
+            whole = np.broadcast_to(array, (rows, *array.shape[1:])) if array.ndim else array
+            combined[name] = np.concatenate([whole] * count) if array.ndim else array
+        count *= rows
+    return combined
 
 
 def check_scalar(system: System, name: str) -> None:

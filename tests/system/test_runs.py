@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Plant, System, run_system, simulate_system
+from surctl.system import Controller, Plant, System, every_combination, run_system, simulate_system
 from tests.system.examples import COSTS, LIMIT, level, pendulum
 from tests.tools import need_compiler
 
@@ -104,6 +104,16 @@ def test_a_run_that_is_stopped_counts_no_period_after_the_stop() -> None:
     assert runs["energy"][0] == pytest.approx(records[0].figures["energy"], rel=1e-12)
     for name in COSTS:
         assert np.isnan(runs[name][1]) and np.isnan(records[1].figures[name]) and not np.isnan(runs[name][0])
+
+
+def test_every_combination_is_one_run() -> None:
+    runs = every_combination({"k": [1, 2], "q": [[5, 6]]}, {"start.x": [0.1, 0.2, 0.3], "plant.m": 3.0})
+    assert runs["k"].tolist() == [1, 1, 1, 2, 2, 2] and runs["start.x"].tolist() == [0.1, 0.2, 0.3] * 2
+    assert runs["q"].tolist() == [[5, 6]] * 6 and runs["plant.m"].shape == ()
+    with pytest.raises(InputError, match="q: is in two groups"):
+        every_combination({"q": 1}, {"q": 2})
+    with pytest.raises(InputError, match="q: has 2 rows, others 3"):
+        every_combination({"q": [1, 2], "k": [1, 2, 3]})
 
 
 def test_twelve_states_with_twelve_inputs() -> None:
