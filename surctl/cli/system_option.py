@@ -32,12 +32,21 @@ class OwnSystem:
         word: FILE.py:FUNCTION as typed.
         label: FILE.py:FUNCTION without folder.
         settings: further words of the command line.
+        sha256: SHA-256 of the text of the file.
     """
 
     system: System
     word: str
     label: str
     settings: tuple[str, ...]
+    sha256: str
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """Return the version of surctl, and name and SHA-256 of the file that the system comes from."""
+        from surctl import __version__
+
+        return {"source": f"surctl {__version__}", "system": self.label, "file_sha256": self.sha256}
 
     @property
     def title(self) -> str:
@@ -119,7 +128,8 @@ def load_system(words: Sequence[str]) -> OwnSystem:
     from surctl.system import System
 
     reference = pinned(words[0], key="system")
-    return OwnSystem(object_of(reference, System, key="system"), words[0], label(reference), tuple(words[1:]))
+    system, sha256 = object_of(reference, System, key="system"), reference.rpartition("#")[2]
+    return OwnSystem(system, words[0], label(reference), tuple(words[1:]), sha256)
 
 
 def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,11 +14,11 @@ from surctl.cli.system_option import OwnSystem, assigned, command_line, load_sys
 if TYPE_CHECKING:
     from surctl.system import Record, System
 
-__all__ = ["cost_data", "cost_lines", "end_text", "simulate_system", "write_table"]
+__all__ = ["cost_data", "cost_lines", "end_text", "simulate_system"]
 
 
-def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | None, as_json: bool) -> None:
-    """Simulate one run, print how it ended and its costs, and write its signals and their plot to `out`."""
+def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool) -> None:
+    """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
     from surctl.files import prepare_folder
     from surctl.system import LOST, run_system
 
@@ -29,7 +28,7 @@ def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | 
         prepare_folder(out)
     record = run_system(own.system, duration, values)
     lines = [end_text(own, record), *cost_lines(own.system, record.figures)]
-    files = [] if out is None else _write(own, record, out)
+    files = [] if out is None else _write(own, record, out, save)
     lines += [f"  {file}" for file in files]
     data = {
         **own.names,
@@ -70,23 +69,14 @@ def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> Path:
-    """Write columns as CSV, with all digits that are needed to restore each number; return the path."""
-    from surctl.files import write_file
-
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(columns)
-    rows.writerows(zip(*columns.values(), strict=True))
-    return write_file(path, text.getvalue())
-
-
-def _write(own: OwnSystem, record: Record, out: Path) -> list[Path]:
+def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
     from surctl.report import save_record_plot
+    from surctl.system import save_record
 
     name = f"{own.system.plant.name}-{own.system.controller.name}"
-    table = {head: column.tolist() for head, column in record.table().items()}
-    return [save_record_plot(record, out, name=name), write_table(out / f"{name}.csv", table)]
+    origin = own.origin | {"values": json.dumps({n: v.tolist() for n, v in assigned(own.settings).items()})}
+    file = save_record(record, out / f"{name}.{kind}", about=origin)
+    return [save_record_plot(record, out, name=name), file]
 
 
 def _sweep(own: OwnSystem, seconds: float) -> str:

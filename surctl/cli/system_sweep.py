@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from surctl.cli.output import finish
 from surctl.cli.system_option import OwnSystem, command_line, load_system
-from surctl.cli.system_simulate import write_table
 
 if TYPE_CHECKING:
     from surctl.system import Runs
@@ -27,6 +26,7 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     """Simulate a run at each point of the grid in compiled code; print each cost's range and best point."""
     from surctl.errors import InputError
     from surctl.files import prepare_folder
+    from surctl.recorded_write import write_csv
     from surctl.system import LOST, simulate_system
     from surctl.system.values import check_scalar
     from surctl.tuning import make_design, parse_axis
@@ -44,7 +44,8 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     values = {name: design.points[:, k] for k, name in enumerate(design.names)}
     prepare_folder(out)
     runs = simulate_system(own.system, duration, values, threads=workers or 2)
-    table = write_table(out / "sweep.csv", _columns(own, design, runs))
+    table = write_csv(out / "sweep.csv", _columns(own, design, runs))
+    dataset = _write_dataset(own, design, runs, out / "sweep.nc", seconds=duration)
     best = _best(own, design, runs)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
     lines = [f"{own.title}: {len(design.points)} runs of {duration:g} s, control period {own.system.dt:g} s"]
@@ -54,7 +55,7 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         named = "; ".join(_point(design, k) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(design.points)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
         lines += [f"  in the first of them: {name}" for name in [_lost_number(own, design, runs, lost[0])] if name]
-    lines.append(f"table {table}")
+    lines.append(f"table {table}, netCDF {dataset}")
     data = {
         **own.names,
         "seconds": duration,
@@ -64,6 +65,7 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         "best": best,
         "not_finite": [_at(design, k) for k in lost],
         "table": str(table),
+        "netcdf": str(dataset),
     }
     then = []
     if best:
@@ -99,6 +101,27 @@ def _columns(own: OwnSystem, design: Design, runs: Runs) -> dict[str, list[Any]]
     for name, cost in own.system.costs.items():
         columns[f"{name} [{cost.unit}]"] = runs[name].tolist()
     return columns | {"stopped": runs.stopped.tolist(), "duration [s]": runs.time.tolist()}
+
+
+def _write_dataset(own: OwnSystem, design: Design, runs: Runs, path: Path, *, seconds: float) -> Path:
+    """Write axes (as dimensions), costs, durations, and reasons of the ends of runs as netCDF; return the path."""
+    import numpy as np
+
+    from surctl.recorded_write import Column, write_netcdf
+    from surctl.system.record_file import identity
+    from surctl.system.values import unit_of
+
+    axes = [np.unique(design.points[:, k]) for k in range(len(design.names))]
+    columns = {
+        name: Column(values, unit_of(own.system, name), name) for name, values in zip(design.names, axes, strict=True)
+    }
+    for name, cost in own.system.costs.items():
+        columns[name] = Column(runs[name], cost.unit, cost.meaning or name)
+    columns["run.stopped"] = Column(runs.stopped, "", "why the run ended")
+    columns["run.duration"] = Column(runs.time, "s", "duration of the run")
+    sizes = dict(zip(design.names, design.shape, strict=True))
+    attributes = identity(own.system) | own.origin | {"seconds": seconds}
+    return write_netcdf(path, columns, sizes=sizes, attributes=attributes)
 
 
 def _rows(own: OwnSystem, design: Design, runs: Runs) -> list[str]:

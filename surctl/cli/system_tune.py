@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from surctl.cli.output import finish, progress
 from surctl.cli.system_option import OwnSystem, command_line, listed, load_system
-from surctl.cli.system_simulate import cost_data, write_table
+from surctl.cli.system_simulate import cost_data
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,6 +32,7 @@ def tune_own_system(
 ) -> None:
     """Search gains, write them, and print costs and disk margin; exit with status 1 if a bound is violated."""
     from surctl.files import prepare_folder
+    from surctl.recorded_write import write_csv
     from surctl.tuning import tune_system
     from surctl.tuning.systems import check_tuning
 
@@ -41,7 +42,7 @@ def tune_own_system(
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
     result = tune_system(own.system, duration, space, cases=cases, trials=trials, seed=seed, threads=workers)
-    table = write_table(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+    table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
     lines = [f"{own.title}: {result.trials} gain sets, runs of {duration:g} s", *_lines(own, result), f"gains {table}"]
     data = {
         **own.names,

@@ -15,6 +15,7 @@ from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Parts, Plant
 from surctl.system.plant_linear import linearise_plant
 from surctl.system.record import Record, run_system
+from surctl.system.record_file import save_record
 from surctl.system.runs import ENDED, LOST, Runs, periods, simulate_system
 from surctl.system.values import every_combination
 
@@ -45,5 +46,6 @@ __all__ = [
     "linearise_plant",
     "periods",
     "run_system",
+    "save_record",
     "simulate_system",
 ]

@@ -67,9 +67,9 @@ def linearise_plant(
 def plant_matrices(plant: Plant, x: Array, f: Array, d: Array, p: Array) -> tuple[Array, ...]:
     """Return (A, B, E, C, D) of a plant about a flat point: x' = A x + B f + E d and y = C x + D d."""
     symbols = [ca.SX.sym(name, len(part)) for name, part in zip("xfd", (x, f, d), strict=True)]
-    at, _, disturbance = symbols
+    at, force, disturbance = symbols
     numbers = ca.SX(ca.DM(p))
-    rate, y = plant.derivative(*symbols, numbers), plant.measurement(at, disturbance, numbers)
+    rate, y = plant.derivative(at, force, disturbance, numbers), plant.measurement(at, disturbance, numbers)
     jacobians = [ca.jacobian(rate, v) for v in symbols] + [ca.jacobian(y, v) for v in (at, disturbance)]
     return tuple(np.array(m) for m in ca.Function("plant", symbols, jacobians).call([x, f, d]))
 

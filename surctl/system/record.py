@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, on_vectors
+from surctl.recorded_write import Column
 from surctl.system.controller import NONFINITE, lost_entry
 from surctl.system.loop import How, System, once_per_system
 from surctl.system.parts import entry_labels, entry_units, not_finite
@@ -70,13 +71,21 @@ class Record:
 
     def table(self) -> dict[str, Array]:
         """Return time, all entries of all signals, and status as columns (n,), by a label with the unit."""
-        columns: dict[str, Array] = {"time [s]": self.time}
+        return {f"{label} [{column.unit}]": column.values for label, column in self.columns().items()}
+
+    def columns(self) -> dict[str, Column]:
+        """Return time, all entries of all signals, and status with values (n,), unit and meaning, by label.
+
+        A signal with the label `time` or `status` gets a trailing underscore.
+        """
+        columns = {"time": Column(self.time, "s", "time since the start")}
         for name, port in self.ports().items():
             alone = Layout((port,))
             labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
-            heads = (f"{label} [{unit}]" for label, unit in zip(labels, entry_units(alone), strict=True))
-            columns |= dict(zip(heads, self.signals[name].T, strict=True))
-        return columns | {"status [1]": self.status.astype(float)}
+            for label, unit, values in zip(labels, entry_units(alone), self.signals[name].T, strict=True):
+                key = f"{label}_" if label in ("time", "status") else label
+                columns[key] = Column(values, unit, f"{label}: {port.meaning}" if port.meaning else label)
+        return columns | {"status": Column(self.status.astype(float), "1", "status of the controller's steps")}
 
 
 def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None) -> Record:

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.system.loop import System
+from surctl.system.parts import entry_units
 
-__all__ = ["RunNumbers", "check_scalar", "every_combination", "run_numbers"]
+__all__ = ["RunNumbers", "check_scalar", "every_combination", "run_numbers", "unit_of"]
 
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
@@ -119,11 +120,22 @@ def check_scalar(system: System, name: str) -> None:
         system: the closed loop.
         name: name of a number, as in `run_numbers`.
     """
-    _, place = _place(name, _layouts(system))
-    size = place.stop - place.start
+    size = len(_entries(system, name))
     if size > 1:
         entries = ", ".join(f"{name}[{k}]" for k in range(min(size, _NAMED))) + ", …" * (size > _NAMED)
         raise InputError(f"has {size} entries", key=name, remedy=f"name one: {entries}")
+
+
+def unit_of(system: System, name: str) -> str:
+    """Return the unit of a single number of the system, which has a name as in `run_numbers`."""
+    return _entries(system, name)[0]
+
+
+def _entries(system: System, name: str) -> list[str]:
+    # units of the entries that the name denotes
+    layouts = _layouts(system)
+    group, place = _place(name, layouts)
+    return entry_units(layouts[group])[place]
 
 
 def _layouts(system: System) -> dict[str, Layout]:

@@ -11,6 +11,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+import xarray
 from click.testing import CliRunner, Result
 
 from surctl.cli.app import app
@@ -127,6 +128,12 @@ def test_a_run_gives_the_figures_and_signals_of_the_system(file: str) -> None:
     ]  # fmt: skip
     np.testing.assert_array_equal(np.array(rows, dtype=float)[:, 2:4], record["pose"])
     assert Path("out/pool-pump.png").stat().st_size > 10_000
+    assert data(*words, "--out", "out", "--save", "nc")["files"][1] == "out/pool-pump.nc"
+    with xarray.open_dataset("out/pool-pump.nc") as read:
+        np.testing.assert_array_equal(read["pose[1]"].values, np.asarray(record["pose"])[:, 1])
+        assert (read["pose[1]"].units, read["f"].units, read.time.units) == ("rad", "m/s", "s")
+        assert read.attrs["system_sha256"] == own(file).digest() and read.attrs["system"] == "mine.py:build"
+        assert json.loads(read.attrs["values"])["reference.goal"] == 0.5
     assert "final  0.5" in run(*words).stdout and "m (final)  at the end" in run(*words).stdout
     high = data("simulate", file, "start.x=6", "--seconds", "0.5")
     assert (high["stopped"], high["duration_s"], high["costs"]["work"]["value"]) == ("high", 0.0, None)
@@ -178,6 +185,12 @@ def test_a_sweep_gives_the_costs_of_each_run(file: str) -> None:
     with Path("swept/sweep.csv").open(newline="") as text:
         head, *rows = csv.reader(text)
     assert head == ["k", "plant.blow", "final [m]", "work [m/s]", "stopped", "duration [s]"] and len(rows) == 6
+    with xarray.open_dataset(done["netcdf"]) as read:
+        np.testing.assert_array_equal(read["final"].values, runs["final"].reshape(3, 2))
+        assert read["final"].dims == ("k", "plant.blow") and read["k"].values.tolist() == [0, 1, 2]
+        assert (read["k"].units, read["final"].units, read["final"].long_name) == ("1/s", "m", "at the end")
+        assert read["run.stopped"].values.ravel().tolist() == runs.stopped.tolist()
+        assert read.attrs["controller_sha256"] == own(file).controller.block.digest()
     text = run(*words).stdout
     assert (
         f"{np.count_nonzero(~finite)} of 6 runs are not finite: k=0, plant.blow=1" in text and "least final: " in text
@@ -213,6 +226,7 @@ MISTAKES = {
     "a number twice": (("verify", "mine.py:build", "k=1", "k=2"), "k: is given twice"),
     "an infinite number": (("verify", "mine.py:build", "k=inf"), "k: is not finite"),
     "too many entries": (("verify", "mine.py:build", "start.pose=1,2,3"), "start.pose: has shape"),
+    "no folder": (("simulate", "mine.py:build", "--save", "nc", "--seconds", "1"), "--save: needs an output folder"),
     "no duration": (("simulate", "mine.py:build"), "--seconds: is missing"),
     "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is no duration"),
     "duration nan": (("sweep", "mine.py:build", "k=1", "--seconds", "nan"), "--seconds = nan: is no duration"),
