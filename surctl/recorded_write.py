@@ -39,6 +39,12 @@ def write_csv(path: Path, columns: Mapping[str, Sequence[Any]]) -> Path:
 
     Raises:
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.recorded_write import write_csv
+        >>> write_csv(Path("run.csv"), {"time [s]": [0.0, 0.1], "end": ["", "fallen"]}).read_text()
+        'time [s],end\\n0.0,\\n0.1,fallen\\n'
     """
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
@@ -52,6 +58,16 @@ def write_mat(path: Path, columns: Mapping[str, Column], *, texts: Mapping[str, 
 
     Raises:
         InputError: the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> from scipy.io import loadmat
+        >>> from surctl.recorded_write import Column, write_mat
+        >>> depth = Column(np.array([1.0, 1.5]), "m", "below the surface")
+        >>> read = loadmat(write_mat(Path("run.mat"), {"depth": depth}, texts={"about": "a dive"}), simplify_cells=True)
+        >>> read["depth"].tolist(), read["units"], read["about"]
+        ([1.0, 1.5], {'depth': 'm'}, 'a dive')
     """
     from scipy.io import savemat
 
@@ -78,6 +94,17 @@ def write_netcdf(
 
     Raises:
         InputError: the disk is full, or the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> import xarray
+        >>> from surctl.recorded_write import Column, write_netcdf
+        >>> depth, k = Column(np.array([1.0, 1.5]), "m", "below the surface"), Column(np.array([3, 4]), "1", "gain")
+        >>> file = write_netcdf(Path("sweep.nc"), {"k": k, "depth": depth}, sizes={"k": 2}, attributes={"by": "me"})
+        >>> with xarray.open_dataset(file) as read:
+        ...     print(read["depth"].sel(k=4).item(), read["depth"].units, read.attrs["by"])
+        1.5 m me
     """
     import netCDF4
 
