@@ -29,7 +29,9 @@ from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text,
 
 __all__ = ["check"]
 
-_MOTION = {"name", "time", "property", "states", "parameters", "dynamics", "function", "level", "rate"}
+_MOTION = {
+    "name", "time", "property", "states", "parameters", "dynamics", "function", "level", "rate", "about",
+}  # fmt: skip
 _FRAME = {"format", "version", "kind", "claim", "sha256", "change", "proofs"}
 _LARGEST_POWER = 8
 

@@ -143,6 +143,9 @@ def read_motion(claim: Mapping[str, Any]) -> Motion:
     if any(low == high for low, high in box):
         raise Rejected("the range of a state has no width")
     printable(claim["name"])
+    about = claim["about"]
+    if about and (not isinstance(about, dict) or set(about) != {"plant", "controller", "gains"}):
+        raise Rejected("the certificate does not state plant, controller and gains that the dynamics are about")
     return Motion(states, names, ranges, [dynamics[name] for name in states], claim["time"] == "discrete")
 
 

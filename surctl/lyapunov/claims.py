@@ -222,6 +222,7 @@ def _plain(dynamics: Dynamics, what: str) -> dict[str, Any]:
         "name": dynamics.name,
         "time": dynamics.time,
         "property": what,
+        "about": dict(dynamics.about),
         "states": [entry(s) for s in dynamics.states],
         "parameters": [entry(w) for w in dynamics.parameters],
         "dynamics": {s.name: text_of(rate) for s, rate in zip(dynamics.states, dynamics.rates, strict=True)},
