@@ -44,7 +44,7 @@ from surctl.certcheck.enclosure import (
     rational,
     span,
 )  # fmt: skip
-from surctl.certcheck.expressions import BRANCHES, FUNCTIONS, ExpressionTable
+from surctl.certcheck.expressions import BRANCHES, RESERVED, ExpressionTable
 from surctl.certcheck.identity import Exact, Fraction_, Sum
 from surctl.certcheck.patience import go_on
 
@@ -80,7 +80,7 @@ class _Claim:
         for name in names:
             if not isinstance(name, str) or not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
                 raise Rejected(f"{name!r} is not a name of a variable: use letters A-Z and a-z, digits and _ only")
-            if name == "pi" or name in FUNCTIONS:
+            if name in RESERVED:
                 raise Rejected(f"the variable {name!r} has the name of a number or a function")
         for word in (claim["name"], claim["unit"], *(v["unit"] for v in variables)):
             if not isinstance(word, str) or not word.isprintable():
