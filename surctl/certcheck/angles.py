@@ -1,4 +1,4 @@
-"""Proved intervals for sines, cosines, tangents and angles, in fixed-point arithmetic with an error bound and outward rounding.
+"""Proved intervals for sines, cosines, tangents and angles, in fixed-point arithmetic with error bounds.
 
 A fixed-point number is an integer number of units of 2^-128. Every sum in this module has at most 40 terms. The error
 of a term is less than 3 units, because truncation of a product or quotient costs less than one unit and the errors of
@@ -164,9 +164,10 @@ def circle(a: Interval) -> tuple[Interval, Interval]:
 def tangent(a: Interval) -> Interval | None:
     """Return the range of the tangent on an interval; None if the interval may contain a pole, or is too large.
 
-    `_at` numbers the quarter turns by k, so the branch of the tangent between two poles has the number ⌊(k + 1)/2⌋. Near
-    a multiple of π/2, k may be off by one. At an even multiple this does not change the branch. Within 2^11 units of an
-    odd multiple the interval of the cosine contains 0, and the result is None. On one branch the tangent increases.
+    `_at` numbers the quarter turns by k, so the branch of the tangent between two poles has the number ⌊(k + 1)/2⌋.
+    Near a multiple of π/2, k may be off by one. At an even multiple this does not change the branch. Near an odd
+    multiple, within 2^10 units, the interval of the cosine contains 0, and the result is None. On one branch the
+    tangent increases.
     """
     if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
         return None

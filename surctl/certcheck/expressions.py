@@ -41,7 +41,7 @@ _OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
 
 @dataclass(frozen=True)
 class Entry:
-    """One operation; `value` is the number (of `num`), the exponent (of `pow` and `powr`) or the variable's index (of `var`)."""
+    """One operation; `value` is the number of `num`, the exponent of `pow` and `powr`, or the index of the variable."""
 
     op: str
     args: tuple[int, ...] = ()

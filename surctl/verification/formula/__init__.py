@@ -2,7 +2,8 @@
 
 from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
 from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse
-from surctl.verification.formula.symbolic import from_casadi, to_casadi
+from surctl.verification.formula.reader import from_casadi
+from surctl.verification.formula.symbolic import to_casadi
 from surctl.verification.formula.text import text_of
 
 __all__ = [
