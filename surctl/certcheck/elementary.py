@@ -1,6 +1,6 @@
 """Values and derivatives of the checker's functions of one variable that `surctl.certcheck.exponentials` bounds.
 
-The formulas are those of the prover, so that a proof found with its wider intervals is accepted.
+The formulas are those of the prover, so that a proof with its wider intervals is accepted.
 """
 
 from __future__ import annotations
@@ -125,5 +125,5 @@ def _of_power(x: Interval, e: Fraction) -> tuple[Interval, Interval]:
 
 def _power_or_line(x: Interval, e: Fraction) -> Interval:
     # the whole line if a negative power is unbounded at 0
-    found = None if e < 0 and x[0] == libmp.fzero else real_power(x, e)
-    return _LINE if found is None else found
+    bounds = None if e < 0 and x[0] == libmp.fzero else real_power(x, e)
+    return _LINE if bounds is None else bounds

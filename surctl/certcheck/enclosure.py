@@ -180,8 +180,8 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
             jet = _power(args[0], abs(value.numerator))
             return jet if value >= 0 else _reciprocal(jet)
         case _ if op in ELEMENTARY:
-            jet, (found, derivatives) = args[0], elementary(op, args[0].value, value)
-            return Jet(found) if jet.slope is None else _chain(jet, found, derivatives())
+            jet, (image, derivatives) = args[0], elementary(op, args[0].value, value)
+            return Jet(image) if jet.slope is None else _chain(jet, image, derivatives())
         case "atan2":
             return _angle(args[0], args[1])
         case "atan":

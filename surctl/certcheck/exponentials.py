@@ -163,8 +163,8 @@ def _tanh_of(x: Raw) -> Interval:
         s, k = _grown(-_fixed(libmp.mpf_shift(libmp.mpf_abs(x), 1), m), m)
         w = s >> -k
     low, high = _scaled(((_UNIT - w) << _W) // (_UNIT + w), 0)
-    found = low, (high if libmp.mpf_lt(high, libmp.fone) else libmp.fone)
-    return libmp.mpi_neg(found) if x[0] else found
+    bounds = low, (high if libmp.mpf_lt(high, libmp.fone) else libmp.fone)
+    return libmp.mpi_neg(bounds) if x[0] else bounds
 
 
 @lru_cache(8192)
