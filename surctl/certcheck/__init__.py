@@ -30,7 +30,7 @@ from surctl.certcheck.patience import PATIENCE, patient
 
 __all__ = ["KINDS", "PATIENCE", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
 
-KINDS = ("braking", "heading", "interval", "region")
+KINDS = ("barrier", "braking", "heading", "interval", "lyapunov", "region")
 """The kinds of certificate; each kind is a module of this package."""
 
 _MALFORMED = (
@@ -140,6 +140,8 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
 
 def _proves(kind: str, claim: Mapping[str, Any]) -> str:
     """Return a sentence that states what an accepted inequality proves."""
+    if kind in ("barrier", "lyapunov"):
+        return _proves_motion(claim)
     if kind != "interval":
         return ""
     if not claim["slack"]:
@@ -149,6 +151,24 @@ def _proves(kind: str, claim: Mapping[str, Any]) -> str:
         f"left <= right + {slack} on the whole domain: left <= right is proved to within {slack}; "
         "a rate that may be positive by that much is no proof of asymptotic stability"
     )
+
+
+def _proves_motion(claim: Mapping[str, Any]) -> str:
+    """Return a sentence that states what an accepted claim about solutions proves."""
+    discrete = claim["time"] == "discrete"
+    if claim["property"] == "safety":
+        return "no solution that starts in the initial set reaches the unsafe set, as long as it stays in the box"
+    region = f"every solution that starts in the box where V < {claim['level']:g} stays there"
+    if claim["property"] == "bound":
+        return f"{region}, and V decays to the stated bound"
+    if claim["rate"] is None:
+        return f"{region} and converges to the equilibrium, which is asymptotically stable"
+    pace = (
+        f"falls by at least {claim['rate']:g} of its value in every step"
+        if discrete
+        else (f"decays at least as exp(-{claim['rate']:g} t)")
+    )
+    return f"{region} and converges to the equilibrium: V {pace}"
 
 
 def _checker(kind: str) -> Any:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from surctl.verification.proving.statement import Statement
 
 __all__ = ["Claim", "Motion", "Variable", "VerdictWord"]
 
@@ -83,6 +86,8 @@ class Claim:
         paper: whether the claim comes from the paper, either as printed or in corrected form.
         tolerance: relative tolerance for rounding: a point refutes the claim only if left − right exceeds `tolerance`
             times the largest |left| or |right| at the evaluated points.
+        exact: the claim with exact numbers, if it was stated with them; None means that the prover reads the numbers of
+            `left`, `right` and `constraints` as decimals.
     """
 
     name: str
@@ -99,6 +104,7 @@ class Claim:
     motion: Motion | None = None
     tolerance: float = 1e-9
     paper: bool = True
+    exact: Statement | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Raise an InputError, which names the claim, if the claim cannot be checked."""
@@ -163,7 +169,11 @@ class Claim:
             for v in self.variables
         )
         witnesses = tuple(w for w in self.witnesses if all(v.lower <= w[v.name] <= v.upper for v in variables))
-        return replace(self, variables=variables, witnesses=witnesses)
+        exact = self.exact
+        if exact is not None:
+            ends = np.array([(v.lower, v.upper) for v in variables], dtype=float)
+            exact = replace(exact, lower=ends[:, 0], upper=ends[:, 1])
+        return replace(self, variables=variables, witnesses=witnesses, exact=exact)
 
     def _loose_symbols(self) -> list[str]:
         everything = [self.left, self.right, self.constraints]

@@ -1,5 +1,6 @@
 """The claim grammar: conversion between text, expression trees with exact numbers, and CasADi expressions."""
 
+from surctl.verification.formula.derivative import derivative, substitute
 from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
 from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse
 from surctl.verification.formula.reader import from_casadi
@@ -10,12 +11,14 @@ __all__ = [
     "FUNCTIONS",
     "IDENTIFIER",
     "Node",
+    "derivative",
     "from_casadi",
     "number",
     "ordered",
     "parse",
     "power",
     "rebuilt",
+    "substitute",
     "text_of",
     "to_casadi",
     "variable",

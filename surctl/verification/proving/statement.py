@@ -68,6 +68,8 @@ def statement_of(claim: Claim) -> Statement:
         UnsupportedOperation: the claim has an operation that the claim grammar lacks.
         InputError: an expression is too long to write out.
     """
+    if claim.exact is not None:
+        return claim.exact
     names = tuple(v.name for v in claim.variables)
     rows = [claim.constraints[k] for k in range(claim.constraints.numel())]
     nodes = from_casadi(claim.symbols, names, [claim.left, claim.right, *rows])

@@ -1,0 +1,133 @@
+"""Check of a certificate of kind `lyapunov`, which claims a region of attraction or an ultimate bound.
+
+Ω is the set of all states in the box with V < level. The claim has one of two properties.
+
+`stability`: every solution that starts in Ω stays in Ω and converges to the equilibrium, which is asymptotically
+stable. With a rate, V also decays at least as exp(−rate t), or by the factor 1 − rate in each step. The proof shows,
+with r² = Σ ((x_k − x*_k)/scale_k)²:
+
+1. V ≥ factor · (r²)^power with factor > 0 where V ≤ level (`positive`);
+2. V ≥ level on every face of the box (continuous time), or that a successor lies in the box (discrete time);
+3. the change of V is at most −rate · V, or, without a rate, at most −factor · (r²)^power (`decrease`).
+
+`bound`: every solution that starts in Ω stays in Ω, and V decays to the bound: V' ≤ −rate · (V − inner) + Σ gain_j w_j²
+for the parameters w_j of `gains`, so that V ends below inner + max Σ gain_j w_j² / rate, which must not exceed level. V
+need not be positive.
+
+The change of V (`change`) is compared with the one that the checker computes from the dynamics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.inequality import listed, number
+from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion
+
+__all__ = ["check"]
+
+_MOTION = {"name", "time", "property", "states", "parameters", "dynamics", "function", "level", "rate"}
+_FRAME = {"format", "version", "kind", "claim", "sha256", "change", "proofs"}
+_LARGEST_POWER = 8
+
+
+def check(document: Mapping[str, Any]) -> None:
+    """Raise Rejected unless the certificate proves its claim."""
+    claim = document["claim"]
+    motion = read_motion(claim)
+    function = claim["function"]
+    change = motion.verify_change(function, document["change"])
+    inside = [f"({function}) - {decimal_text(claim['level'])}"]
+    if claim["property"] == "stability":
+        needed = _stability(document, motion, function, change, inside)
+    elif claim["property"] == "bound":
+        needed = _bound(document, motion, function, change, inside)
+    else:
+        raise Rejected(f"the property {claim['property']!r} is not known")
+    check_all(needed, document["proofs"])
+
+
+def _stability(
+    document: Mapping[str, Any], motion: Motion, function: str, change: str, inside: Sequence[str]
+) -> list[Obligation]:
+    claim = document["claim"]
+    if set(claim) != _MOTION | {"equilibrium"} or set(document) != _FRAME | {"scales", "positive", "decrease"}:
+        raise Rejected("the certificate has missing or unknown keys")
+    level = decimal_text(claim["level"])
+    distance = _distance(motion, claim["equilibrium"], listed(document["scales"]))
+    states = motion.states, motion.state_box
+    needed = [Obligation(*states, _power(distance, document["positive"]), function, inside)]
+    needed += motion.stays(inside) if motion.discrete else _faces(motion, level, function)
+    if claim["rate"] is None:
+        loss = _power(distance, document["decrease"])
+    else:
+        if document["decrease"] is not None:
+            raise Rejected("a claim with a rate states a decrease")
+        loss = f"{_rate(claim['rate'], motion)}*({function})"
+    return [*needed, _decrease(motion, function, change, f"-({loss})", inside)]
+
+
+def _bound(
+    document: Mapping[str, Any], motion: Motion, function: str, change: str, inside: Sequence[str]
+) -> list[Obligation]:
+    claim = document["claim"]
+    if set(claim) != _MOTION | {"inner", "gains"} or set(document) != _FRAME:
+        raise Rejected("the certificate has missing or unknown keys")
+    rate, inner, level = (Fraction(repr(number(claim[key]))) for key in ("rate", "inner", "level"))
+    ranges = dict(zip(motion.names, motion.box, strict=True))
+    push, most = "0", Fraction(0)
+    for name, gain in claim["gains"].items():
+        if name not in ranges or name in motion.states or number(gain) < 0:
+            raise Rejected("a gain is negative, or does not belong to a parameter")
+        push += f" + {decimal_text(gain)}*{name}^2"
+        most += Fraction(repr(number(gain))) * max(Fraction(repr(end)) ** 2 for end in ranges[name])
+    if not inner + most / rate <= level:
+        raise Rejected("the bound exceeds the level")
+    right = f"-({_rate(claim['rate'], motion)}*(({function}) - {decimal_text(claim['inner'])})) + ({push})"
+    needed = motion.stays(inside) if motion.discrete else _faces(motion, decimal_text(claim["level"]), function)
+    return [*needed, _decrease(motion, function, change, right, inside)]
+
+
+def _decrease(motion: Motion, function: str, change: str, right: str, inside: Sequence[str]) -> Obligation:
+    left = f"({change}) - ({function})" if motion.discrete else change
+    return Obligation(motion.names, motion.box, left, right, inside)
+
+
+def _faces(motion: Motion, level: str, function: str) -> list[Obligation]:
+    """Return the obligations that V ≥ level on both faces of the box in every state."""
+    box = list(motion.state_box)
+    return [
+        Obligation(motion.states, [*box[:k], (end, end), *box[k + 1 :]], level, function)
+        for k, ends in enumerate(box)
+        for end in ends
+    ]
+
+
+def _distance(motion: Motion, equilibrium: object, scales: Sequence[object]) -> str:
+    if not isinstance(equilibrium, dict) or set(equilibrium) != set(motion.states):
+        raise Rejected("the equilibrium does not name every state once")
+    if len(scales) != len(motion.states) or any(number(scale) <= 0 for scale in scales):
+        raise Rejected("the scales are not one positive number for each state")
+    return " + ".join(
+        f"(({name} - {decimal_text(equilibrium[name])})/{decimal_text(scale)})^2"
+        for name, scale in zip(motion.states, scales, strict=True)
+    )
+
+
+def _power(distance: str, stated: object) -> str:
+    if not isinstance(stated, dict) or set(stated) != {"factor", "power"} or number(stated["factor"]) <= 0:
+        raise Rejected("a bound has no positive factor")
+    power = stated["power"]
+    if type(power) is not int or not 1 <= power <= _LARGEST_POWER:
+        raise Rejected(f"a power is not an integer from 1 to {_LARGEST_POWER}")
+    return f"{decimal_text(stated['factor'])}*({distance})^{power}"
+
+
+def _rate(rate: object, motion: Motion) -> str:
+    value = number(rate)
+    if value <= 0 or (motion.discrete and value > 1):
+        raise Rejected("the rate is not positive, or exceeds 1 in discrete time")
+    return decimal_text(rate)

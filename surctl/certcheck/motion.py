@@ -1,0 +1,163 @@
+"""Dynamics that a certificate is about, and the change of a function along them, computed anew from the claim.
+
+The solutions are those of x' = f(x, w) (`time` is "continuous") or of x⁺ = f(x, w) ("discrete"). The parameters w may
+take any value of their ranges, and may vary in time. All texts are expressions of the claim grammar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpmath import libmp
+
+from surctl.certcheck.derivative import along, composed
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.enclosure import Undefined, above, enclose, span
+from surctl.certcheck.expressions import ExpressionTable
+from surctl.certcheck.identity import Exact
+from surctl.certcheck.inequality import Box, Inequality, listed, number
+from surctl.certcheck.interval import printable, variables_of
+from surctl.certcheck.patience import go_on
+
+__all__ = ["Motion", "Obligation", "check_all", "decimal_text", "read_motion"]
+
+_MOST_HALVED = 2000  # most boxes that are halved to see that the dynamics are defined
+
+
+@dataclass(frozen=True)
+class Obligation:
+    """An inequality that a certificate has to prove: left ≤ right on a box where all constraints are ≤ 0."""
+
+    names: Sequence[str]
+    box: Box
+    left: str
+    right: str
+    constraints: Sequence[str] = ()
+
+    def check(self, cases: object) -> None:
+        """Raise Rejected unless the cases prove the inequality."""
+        table = ExpressionTable(self.names)
+        parts = [table.read(text) for text in (self.left, self.right, *self.constraints)]
+        try:
+            Inequality(table, parts, self.box).check(listed(cases))
+        except Undefined as reason:
+            raise Rejected(f"an expression is not defined where it must be: {reason}") from None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The dynamics of a claim.
+
+    Attributes:
+        states: names of the states.
+        names: names of the states, then of the parameters.
+        box: bounds of all `names`.
+        rates: text of the rate or successor of each state.
+        discrete: whether the dynamics are x⁺ = f(x, w).
+    """
+
+    states: Sequence[str]
+    names: Sequence[str]
+    box: Box
+    rates: Sequence[str]
+    discrete: bool
+
+    @property
+    def state_box(self) -> Box:
+        """Return the bounds of the states."""
+        return self.box[: len(self.states)]
+
+    def verify_change(self, function: object, stated: object) -> str:
+        """Return the stated change of a function of the states: its time derivative, or its value at the successor.
+
+        The stated text is rejected unless it equals the change that is computed from the dynamics. The dynamics and the
+        change must be defined in the whole box; so a function with a derivative is smooth there.
+        """
+        ExpressionTable(self.states).read(function)  # a function of the states alone
+        table = ExpressionTable(self.names)
+        root, given = table.read(function), table.read(stated)
+        rates = [table.read(text) for text in self.rates]
+        if not self.discrete:
+            self._continuous(table, rates)
+        own = composed(table, root, dict(enumerate(rates))) if self.discrete else along(table, root, rates)
+        self._defined(table, [*rates, own])
+        if own != given:
+            exact = Exact(table)
+            if not exact.equal(given, lambda e: e.of(own)) or exact.assumed:
+                raise Rejected("the stated change of the function does not follow from the dynamics")
+        return str(stated)
+
+    def _defined(self, table: ExpressionTable, roots: Sequence[int]) -> None:
+        """Raise Rejected unless the expressions are defined in the whole box, which is halved until this is seen."""
+        waiting, seen = [self.box], 0
+        while waiting:
+            box = waiting.pop()
+            go_on()
+            try:
+                enclose(table, roots, [span(*ends) for ends in box])
+            except Undefined as reason:
+                seen += 1
+                if seen > _MOST_HALVED:
+                    raise Rejected(f"the dynamics may be undefined in the box: {reason}") from None
+                widths = [
+                    (high - low) / (top - bottom or 1.0)
+                    for (low, high), (bottom, top) in zip(box, self.box, strict=True)
+                ]
+                k = widths.index(max(widths))
+                low, high = box[k]
+                cut = low / 2 + high / 2
+                waiting += [[*box[:k], (low, cut), *box[k + 1 :]], [*box[:k], (cut, high), *box[k + 1 :]]]
+
+    def _continuous(self, table: ExpressionTable, rates: Sequence[int]) -> None:
+        """Raise Rejected if the dynamics may jump, because then the solutions are not those of an ordinary equation."""
+        wide = [span(*ends) for ends in self.box]
+        for at in table.needed(rates):
+            entry = table.entries[at]
+            if entry.op == "select":
+                raise Rejected("the dynamics contain select, which may jump")
+            if entry.op == "atan2":
+                y, x = enclose(table, entry.args, wide)
+                if not (above(x.value) or above(y.value) or libmp.mpf_lt(y.value[1], libmp.fzero)):
+                    raise Rejected("the dynamics contain an atan2 that may jump in the box")
+
+    def stays(self, constraints: Sequence[str]) -> list[Obligation]:
+        """Return the obligations that a successor of a state with all constraints ≤ 0 lies in the box."""
+        needed = []
+        for rate, (low, high) in zip(self.rates, self.state_box, strict=True):
+            needed.append(Obligation(self.names, self.box, decimal_text(low), rate, constraints))
+            needed.append(Obligation(self.names, self.box, rate, decimal_text(high), constraints))
+        return needed
+
+
+def read_motion(claim: Mapping[str, Any]) -> Motion:
+    """Return the dynamics of a claim; raise Rejected if they are not complete."""
+    states, box = variables_of(claim["states"])
+    names, ranges = variables_of([*claim["states"], *listed(claim["parameters"])])
+    dynamics = claim["dynamics"]
+    if not isinstance(dynamics, dict) or set(dynamics) != set(states):
+        raise Rejected("the dynamics do not name every state once")
+    if claim["time"] not in ("continuous", "discrete"):
+        raise Rejected("the time is neither continuous nor discrete")
+    if any(low == high for low, high in box):
+        raise Rejected("the range of a state has no width")
+    printable(claim["name"])
+    return Motion(states, names, ranges, [dynamics[name] for name in states], claim["time"] == "discrete")
+
+
+def check_all(obligations: Sequence[Obligation], proofs: object) -> None:
+    """Raise Rejected unless there is one proof for each obligation."""
+    given = listed(proofs)
+    if len(given) != len(obligations):
+        raise Rejected(f"the certificate has {len(given)} proofs, but {len(obligations)} inequalities must be proved")
+    for k, (obligation, cases) in enumerate(zip(obligations, given, strict=True)):
+        try:
+            obligation.check(cases)
+        except Rejected as reason:
+            raise Rejected(f"inequality {k + 1} of {len(obligations)}: {reason}") from None
+
+
+def decimal_text(value: object) -> str:
+    """Return a number of the document as an expression with exactly the value of the printed decimal."""
+    return f"({number(value)!r})"

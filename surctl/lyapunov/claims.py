@@ -1,0 +1,267 @@
+"""Claims about the solutions of dynamics, and the inequalities to which each claim reduces.
+
+The inequalities are those that `surctl.certcheck.lyapunov` and `surctl.certcheck.barrier` derive from the claim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from surctl.errors import InputError
+from surctl.lyapunov.dynamics import Dynamics, Range, exact
+from surctl.verification import Claim, Variable
+from surctl.verification.formula import Node, number, parse, power, text_of, to_casadi, variable
+from surctl.verification.proving import Statement
+
+__all__ = ["Bound", "DynamicClaim", "Power", "Safety", "Stability"]
+
+
+@dataclass(frozen=True)
+class Power:
+    """A positive definite lower bound factor · (r²)^power, with r² = Σ ((x_k − x*_k)/scale_k)².
+
+    Attributes:
+        factor: positive number, in the unit of the bounded function.
+        power: positive integer.
+    """
+
+    factor: float
+    power: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the bound as plain data for JSON."""
+        return {"factor": self.factor, "power": self.power}
+
+
+@dataclass(frozen=True, eq=False)
+class Stability:
+    """The claim that V < level is a region of attraction of the equilibrium, in which V decreases.
+
+    Attributes:
+        dynamics: the dynamics.
+        function: V, an expression of the states.
+        level: level of the region.
+        rate: with a number, V' ≤ −rate · V, or V⁺ − V ≤ −rate · V in discrete time; None means any strict decrease.
+    """
+
+    dynamics: Dynamics
+    function: Node
+    level: float
+    rate: float | None = None
+
+    kind = "lyapunov"
+
+    @property
+    def statement(self) -> str:
+        """The claim in words."""
+        pace = "" if self.rate is None else f", with V decreasing at the rate {self.rate:g}"
+        return f"every solution with V(x(0)) < {self.level:g} converges to the equilibrium{pace}"
+
+    def plain(self) -> dict[str, Any]:
+        """Return the claim as plain data, as the certificate states it."""
+        return {
+            **_plain(self.dynamics, "stability"),
+            "function": text_of(self.function),
+            "equilibrium": {s.name: float(s.equilibrium) for s in self.dynamics.states},
+            "level": float(self.level),
+            "rate": None if self.rate is None else float(self.rate),
+        }
+
+    def inequalities(self, scales: Sequence[float], positive: Power, decrease: Power | None) -> list[Claim]:
+        """Return the inequalities to prove: V is positive, the region lies in the box, V decreases.
+
+        Args:
+            scales: scale (n,) of each state in r².
+            positive: lower bound of V.
+            decrease: lower bound of −V' or V − V⁺; None if the claim has a rate.
+        """
+        d = self.dynamics
+        inside = [self.function - exact(self.level)]
+        claims = [_claim(f"{d.name}: V is positive", d.states, self._power(scales, positive), self.function, inside)]
+        claims += _stays(d, inside) if d.discrete else _faces(d, self.level, self.function)
+        loss = exact(self.rate) * self.function if self.rate is not None else None
+        if loss is None:
+            assert decrease is not None
+            loss = self._power(scales, decrease)
+        return [*claims, _decrease(d, self.function, -loss, inside)]
+
+    def _power(self, scales: Sequence[float], bound: Power) -> Node:
+        total: Node | None = None
+        for s, scale in zip(self.dynamics.states, scales, strict=True):
+            term = power((variable(s.name) - exact(s.equilibrium)) / exact(scale), 2)
+            total = term if total is None else total + term
+        assert total is not None
+        return exact(bound.factor) * Node("pow", (total,), Fraction(bound.power))
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """The claim that V < level is invariant and V decays to a bound: V' ≤ −rate (V − inner) + Σ gain_j w_j².
+
+    In discrete time, V⁺ − V takes the place of V'.
+
+    Attributes:
+        dynamics: the dynamics.
+        function: V, an expression of the states.
+        level: level of the invariant region.
+        rate: decay rate; in discrete time, the share of V − inner that is lost in each step.
+        inner: level to which V decays without disturbances.
+        gains: gain of each disturbance w_j, by name of the parameter.
+    """
+
+    dynamics: Dynamics
+    function: Node
+    level: float
+    rate: float
+    inner: float = 0.0
+    gains: Mapping[str, float] = field(default_factory=dict)
+
+    kind = "lyapunov"
+
+    @property
+    def ultimate(self) -> float:
+        """The level below which V ends: inner + max Σ gain_j w_j² / rate."""
+        ranges = {w.name: max(abs(w.lower), abs(w.upper)) for w in self.dynamics.parameters}
+        return self.inner + sum(gain * ranges[name] ** 2 for name, gain in self.gains.items()) / self.rate
+
+    @property
+    def statement(self) -> str:
+        """The claim in words."""
+        return f"every solution with V(x(0)) < {self.level:g} stays there, and V decays to {self.ultimate:g}"
+
+    def plain(self) -> dict[str, Any]:
+        """Return the claim as plain data, as the certificate states it."""
+        return {
+            **_plain(self.dynamics, "bound"),
+            "function": text_of(self.function),
+            "level": float(self.level),
+            "rate": float(self.rate),
+            "inner": float(self.inner),
+            "gains": {name: float(gain) for name, gain in self.gains.items()},
+        }
+
+    def inequalities(self) -> list[Claim]:
+        """Return the inequalities to prove: the region lies in the box, V decays."""
+        d = self.dynamics
+        inside = [self.function - exact(self.level)]
+        push = number(0)
+        for name, gain in self.gains.items():
+            push = push + exact(gain) * power(variable(name), 2)
+        right = -(exact(self.rate) * (self.function - exact(self.inner))) + push
+        claims = _stays(d, inside) if d.discrete else _faces(d, self.level, self.function)
+        return [*claims, _decrease(d, self.function, right, inside)]
+
+
+@dataclass(frozen=True, eq=False)
+class Safety:
+    """The claim that no solution from the initial set reaches the unsafe set, as long as it stays in the box.
+
+    Attributes:
+        dynamics: the dynamics.
+        function: barrier function B, an expression of the states.
+        initial: expressions that are ≤ 0 exactly in the initial set.
+        unsafe: expressions that are ≤ 0 exactly in the unsafe set.
+        multiplier: expression λ of B' ≤ λ B; None in discrete time, where B(x⁺) ≤ 0 is claimed for B ≤ 0.
+    """
+
+    dynamics: Dynamics
+    function: Node
+    initial: tuple[Node, ...]
+    unsafe: tuple[Node, ...]
+    multiplier: Node | None = None
+
+    kind = "barrier"
+
+    @property
+    def statement(self) -> str:
+        """The claim in words."""
+        return "no solution that starts in the initial set reaches the unsafe set"
+
+    def plain(self) -> dict[str, Any]:
+        """Return the claim as plain data, as the certificate states it."""
+        return {
+            **_plain(self.dynamics, "safety"),
+            "function": text_of(self.function),
+            "initial": [text_of(g) for g in self.initial],
+            "unsafe": [text_of(g) for g in self.unsafe],
+            "multiplier": None if self.multiplier is None else text_of(self.multiplier),
+        }
+
+    def inequalities(self, margin: float) -> list[Claim]:
+        """Return the inequalities to prove; B is at least `margin` > 0 in the unsafe set."""
+        d, zero = self.dynamics, number(0)
+        change = d.change(self.function)
+        claims = [
+            _claim(f"{d.name}: B in the initial set", d.states, self.function, zero, self.initial),
+            _claim(f"{d.name}: B in the unsafe set", d.states, exact(margin), self.function, self.unsafe),
+        ]
+        if d.discrete:
+            last = _claim(f"{d.name}: B at the successor", d.variables, change, zero, [self.function])
+        else:
+            if self.multiplier is None:
+                raise InputError("is missing", key=f"{d.name}.multiplier", remedy='give e.g. "0" or "-1"')
+            last = _claim(f"{d.name}: change of B", d.variables, change, self.multiplier * self.function, [])
+        return [*claims, last]
+
+
+DynamicClaim = Stability | Bound | Safety
+"""A claim about the solutions of dynamics."""
+
+
+def _plain(dynamics: Dynamics, what: str) -> dict[str, Any]:
+    def entry(v: Range) -> dict[str, Any]:
+        return {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)}
+
+    return {
+        "name": dynamics.name,
+        "time": dynamics.time,
+        "property": what,
+        "states": [entry(s) for s in dynamics.states],
+        "parameters": [entry(w) for w in dynamics.parameters],
+        "dynamics": {s.name: text_of(rate) for s, rate in zip(dynamics.states, dynamics.rates, strict=True)},
+    }
+
+
+def _claim(name: str, variables: Sequence[Range], left: Node, right: Node, constraints: Sequence[Node]) -> Claim:
+    names = tuple(v.name for v in variables)
+    symbols = {name: ca.SX.sym(name) for name in names}
+    known = {name: variable(name) for name in names}
+    ends = np.array([(v.lower, v.upper) for v in variables], dtype=float)
+    # parse the written text, so that the expressions are those that a reader of the certificate obtains
+    left, right, *rows = (parse(text_of(node), known) for node in (left, right, *constraints))
+    return Claim(
+        name, name, "", (), "proved",
+        tuple(Variable(v.name, symbols[v.name], v.unit, v.lower, v.upper, v.meaning) for v in variables),
+        to_casadi(left, symbols), to_casadi(right, symbols), "1",
+        ca.vertcat(ca.SX(0, 1), *[to_casadi(g, symbols) for g in rows]), tolerance=0.0, paper=False,
+        exact=Statement(names, ends[:, 0], ends[:, 1], left, right, tuple(rows)),
+    )  # fmt: skip
+
+
+def _faces(dynamics: Dynamics, level: float, function: Node) -> list[Claim]:
+    claims = []
+    for s in dynamics.states:
+        claim = _claim(f"{dynamics.name}: V on a face in {s.name}", dynamics.states, exact(level), function, [])
+        claims += [claim.on({s.name: (end, end)}) for end in (s.lower, s.upper)]
+    return claims
+
+
+def _stays(dynamics: Dynamics, inside: Sequence[Node]) -> list[Claim]:
+    claims = []
+    for s, rate in zip(dynamics.states, dynamics.rates, strict=True):
+        name = f"{dynamics.name}: the successor of {s.name}"
+        claims.append(_claim(name, dynamics.variables, exact(s.lower), rate, inside))
+        claims.append(_claim(name, dynamics.variables, rate, exact(s.upper), inside))
+    return claims
+
+
+def _decrease(dynamics: Dynamics, function: Node, right: Node, inside: Sequence[Node]) -> Claim:
+    change = dynamics.change(function)
+    left = change - function if dynamics.discrete else change
+    return _claim(f"{dynamics.name}: V decreases", dynamics.variables, left, right, inside)

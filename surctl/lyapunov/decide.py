@@ -1,0 +1,253 @@
+"""Decide a claim about solutions: choose the bounds of the proof, try to refute, prove every inequality, and check."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck import check_document, seal
+from surctl.errors import InputError, UnsupportedOperation
+from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
+from surctl.verification import Claim
+from surctl.verification.falsifier import falsify
+from surctl.verification.formula import text_of
+from surctl.verification.proving import certain_excess, prove
+
+__all__ = ["Decision", "decide_motion"]
+
+Array = NDArray[np.float64]
+
+_SAMPLES, _STARTS = 2048, 8
+_SHARE = 0.5  # share of the least sampled ratio that becomes the factor of a lower bound
+_POWERS = (1, 2, 3, 4)
+_FLAT = 1e-3  # least ratio of a quadratic bound near the equilibrium to the same bound far from it
+_SHARES_TRIED = (_SHARE, 0.05, 1e-3)
+_REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """The verdict on a claim about solutions.
+
+    Attributes:
+        claim: the claim.
+        verdict: `proved` with a certificate that the checker accepts, `refuted` with a counterexample, or `unknown`.
+        document: the certificate; empty unless the claim is proved.
+        reason: why the claim is refuted or unknown, in one sentence; empty if it is proved.
+        counterexample: values of the variables where an inequality fails; empty unless the claim is refuted.
+        seconds: duration [s].
+    """
+
+    claim: DynamicClaim
+    verdict: Literal["proved", "refuted", "unknown"]
+    document: Mapping[str, Any]
+    reason: str
+    counterexample: Mapping[str, float]
+    seconds: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the verdict as plain data for JSON."""
+        return {
+            "claim": self.claim.dynamics.name, "statement": self.claim.statement, "verdict": self.verdict,
+            "function": text_of(self.claim.function), "certificate": dict(self.document) or None,
+            "reason": self.reason or None, "counterexample": dict(self.counterexample) or None,
+            "seconds": self.seconds,
+        }  # fmt: skip
+
+
+def decide_motion(
+    claim: DynamicClaim, *, time_limit: float = 60.0, seed: int = 0, progress: Callable[[str], None] | None = None
+) -> Decision:
+    """Prove or refute a claim about the solutions of dynamics.
+
+    Args:
+        claim: the claim.
+        time_limit: limit of the processor time of the proof [s].
+        seed: seed of the falsifier.
+        progress: function that receives a line of progress from time to time.
+
+    Raises:
+        InputError: the equilibrium is not one, V is not 0 there or has kinks, or the level is not positive.
+
+    Example:
+        >>> from surctl.lyapunov import Dynamics, Stability, State, decide_motion
+        >>> from surctl.verification.formula import parse, variable
+        >>> x = {"x": variable("x")}
+        >>> cubic = Dynamics("cubic", "continuous", (State("x", -2.0, 2.0),), (parse("-x + x^3", x),))
+        >>> [decide_motion(Stability(cubic, parse("x^2", x), level)).verdict for level in (0.9, 1.1)]
+        ['proved', 'refuted']
+    """
+    began = time.perf_counter()
+    _require_sound(claim)
+    refuted: tuple[Claim, Mapping[str, float]] | None = None
+    reason = ""
+    for attempt in _attempts(claim):
+        proofs: list[Any] = []
+        reason = ""
+        for k, inequality in enumerate(attempt.inequalities):
+            counterexample = _refuted(inequality, seed)
+            if counterexample is not None:
+                refuted = refuted or ((inequality, counterexample) if attempt.decisive[k] else None)
+                reason = f"{inequality.name}: fails at {_point(counterexample)}"
+                break
+        if refuted:
+            break
+        if reason:
+            continue
+        for k, inequality in enumerate(attempt.inequalities):
+            left = time_limit - (time.perf_counter() - began)
+            if left <= 0:
+                reason = "the time limit was reached"
+                break
+            proof = prove(inequality, time_limit=left / (len(attempt.inequalities) - k) + 1.0, progress=progress)
+            if proof.certificate is None:
+                reason = f"{inequality.name}: {proof.remaining}"
+                break
+            proofs.append(proof.certificate["cases"])
+        if not reason:
+            document = seal(claim.kind, claim.plain(), attempt.evidence | {"proofs": proofs})
+            checked = check_document(document)
+            if checked.accepted:
+                return Decision(claim, "proved", document, "", {}, time.perf_counter() - began)
+            reason = f"the checker rejects the proof: {checked.reason}"
+    seconds = time.perf_counter() - began
+    if refuted:
+        inequality, point = refuted
+        return Decision(claim, "refuted", {}, f"{inequality.name}: fails at {_point(point)}", point, seconds)
+    return Decision(claim, "unknown", {}, reason, {}, seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    # `decisive[k]`: whether a counterexample to inequality k refutes the claim, or only this choice of bounds
+    inequalities: list[Claim]
+    decisive: list[bool]
+    evidence: dict[str, Any]
+
+
+def _attempts(claim: DynamicClaim) -> Any:
+    change = {"change": text_of(claim.dynamics.change(claim.function))}
+    if isinstance(claim, Bound):
+        inequalities = claim.inequalities()
+        yield _Attempt(inequalities, [True] * len(inequalities), change)
+    elif isinstance(claim, Safety):
+        for margin in (1e-3, 1e-6, 1e-9):
+            inequalities = claim.inequalities(margin)
+            yield _Attempt(inequalities, [True, margin == 1e-9, True], change | {"margin": margin})
+    else:
+        yield from _stability_attempts(claim, change)
+
+
+def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
+    d = claim.dynamics
+    scales = [_short(max(s.upper - s.equilibrium, s.equilibrium - s.lower), up=True) for s in d.states]
+    inside, values, loss = _sampled(claim)
+    square = (((inside - d.equilibrium[:, None]) / np.array(scales)[:, None]) ** 2).sum(axis=0)
+    for share in _SHARES_TRIED:
+        positive = _lower_bound(values, square, share)
+        decrease = None if claim.rate is not None else _lower_bound(loss, square, share)
+        if positive is None or (claim.rate is None and decrease is None):
+            # no positive definite bound exists: state a tiny one, which the falsifier refutes
+            positive = positive or Power(1e-9, 1)
+            decrease = decrease or (None if claim.rate is not None else Power(1e-9, 1))
+        inequalities = claim.inequalities(scales, positive, decrease)
+        last = share == _SHARES_TRIED[-1] or positive.factor <= 1e-9
+        decisive = [last, *[True] * (len(inequalities) - 2), claim.rate is not None or last]
+        evidence = {
+            "scales": scales, "positive": positive.to_dict(),
+            "decrease": None if decrease is None else decrease.to_dict(),
+        }  # fmt: skip
+        yield _Attempt(inequalities, decisive, change | evidence)
+
+
+def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
+    """Return samples (n, N) of the region, also close to the equilibrium, with V and its least loss there (N,)."""
+    from scipy.stats import qmc
+
+    d = claim.dynamics
+    low, high = d.box
+    unit = qmc.Sobol(len(d.states), seed=0).random(_SAMPLES).T
+    wide = low[:, None] + (high - low)[:, None] * unit
+    x = np.hstack([d.equilibrium[:, None] + (wide - d.equilibrium[:, None]) * near for near in (1.0, 0.1, 0.01)])
+    function = d.compiled(claim.function)
+    change = d.compiled(d.change(claim.function))
+    corners = d.corners()
+    anywhere = np.repeat(corners[:, :1], x.shape[1], axis=1)
+    values = np.asarray(function(x, anywhere)).reshape(-1)
+    loss = np.full(x.shape[1], np.inf)
+    for k in range(corners.shape[1]):
+        moved = np.asarray(change(x, np.repeat(corners[:, k : k + 1], x.shape[1], axis=1))).reshape(-1)
+        loss = np.minimum(loss, values - moved if d.discrete else -moved)
+    inside = (values < claim.level) & np.isfinite(values) & np.isfinite(loss) & np.any(x != d.equilibrium[:, None], 0)
+    if not np.any(inside):
+        raise InputError("lies above the level in the whole box", key=f"{d.name}.function", remedy="raise the level")
+    return x[:, inside], values[inside], loss[inside]
+
+
+def _lower_bound(values: Array, square: Array, share: float) -> Power | None:
+    """Return the bound of the least power that holds at all samples and does not vanish near the equilibrium."""
+    for power in _POWERS:
+        ratio = values / square**power
+        least = float(ratio.min())
+        if least > 0 and least >= _FLAT * float(np.median(ratio)):
+            return Power(_short(share * least), power)
+    least = float((values / square).min())
+    return Power(_short(share * least), 1) if least > 0 else None
+
+
+def _short(value: float, *, up: bool = False) -> float:
+    """Return a positive number of three digits, not above `value` (not below it if `up`)."""
+    if value == 0:
+        return 1.0
+    size = 10.0 ** (np.floor(np.log10(value)) - 2)
+    digits = np.ceil(value / size) if up else np.floor(value / size)
+    return float(f"{digits * size:.6g}")
+
+
+def _refuted(claim: Claim, seed: int) -> Mapping[str, float] | None:
+    """Return a point at which interval arithmetic confirms that the inequality fails, or None."""
+    try:
+        verdict = falsify(claim, samples=_SAMPLES, starts=_STARTS, seed=seed)
+    except InputError as error:
+        if "no sample lies in its domain" in error.problem:
+            return None
+        raise
+    if verdict.counterexample is None:
+        return None
+    point = verdict.counterexample.values
+    return point if certain_excess(claim, claim.point(point)[:, None])[0] > 0 else None
+
+
+def _point(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+
+
+def _require_sound(claim: DynamicClaim) -> None:
+    d = claim.dynamics
+    centre = (d.box[0] + d.box[1]) / 2
+    try:
+        value = float(d.compiled(claim.function)(d.equilibrium, d.corners()[:, 0]))
+        d.change(claim.function)
+    except UnsupportedOperation as error:
+        raise InputError(error.problem, key=f"{d.name}.function", remedy=error.remedy) from None
+    if isinstance(claim, Safety):
+        return
+    size = float(np.abs(d.evaluate(np.column_stack([centre, d.box[0], d.box[1]]))).max())
+    if isinstance(claim, Stability):
+        if not d.residual() <= _REST * max(size, 1.0):
+            raise InputError(
+                "is not an equilibrium: the largest rate there is", key=f"{d.name}.equilibrium", value=d.residual(),
+                remedy="give the equilibrium of the states",
+            )  # fmt: skip
+        if not abs(value) <= _REST * max(abs(claim.level), 1e-12):
+            raise InputError(
+                "is not 0 at the equilibrium", key=f"{d.name}.function", value=value,
+                remedy="subtract its value there",
+            )  # fmt: skip
+    if not claim.level > 0 and isinstance(claim, Stability):
+        raise InputError("is not positive", key=f"{d.name}.level", value=claim.level, remedy="give a positive level")

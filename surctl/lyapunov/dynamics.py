@@ -1,0 +1,221 @@
+"""Dynamics as exact expressions: x' = f(x, w) or x⁺ = f(x, w), with the ranges of states x and parameters w."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.verification.formula import IDENTIFIER, Node, derivative, number, ordered, substitute, to_casadi
+
+__all__ = ["Dynamics", "Range", "State", "exact"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Range:
+    """A parameter: it may take any value of its range, and may vary in time.
+
+    Attributes:
+        name: name in the expressions.
+        lower: least value, in `unit`.
+        upper: largest value, in `unit`.
+        unit: SI unit.
+        meaning: description of the quantity.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    unit: str = "1"
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class State(Range):
+    """A state, with the interval in which the dynamics are considered.
+
+    Attributes:
+        equilibrium: value of the state at the equilibrium, in `unit`.
+    """
+
+    equilibrium: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """Differential equations x' = f(x, w) (continuous time) or a map x⁺ = f(x, w) (discrete time).
+
+    The numbers in `rates` are exact: a decimal number has exactly the value of its notation.
+
+    Attributes:
+        name: short name, used in file names.
+        time: "continuous" or "discrete".
+        states: the n states; their intervals form the box in which the dynamics are considered.
+        rates: time derivative of each state (continuous) or its successor (discrete), as expressions.
+        parameters: uncertain parameters and disturbances.
+        source: where the dynamics are published.
+
+    Raises:
+        InputError: a name is not valid or is used twice, a range is not finite or empty, the equilibrium lies outside
+            the box, or a rate uses an unknown name.
+
+    Example:
+        >>> from surctl.lyapunov import Dynamics, State
+        >>> from surctl.verification.formula import parse, variable
+        >>> x = variable("x")
+        >>> cubic = Dynamics("cubic", "continuous", (State("x", -2.0, 2.0),), (parse("-x + x^3", {"x": x}),))
+        >>> cubic.evaluate([[0.5, 1.0]])
+        array([[-0.375,  0.   ]])
+    """
+
+    name: str
+    time: Literal["continuous", "discrete"]
+    states: tuple[State, ...]
+    rates: tuple[Node, ...]
+    parameters: tuple[Range, ...] = ()
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        names = [v.name for v in self.variables]
+        if not self.states or len(self.rates) != len(self.states):
+            raise InputError("needs one rate for each state", key=self.name, remedy="give at least one state")
+        for name in names:
+            if not IDENTIFIER.fullmatch(name) or names.count(name) > 1:
+                raise InputError(
+                    "is not a name, or is used twice", key=f"{self.name}.{name}", remedy="choose another name"
+                )
+        for v in self.variables:
+            ends = (v.lower, v.upper)
+            if not np.all(np.isfinite(ends)) or v.lower > v.upper or (isinstance(v, State) and v.lower == v.upper):
+                raise InputError(
+                    "needs finite bounds, the lower one first", key=f"{self.name}.{v.name}", value=list(ends),
+                    remedy="give lower and upper",
+                )  # fmt: skip
+        for v in self.states:
+            if not v.lower < v.equilibrium < v.upper:
+                raise InputError(
+                    "has its equilibrium outside its bounds", key=f"{self.name}.{v.name}", value=v.equilibrium,
+                    remedy="widen the bounds",
+                )  # fmt: skip
+        for state, rate in zip(self.states, self.rates, strict=True):
+            for node in ordered(rate):
+                if node.op == "var" and node.name not in names:
+                    raise InputError(
+                        f"uses the unknown name {node.name!r}", key=f"{self.name}.{state.name}", remedy="define it"
+                    )
+
+    @property
+    def variables(self) -> tuple[Range, ...]:
+        """The states, then the parameters."""
+        return (*self.states, *self.parameters)
+
+    @property
+    def discrete(self) -> bool:
+        """Whether the dynamics are a map x⁺ = f(x, w)."""
+        return self.time == "discrete"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the states."""
+        return tuple(s.name for s in self.states)
+
+    @property
+    def equilibrium(self) -> Array:
+        """The equilibrium (n,)."""
+        return np.array([s.equilibrium for s in self.states])
+
+    @property
+    def box(self) -> Array:
+        """The lower and upper bounds (2, n) of the states."""
+        return np.array([[s.lower for s in self.states], [s.upper for s in self.states]])
+
+    @property
+    def ranges(self) -> Array:
+        """The lower and upper bounds (2, m) of the parameters."""
+        return np.array([[w.lower for w in self.parameters], [w.upper for w in self.parameters]]).reshape(2, -1)
+
+    def change(self, function: Node) -> Node:
+        """Return the time derivative of a function of the states, or its value at the successor (discrete time).
+
+        Raises:
+            UnsupportedOperation: the function has kinks or jumps (continuous time).
+        """
+        if self.discrete:
+            return substitute(function, dict(zip(self.names, self.rates, strict=True)))
+        total: Node | None = None
+        zero, one = number(0), number(1)
+        for name, rate in zip(self.names, self.rates, strict=True):
+            slope = derivative(function, name)
+            if slope == zero or rate == zero:
+                continue
+            term = rate if slope == one else slope * rate
+            total = term if total is None else total + term
+        return zero if total is None else total
+
+    @cached_property
+    def symbols(self) -> dict[str, ca.SX]:
+        """A CasADi symbol for each variable, by name."""
+        return {v.name: ca.SX.sym(v.name) for v in self.variables}
+
+    def compiled(self, *expressions: Node) -> ca.Function:
+        """Return a CasADi function of states (n, N) and parameters (m, N) with the values (k, N) of expressions."""
+        x = ca.vertcat(*[self.symbols[s.name] for s in self.states])
+        w = ca.vertcat(ca.SX(0, 1), *[self.symbols[p.name] for p in self.parameters])
+        values = ca.vertcat(*[to_casadi(node, self.symbols) for node in expressions])
+        return ca.Function("values", [x, w], [ca.densify(values)])
+
+    @cached_property
+    def _function(self) -> ca.Function:
+        return self.compiled(*self.rates)
+
+    def evaluate(self, x: ArrayLike, w: ArrayLike | None = None) -> Array:
+        """Return the rates or successors (n, N) at states x (n, N) for parameters w (m, N), by default their middle."""
+        at = np.atleast_2d(np.asarray(x, dtype=float))
+        middle = np.repeat(self.ranges.mean(axis=0)[:, None], at.shape[1], axis=1)
+        p = middle if w is None else np.asarray(w, dtype=float).reshape(len(self.parameters), at.shape[1])
+        return np.asarray(self._function(at, p)).reshape(len(self.states), -1)
+
+    def linear(self, w: ArrayLike | None = None) -> Array:
+        """Return the Jacobian (n, n) of the rates or successors at the equilibrium, for parameters w (m,)."""
+        x = ca.SX.sym("x", len(self.states))
+        p = ca.SX.sym("w", len(self.parameters))
+        jacobian = ca.Function("jacobian", [x, p], [ca.jacobian(self._function(x, p), x)])
+        at = self.ranges.mean(axis=0) if w is None else np.asarray(w, dtype=float)
+        return np.asarray(jacobian(self.equilibrium, at))
+
+    def residual(self) -> float:
+        """Return the largest |f(x*, w)|, or |f(x*, w) − x*| in discrete time, over the corners of the parameters."""
+        corners = self.corners()
+        rest = self.evaluate(np.repeat(self.equilibrium[:, None], corners.shape[1], axis=1), corners)
+        return float(np.abs(rest - (self.equilibrium[:, None] if self.discrete else 0.0)).max())
+
+    def corners(self, most: int = 10) -> Array:
+        """Return the corners (m, 2^k) of the ranges of the k ≤ `most` parameters that vary, or their middle (m, 1)."""
+        lower, upper = self.ranges
+        wide = np.flatnonzero(lower < upper)[:most]
+        values = np.repeat(self.ranges.mean(axis=0)[:, None], 2 ** len(wide), axis=1)
+        for k, at in enumerate(wide):
+            high = (np.arange(values.shape[1]) >> k) & 1
+            values[at] = np.where(high == 1, upper[at], lower[at])
+        return values
+
+    def on(self, bounds: Mapping[str, tuple[float, float]]) -> Dynamics:
+        """Return the dynamics with other bounds of the named states."""
+        states = tuple(
+            replace(s, lower=bounds[s.name][0], upper=bounds[s.name][1]) if s.name in bounds else s for s in self.states
+        )
+        return replace(self, states=states)
+
+
+def exact(value: float) -> Node:
+    """Return the number of the shortest decimal notation of a double, as an expression."""
+    return number(Fraction(repr(float(value))))
