@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from mpmath import libmp
 
 from surctl.certcheck import check_document, seal
+from surctl.certcheck.derivative import along
 from surctl.certcheck.elementary import Undefined, elementary
 from surctl.certcheck.enclosure import enclose, exact
 from surctl.certcheck.expressions import ExpressionTable
+from surctl.verification.formula import derivative, parse, text_of, variable
 from tests.certcheck.test_angles import BITS, holds, narrow, raw
 
 EXPONENTS = [Fraction(1, 2), Fraction(-3, 2), Fraction(1, 3), Fraction("63.999"), Fraction("-1e-6")]
@@ -144,17 +146,56 @@ def test_huge_values_and_poles_are_answered_in_one_line(left: str, right: str, b
 
 
 def refused(left: str, right: str, box: tuple[float, float] = (0.0, 1.0)) -> str:
+    found = verdict(left, right, f"({left}) - ({right})", box)
+    assert found
+    return found
+
+
+def verdict(left: str, right: str, numerator: str, box: tuple[float, float] = (0.0, 1.0)) -> str:
+    """The reason why a certificate is rejected; empty if it is accepted."""
     claim = {
         "name": "c", "statement": "", "unit": "1", "left": left, "right": right, "constraints": [], "slack": 0.0,
         "variables": [{"name": "x", "unit": "1", "lower": box[0], "upper": box[1]}],
     }  # fmt: skip
     case = {
-        "choice": "", "numerator": f"({left}) - ({right})", "denominators": [], "multipliers": [], "tree": "m",
+        "choice": "", "numerator": numerator, "denominators": [], "multipliers": [], "tree": "m",
         "points": [],
     }  # fmt: skip
-    found = check_document(seal("interval", claim, {"cases": [case]}))
-    assert not found.accepted
-    return found.reason
+    return check_document(seal("interval", claim, {"cases": [case]})).reason
+
+
+SMOOTH = (
+    "exp(2*x)", "log(x)", "sinh(x)", "cosh(x)", "tanh(x)", "tan(x)", "asin(x/2)", "acos(x/2)", "x^(3/2)", "x^-0.7",
+    "exp(tanh(x)) - x^0.5*sin(x)",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", SMOOTH)
+def test_the_exact_derivative_lies_in_the_enclosed_slope(text: str) -> None:
+    table = ExpressionTable(("x",))
+    root = table.read(text)
+    slope = along(table, root, [table.put("num", value=1)])
+    (told,) = enclose(table, [root], [exact(0.625)], order=1)
+    (found,) = enclose(table, [slope], [exact(0.625)])
+    assert libmp.mpf_le(told.slope[0][0], found.value[1]) and libmp.mpf_le(found.value[0], told.slope[0][1])
+    assert narrow(told.slope[0], libmp.mpf_shift(told.slope[0][0], 4))
+    # the prover's derivative is the same function
+    names = {"x": variable("x")}
+    again = table.read(text_of(derivative(parse(text, names), "x")))
+    (shown,) = enclose(table, [again], [exact(0.625)])
+    assert libmp.mpf_le(shown.value[0], found.value[1]) and libmp.mpf_le(found.value[0], shown.value[1])
+
+
+def test_equal_arguments_are_one_indeterminate_and_unequal_ones_are_not() -> None:
+    left = "exp(x + x)*exp(2*x) - x^0.5*sqrt(x)/exp(2*x)"
+    assert verdict(left, "99", "exp(2*x)^2 - sqrt(x)*x^(1/2)/exp(x*2) - 99") == ""
+    for wrong in ("exp(2*x)*exp(x) - sqrt(x)*x^0.5/exp(2*x) - 99", "exp(2*x)^2 - sqrt(x)*x^1.5/exp(2*x) - 99"):
+        assert "do not make up the claim" in verdict(left, "99", wrong)
+
+
+def test_a_root_of_a_fraction_of_functions_uses_their_ranges_on_the_box() -> None:
+    assert verdict("sqrt(x/exp(x)) + x - x", "9", "sqrt(x/exp(x)) - 9") == ""
+    assert "unknown sign" in verdict("sqrt(x/tan(x)) + x - x", "9", "sqrt(x/tan(x)) - 9", (-1.0, -0.5))
 
 
 def test_a_variable_may_have_the_name_of_a_function_that_came_later() -> None:
