@@ -81,6 +81,12 @@ def load_claim(path: Path) -> Claim:
         y_e = { lower = -2, upper = 2, unit = "m", meaning = "cross-track error" }
         u = { lower = 0.05, upper = 0.25, unit = "m/s" }
 
+    Expressions have numbers, names, `pi`, + - * / ^, parentheses, and the functions abs, acos, asin, atan, atan2, cos,
+    cosh, exp, log (natural), max, min, select, sin, sinh, sqrt, tan and tanh; select(a, b, x, y) is x if a <= b, and y
+    otherwise. An exponent is a constant, such as 2, -1.5, (1/3) or the name of a constant. A power with a fractional
+    exponent is defined for positive numbers, and for 0 if the exponent is positive. Where the claim's expressions are
+    not defined (a logarithm of 0, a pole of tan), the claim is not proved: exclude that part by bounds or constraints.
+
     Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side that counts as rounding;
     default 1e-9), `witnesses` (points, each with a value for every variable) and the table `[motion]` (`rates` by
     variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential equations with which a
