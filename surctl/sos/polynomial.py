@@ -18,7 +18,7 @@ Number = Fraction | float
 class Polynomial:
     """A polynomial: the coefficient of each monomial; no coefficient is 0.
 
-    Sums, differences, products and powers use the operators + − * **; numbers count as constant polynomials.
+    Sums, differences, products and powers use the operators + − * **, and quotients by numbers /; numbers count as constant polynomials.
 
     Attributes:
         terms: coefficient of each monomial.
@@ -99,6 +99,9 @@ class Polynomial:
 
     def __rmul__(self, other: Number) -> Polynomial:
         return self * other
+
+    def __truediv__(self, other: Number) -> Polynomial:
+        return self * (1 / _number(other))
 
     def __pow__(self, exponent: int) -> Polynomial:
         total = Polynomial.constant(1)
