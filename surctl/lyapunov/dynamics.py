@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -63,6 +63,8 @@ class Dynamics:
         rates: time derivative of each state (continuous) or its successor (discrete), as expressions.
         parameters: uncertain parameters and disturbances.
         source: where the dynamics are published.
+        about: digests of `plant` and `controller`, and the values of `gains` by name, if the dynamics are those of a
+            closed loop (`surctl.system.System`); otherwise empty.
 
     Raises:
         InputError: a name is not valid or is used twice, a range is not finite or empty, the equilibrium lies outside
@@ -83,6 +85,7 @@ class Dynamics:
     rates: tuple[Node, ...]
     parameters: tuple[Range, ...] = ()
     source: str = ""
+    about: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         names = [v.name for v in self.variables]

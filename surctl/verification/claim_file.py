@@ -20,6 +20,7 @@ from surctl.verification.formula import (
     from_casadi,
     number,
     parse,
+    parse_relation,
     text_of,
     to_casadi,
     variable,
@@ -27,8 +28,6 @@ from surctl.verification.formula import (
 from surctl.verification.proving import statement_of
 
 __all__ = ["load_claim", "write_claim"]
-
-_RELATIONS = ("<=", ">=")
 
 
 class _VariableTable(Strict):
@@ -121,13 +120,7 @@ def load_claim(path: Path) -> Claim:
         return to_casadi(parse(text, known, file=path, key=key), symbols)
 
     def row(text: str, key: str) -> ca.SX:
-        sign = [r for r in _RELATIONS if r in text]
-        if len(sign) != 1 or text.count(sign[0]) != 1:
-            raise InputError("needs one <= or >=", file=path, key=key, value=text, remedy='write e.g. "x^2 <= 4"')
-        at = text.index(sign[0])
-        # pad with blanks, so that errors name the right column for the text after the sign
-        first, second = read(text[:at], key), read(" " * (at + 2) + text[at + 2 :], key)
-        return first - second if sign[0] == "<=" else second - first
+        return to_casadi(parse_relation(text, known, file=path, key=key), symbols)
 
     rows = [row(text, f"constraints.{k}") for k, text in enumerate(table.constraints)]
     statement = table.statement or f"{table.left} <= {table.right}"

@@ -24,7 +24,7 @@ from fractions import Fraction
 from surctl.errors import InputError, nearest
 from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered
 
-__all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "parse"]
+__all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "parse", "parse_relation"]
 
 FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "log", "max", "min", "select", "sin", "sinh", "sqrt",
@@ -60,6 +60,21 @@ def parse(text: str, known: Mapping[str, Node], *, file: object = None, key: str
     if len(text) > LONGEST:
         raise InputError(f"is longer than {LONGEST} characters", file=file, key=key, remedy="split the claim")
     return _Parser(text, known, file, key).whole()
+
+
+def parse_relation(text: str, known: Mapping[str, Node], *, file: object = None, key: str | None = None) -> Node:
+    """Parse an inequality with one <= or >= into an expression that is ≤ 0 where the inequality holds.
+
+    The arguments and errors are those of `parse`.
+    """
+    signs = [sign for sign in ("<=", ">=") if sign in text]
+    if len(signs) != 1 or text.count(signs[0]) != 1:
+        raise InputError("needs one <= or >=", file=file, key=key, value=text, remedy='write e.g. "x^2 <= 4"')
+    at = text.index(signs[0])
+    # pad with blanks, so that errors name the right column for the text after the sign
+    first = parse(text[:at], known, file=file, key=key)
+    second = parse(" " * (at + 2) + text[at + 2 :], known, file=file, key=key)
+    return first - second if signs[0] == "<=" else second - first
 
 
 def decimal(text: str) -> Fraction:
