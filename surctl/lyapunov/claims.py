@@ -57,6 +57,9 @@ class Stability:
 
     kind = "lyapunov"
 
+    def __post_init__(self) -> None:
+        self.dynamics.require_equilibrium()
+
     @property
     def statement(self) -> str:
         """The claim in words."""

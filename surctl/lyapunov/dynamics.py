@@ -67,8 +67,7 @@ class Dynamics:
             closed loop (`surctl.system.System`); otherwise empty.
 
     Raises:
-        InputError: a name is not valid or is used twice, a range is not finite or empty, the equilibrium lies outside
-            the box, or a rate uses an unknown name.
+        InputError: a name is not valid or is used twice, a range is not finite, or a rate uses an unknown name.
 
     Example:
         >>> from surctl.lyapunov import Dynamics, State
@@ -103,12 +102,6 @@ class Dynamics:
                     "needs finite bounds, the lower one first", key=f"{self.name}.{v.name}", value=list(ends),
                     remedy="give lower and upper",
                 )  # fmt: skip
-        for v in self.states:
-            if not v.lower < v.equilibrium < v.upper:
-                raise InputError(
-                    "has its equilibrium outside its bounds", key=f"{self.name}.{v.name}", value=v.equilibrium,
-                    remedy="widen the bounds",
-                )  # fmt: skip
         for state, rate in zip(self.states, self.rates, strict=True):
             for node in ordered(rate):
                 if node.op == "var" and node.name not in names:
@@ -135,6 +128,15 @@ class Dynamics:
     def equilibrium(self) -> Array:
         """The equilibrium (n,)."""
         return np.array([s.equilibrium for s in self.states])
+
+    def require_equilibrium(self) -> None:
+        """Raise InputError unless the equilibrium lies inside the box."""
+        for s in self.states:
+            if not s.lower < s.equilibrium < s.upper:
+                raise InputError(
+                    "has its equilibrium outside its bounds", key=f"{self.name}.{s.name}", value=s.equilibrium,
+                    remedy="widen the bounds",
+                )  # fmt: skip
 
     @property
     def box(self) -> Array:

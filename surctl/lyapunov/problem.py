@@ -177,6 +177,7 @@ def _problem(table: _ProblemTable, path: Path) -> Problem:
     dynamics = Dynamics(table.name, table.time, tuple(states), tuple(rates), parameters, table.source)
     if table.kind == "barrier":
         return _barrier(table, dynamics, known, path)
+    dynamics.require_equilibrium()
     for key in ("barrier", "initial", "unsafe", "multiplier"):
         if getattr(table, key):
             raise InputError("belongs to kind barrier", file=path, key=key, remedy="drop it, or change the kind")
