@@ -11,11 +11,14 @@ from typing import Any
 
 from surctl.errors import InputError
 
-__all__ = ["FORMAT", "LARGEST", "VERSION", "Rejected", "canonical", "read", "seal"]
+__all__ = ["FORMAT", "LARGEST", "VERSION", "Rejected", "canonical", "listed", "number", "read", "seal"]
 
 FORMAT, VERSION = "surctl-certificate", 2
 LARGEST = 8_000_000
 """Largest size of a certificate file [bytes]; a larger file is not read."""
+
+
+_WHOLE = 2**53  # a larger integer may not be a double
 
 
 class Rejected(Exception):
@@ -109,6 +112,22 @@ def verify_frame(document: Mapping[str, Any]) -> None:
         raise Rejected(f"the certificate cannot be written as canonical JSON: {error}") from None
     if document.get("sha256") != own:
         raise Rejected("the hash does not match the content: the file was altered")
+
+
+def listed(value: object) -> list[Any]:
+    """Return the value; raise Rejected unless it is a list."""
+    if not isinstance(value, list):
+        raise Rejected("a list is missing")
+    return value
+
+
+def number(value: object) -> float:
+    """Return a number of the document as a double; raise Rejected unless it is finite and exact."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise Rejected(f"{value!r} is not a finite number")
+    if isinstance(value, int) and abs(value) > _WHOLE:
+        raise Rejected("an integer is too large to be represented exactly")
+    return float(value)
 
 
 def _refuse(name: str) -> float:

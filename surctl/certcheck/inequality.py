@@ -6,7 +6,8 @@ The proof distinguishes cases and divides the box of each case. A case has these
 - `numerator`, `denominators`, `multipliers`: left − right = numerator / Π denominators + Σ multiplier · constraint;
 - `tree`: the division of the box, in preorder. A capital letter or digit halves the box in the variable that it names
   (at 0 if 0 lies inside); a small letter names the rule that proves the inequality on the box;
-- `points`: the points of contact of the tangents, for the rule `c`.
+- `points`: the points of contact of the tangents, for the rule `c`;
+- `squares` instead of `tree` and `points`: sums of squares, which `surctl.certcheck.squares` describes.
 
 The cases must cover all choices, and an incomplete tree is rejected. So the cases and boxes cover the whole domain.
 """
@@ -21,7 +22,7 @@ from typing import Any
 from mpmath import libmp
 
 from surctl.certcheck.angles import BITS, pi
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, listed, number
 from surctl.certcheck.enclosure import (
     Interval,
     Jet,
@@ -41,16 +42,16 @@ from surctl.certcheck.enclosure import (
 from surctl.certcheck.expressions import BRANCHES, ExpressionTable
 from surctl.certcheck.identity import Exact, Fraction_, Sum
 from surctl.certcheck.patience import go_on
+from surctl.certcheck.squares import Claimed, check_squares
 
 __all__ = ["DIMENSIONS", "Box", "Inequality", "listed", "number"]
 
 DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 """The letters and digits that name the variables of a claim in a tree."""
 
-_CASE = {"choice", "numerator", "denominators", "multipliers", "tree", "points"}
+_CASE = {"choice", "numerator", "denominators", "multipliers"}
 _MOST_BRANCHES = 12
 _DEEPEST = 10_000  # largest number of boxes that wait to be checked
-_WHOLE = 2**53  # a larger integer may not be a double
 
 Box = list[tuple[float, float]]
 
@@ -103,7 +104,7 @@ class Inequality:
                 raise Rejected("the cases do not cover every choice exactly once")
         for case in cases:
             go_on()
-            if set(case) != _CASE:
+            if set(case) not in (_CASE | {"tree", "points"}, _CASE | {"squares"}):
                 raise Rejected("a case has missing or unknown keys")
             picked = dict(zip(branches, case["choice"], strict=True)) if case["choice"] else {}
             _Case(self, case, picked).check()
@@ -131,7 +132,8 @@ class _Case:
         self.numerator = self.expressions.read(case["numerator"])
         self.denominators = [self.expressions.read(t) for t in listed(case["denominators"])]
         self.multipliers = [self.expressions.read(t) for t in listed(case["multipliers"])]
-        self.tree, self.points = case["tree"], list(reversed(listed(case["points"])))
+        self.case = case
+        self.tree, self.points = case.get("tree", ""), list(reversed(listed(case.get("points", []))))
         if not isinstance(self.tree, str):
             raise Rejected("the tree is not a text")
 
@@ -163,6 +165,9 @@ class _Case:
             if libmp.mpf_lt(jet.value[0], libmp.fzero):
                 raise Rejected("a multiplier may be negative")
         self._identity()
+        if "squares" in self.case:
+            self._sums()
+            return
         self._leaves()
         if self.points:
             raise Rejected("the certificate has more tangent points than it needs")
@@ -190,6 +195,14 @@ class _Case:
         for poly in exactly.assumed:
             if not above(_range(poly, exactly, self.claim.box)):
                 raise Rejected("a fraction under a root has a denominator of unknown sign")
+
+    def _sums(self) -> None:
+        if not self.claim.everywhere:
+            raise Rejected("the claim is not defined everywhere on the box")
+        claimed = Claimed(
+            self.expressions, self.numerator, self.denominators, self.constraints, self.claim.box, self.claim.slack
+        )
+        check_squares(self.case["squares"], claimed)
 
     def _is_zero(self, at: int) -> bool:
         entry = self.expressions.entries[at]
@@ -318,8 +331,8 @@ def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
 
 def _range(poly: Sum, exactly: Exact, box: Box) -> Interval:
     total = rational(Fraction(0))
-    for term, number in poly.items():
-        product = rational(number)
+    for term, factor in poly.items():
+        product = rational(factor)
         for atom, e in term:
             product = mul(product, libmp.mpi_pow_int(_atom_range(atom, exactly, box), e, BITS))
         total = plus(total, product)
@@ -339,22 +352,6 @@ def _atom_range(atom: str, exactly: Exact, box: Box) -> Interval:
     if atom[:5] in ("acos{", "atan2"):
         return span(-3.2, 3.2)
     raise Rejected("the sign of a denominator under a root cannot be checked")
-
-
-def listed(value: object) -> list[Any]:
-    """Return the value; raise Rejected unless it is a list."""
-    if not isinstance(value, list):
-        raise Rejected("a list is missing")
-    return value
-
-
-def number(value: object) -> float:
-    """Return a number of the document as a double; raise Rejected unless it is finite and exact."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise Rejected(f"{value!r} is not a finite number")
-    if isinstance(value, int) and abs(value) > _WHOLE:
-        raise Rejected("an integer is too large to be represented exactly")
-    return float(value)
 
 
 def _middle(low: float, high: float) -> float:

@@ -16,7 +16,7 @@ from surctl.verification.proving.polynomial import Monomial, Poly, added
 from surctl.verification.proving.statement import Case
 from surctl.verification.proving.tape import build_tape
 
-__all__ = ["Form", "forms_of"]
+__all__ = ["Form", "forms_of", "signed", "signs_of"]
 
 _STEPS, _TRIALS = 4, 12
 _MOST_TERMS = 60
@@ -61,11 +61,11 @@ def _rewritten(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
     if len(margin.over) > _MOST_TERMS:
         return
     written = Written(algebra)
-    signs = _signs(algebra, written, names, box)
+    signs = signs_of(algebra, written, names, box)
     if signs is None:
         return
-    over = _signed(margin, signs)
-    ratios = [None if g is None else Ratio(_signed(g, signs), g.under) for g in guards]
+    over = signed(margin, signs)
+    ratios = [None if g is None else Ratio(signed(g, signs), g.under) for g in guards]
     sizes = _Sizes(algebra, written, names, box)
     rest, weights = _reduced(algebra, over, ratios, sizes)
     factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
@@ -85,7 +85,7 @@ def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
         return None
 
 
-def _signs(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> dict[int, int] | None:
+def signs_of(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) -> dict[int, int] | None:
     """Return the sign of every denominator on the box; None if a sign is unknown or not as a rewriting assumed."""
     signs: dict[int, int] = {}
     if not algebra.factors:
@@ -99,7 +99,8 @@ def _signs(algebra: Algebra, written: Written, names: Sequence[str], box: Ends) 
     return signs
 
 
-def _signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
+def signed(ratio: Ratio, signs: dict[int, int]) -> Poly:
+    """Return the numerator of a fraction whose denominators have these signs, for positive denominators."""
     flips = sum(e for at, e in ratio.under if signs[at] < 0)
     return {m: -c for m, c in ratio.over.items()} if flips % 2 else dict(ratio.over)
 

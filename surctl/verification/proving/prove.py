@@ -1,21 +1,22 @@
-"""Prove a claim by splitting into cases, exact rewriting and interval branch and bound, and write the certificate."""
+"""Prove a claim by cases, exact rewriting, interval branch and bound and sums of squares, and write the certificate."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck import seal
+from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
 from surctl.verification.formula import text_of
 from surctl.verification.proving.forms import Form, forms_of
 from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, corners, search
+from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
 from surctl.verification.proving.tape import Tape, build_tape
 
@@ -24,6 +25,9 @@ __all__ = ["Proof", "certain_excess", "prove"]
 _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.0))
 """The rounds of the search: for each round, the largest number of boxes and the share of the slack that it may use. The
 first round tries an exact proof; all forms are tried in short rounds before the last round uses the remaining time."""
+
+_SHORT, _SHARE = 3, 0.6
+"""Number of rounds before sums of squares are tried, and the largest share of the remaining time for them."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
@@ -90,19 +94,25 @@ def prove(
         cases = cases_of(parts)
     except InputError as error:  # an expression is too long, or has an operation that the grammar lacks
         return _open(error.problem, 0, began)
-    shown: list[dict[str, Any]] = []
-    needed, boxes = 0.0, 0
-    for number, case in enumerate(cases):
-        share = (time_limit - (time.process_time() - worked)) / (len(cases) - number)
-        label = f"{claim.name}, case {number + 1} of {len(cases)}"
-        form, result, used = _show(case, statement, build_tape(statement.names, parts), slack, share, label, progress)
-        boxes += result.boxes
-        if not result.closed:
-            return _left_open(statement, build_tape(statement.names, parts), case, result, boxes, began)
-        needed = max(needed, used)
-        shown.append(_written(case, form, result))
-    certificate = _certificate(claim, statement, texts, needed, shown)
-    return Proof(certificate, needed, "", (), boxes, time.perf_counter() - began)
+    written = build_tape(statement.names, parts)
+    for with_squares in (True, False):
+        shown: list[dict[str, Any]] = []
+        needed, boxes = 0.0, 0
+        for number, case in enumerate(cases):
+            share = (time_limit - (time.process_time() - worked)) / (len(cases) - number)
+            label = f"{claim.name}, case {number + 1} of {len(cases)}"
+            task = _Attempt(case, statement, written, slack, with_squares, label, progress)
+            done = _show(task, share)
+            boxes += done.result.boxes
+            if not done.result.closed:
+                return _left_open(statement, written, case, done, boxes, began)
+            needed = max(needed, done.slack)
+            shown.append(_written(case, done))
+        certificate = _certificate(claim, statement, texts, needed, shown)
+        # facts about functions come from samples, so the checker decides
+        if not any("squares" in case for case in shown) or check_document(certificate).accepted:
+            return Proof(certificate, needed, "", (), boxes, time.perf_counter() - began)
+    raise AssertionError("a proof without sums of squares needs no second attempt")
 
 
 def certain_excess(claim: Claim, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -125,43 +135,68 @@ def certain_excess(claim: Claim, points: NDArray[np.float64]) -> NDArray[np.floa
     return np.where(within, read.jets[0].value[0], -np.inf)
 
 
-def _show(
-    case: Case,
-    statement: Statement,
-    written: Tape,
-    slack: float,
-    seconds: float,
-    label: str,
-    progress: Callable[[str], None] | None,
-) -> tuple[Form, SearchResult, float]:
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """A case to prove, with the claim's statement, the instruction list as written, and the slack."""
+
+    case: Case
+    statement: Statement
+    written: Tape
+    slack: float
+    with_squares: bool
+    label: str
+    progress: Callable[[str], None] | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """The form and the slack that prove a case, or the best attempt; `squares` if sums of squares prove it."""
+
+    form: Form
+    result: SearchResult
+    slack: float
+    squares: Mapping[str, Any] = field(default_factory=dict)
+    tried: str = ""
+
+
+def _show(attempt: _Attempt, seconds: float) -> _Shown:
     """Return the first form and slack that prove the case; otherwise the attempt with the least unproved volume.
 
     The result of a failed proof counts the boxes of all attempts and gives the reason why the last attempt stopped.
     """
     began = time.process_time()
-    looked = 0
+    case, statement, written = attempt.case, attempt.statement, attempt.written
+    looked, tried = 0, ""
     names = statement.names
     root = statement.lower[:, None], statement.upper[:, None]
     constraints = build_tape(names, case.constraints)
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
-    for most, part in _ROUNDS:
+    for number, (most, part) in enumerate(_ROUNDS):
+        if number == _SHORT and attempt.with_squares and all(fine[0] for fine in written.run(root).defined):
+            rest = _SHARE * max(seconds - (time.process_time() - began), 0.0)
+            squares = prove_by_squares(case, names, (statement.lower, statement.upper), seconds=rest)
+            if squares.form is not None:
+                result = SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
+                return _Shown(squares.form, result, 0.0, squares.squares)
+            tried = squares.tried
         for k, form in enumerate(usable):
             task = Task(
                 build_tape(names, [form.numerator, *form.denominators]),
-                constraints, written, (statement.lower, statement.upper), part * slack,
+                constraints, written, (statement.lower, statement.upper), part * attempt.slack,
             )  # fmt: skip
             rest = max(seconds - (time.process_time() - began), 0.0)
             # the last round divides the remaining time among the forms
-            share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / 4
-            result = search(task, deadline=time.process_time() + share, most=most, progress=_reporter(label, progress))
+            share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / (12 if number < _SHORT else 4)
+            report = _reporter(attempt.label, attempt.progress)
+            result = search(task, deadline=time.process_time() + share, most=most, progress=report)
             looked += result.boxes
             if result.closed:
-                return form, result, task.slack
+                return _Shown(form, result, task.slack)
             if best is None or _volume(result) <= _volume(best[1]):
                 best = form, result, task.slack
     assert best is not None  # the form as written is always usable
-    return best[0], replace(best[1], boxes=looked, reason=result.reason), best[2]
+    return _Shown(best[0], replace(best[1], boxes=looked, reason=result.reason), best[2], tried=tried)
 
 
 def _reporter(label: str, progress: Callable[[str], None] | None) -> Callable[[int, int], None] | None:
@@ -189,14 +224,14 @@ def _volume(result: SearchResult) -> float:
     return float(np.sum(np.prod(np.maximum(result.remaining[1] - result.remaining[0], 1e-12), axis=0)))
 
 
-def _written(case: Case, form: Form, result: SearchResult) -> dict[str, Any]:
+def _written(case: Case, shown: _Shown) -> dict[str, Any]:
+    proof = {"tree": shown.result.tree, "points": [list(p) for p in shown.result.points]}
     return {
         "choice": case.choice,
-        "numerator": text_of(form.numerator),
-        "denominators": [text_of(d) for d in form.denominators],
-        "multipliers": [text_of(m) for m in form.multipliers],
-        "tree": result.tree,
-        "points": [list(p) for p in result.points],
+        "numerator": text_of(shown.form.numerator),
+        "denominators": [text_of(d) for d in shown.form.denominators],
+        "multipliers": [text_of(m) for m in shown.form.multipliers],
+        **({"squares": shown.squares} if shown.squares else proof),
     }
 
 
@@ -222,9 +257,8 @@ def _open(reason: str, boxes: int, began: float) -> Proof:
     return Proof(None, 0.0, reason, (), boxes, time.perf_counter() - began)
 
 
-def _left_open(
-    statement: Statement, written: Tape, case: Case, result: SearchResult, boxes: int, began: float
-) -> Proof:
+def _left_open(statement: Statement, written: Tape, case: Case, shown: _Shown, boxes: int, began: float) -> Proof:
+    result = shown.result
     some = corners(result.remaining, statement.names, most=_MOST_SHOWN)
     count = result.remaining[0].shape[1]
     where = ", ".join(f"{k} in [{low:.4g}, {high:.4g}]" for k, (low, high) in some[0].items()) if some else ""
@@ -235,4 +269,6 @@ def _left_open(
         box = np.array([[low, high] for low, high in some[0].values()])
         trouble = written.trouble((box[:, :1], box[:, 1:]))
         text += f", one at {where}" + (f"; {trouble}" if trouble else "")
+    if shown.tried:
+        text += f"; {shown.tried}"
     return Proof(None, 0.0, text, tuple(some), boxes, time.perf_counter() - began)

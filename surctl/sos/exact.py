@@ -1,0 +1,299 @@
+"""Exact proofs that a polynomial is not negative where others are not negative: sums of squares with rational numbers.
+
+The proof is an identity target = Σ_k σ_k · weight_k + Σ_j h_j · relation_j. Each σ_k is a sum of squares, each weight
+is a polynomial that is not negative, and each relation is a polynomial that is 0. A semidefinite program proposes the
+numbers. They are rounded, and the rounding error is moved into entries of the Gram matrices, so that the identity holds
+exactly. An exact test shows that the Gram matrices are positive semidefinite.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from math import ceil, lcm, log2
+
+import numpy as np
+
+from surctl.sos.basis import monomials, parity_classes
+from surctl.sos.definite import is_semidefinite
+from surctl.sos.polynomial import Monomial, Polynomial, joined
+from surctl.sos.program import Affine, Program, Solution, Squares
+from surctl.sos.pruning import Gram, pruned
+from surctl.sos.rounding import Column, corrected
+
+__all__ = ["Certificate", "GramBlock", "certify"]
+
+_LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no room for rounding
+_PER_ENTRY = 1e-9  # [s] per cube of a number of entries: a block of size 65 takes about 10 s
+_ROOM = (3, 10, 18)  # bits of the rounding beyond the size of the least eigenvalue, by attempt
+
+
+@dataclass(frozen=True)
+class GramBlock:
+    """A sum of squares z' G z times a weight.
+
+    Attributes:
+        weight: index of the weight; −1 for the weight 1.
+        basis: the monomials z (n).
+        entries: the lower triangle of G, row by row.
+    """
+
+    weight: int
+    basis: tuple[Monomial, ...]
+    entries: tuple[Fraction, ...]
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """An exact identity target = Σ σ_k · weight_k + Σ h_j · relation_j, once the remainder is added.
+
+    The blocks leave a small remainder polynomial: target minus the right side. For each of its monomials, the
+    coefficient is added to the first entry of the blocks with weight 1 whose two monomials have that product (half of
+    it to each of two symmetric entries). The matrices are positive semidefinite after this step.
+
+    Attributes:
+        blocks: the sums of squares.
+        multipliers: the polynomial h of each relation.
+        least: least eigenvalue of the numerical Gram matrices, relative to the largest coefficient.
+    """
+
+    blocks: tuple[GramBlock, ...]
+    multipliers: tuple[Polynomial, ...]
+    least: float
+
+
+def certify(
+    target: Polynomial,
+    weights: Sequence[Polynomial] = (),
+    *,
+    relations: Sequence[Polynomial] = (),
+    degree: int | None = None,
+    largest: int = 120,
+    seconds: float = 60.0,
+) -> Certificate | None:
+    """Prove that a polynomial is not negative where all weights are not negative and all relations are 0.
+
+    Scale the variables so that the set of interest has a size of about 1. If the target is 0 at a point of the set,
+    move this point to 0.
+
+    Args:
+        target: the polynomial, with exact coefficients.
+        weights: polynomials with exact coefficients; products of weights must be listed as weights.
+        relations: polynomials with exact coefficients that are 0.
+        degree: largest degree of the products in the identity; by default the largest of the given degrees.
+        largest: largest size of a Gram matrix.
+        seconds: limit of the processor time [s]; the solver stops after four times as much wall-clock time.
+
+    Returns:
+        The proof; None if none is found.
+
+    Example:
+        >>> from surctl.sos import Polynomial, certify
+        >>> x, y = Polynomial.variables(2)
+        >>> proof = certify(2 - x - y, [1 - x**2 - y**2])
+        >>> [(block.weight, len(block.basis)) for block in proof.blocks]
+        [(-1, 3), (0, 1)]
+        >>> certify(1 - x - y, [1 - x**2 - y**2]) is None
+        True
+    """
+    began = time.process_time()
+    if not target.terms:
+        return Certificate((), tuple(Polynomial({}) for _ in relations), 0.0)
+    highest = max(p.degree for p in (target, *weights, *relations)) if degree is None else degree
+    highest += highest % 2
+    grams, free = _candidates(target, weights, relations, highest)
+    grams = pruned(target, grams, [(relations[j], f) for j, f in enumerate(free)])
+    if not grams or max(len(g.basis) for g in grams) > largest or _expected(grams) > seconds:
+        return None
+    size = Fraction(2) ** round(log2(max(abs(float(c)) for c in target.terms.values())))
+    scaled = target * (1 / size)
+    program = Program()
+    least = program.scalar()
+    program.nonnegative(1 - least)
+    total = Affine({})
+    squares = [program.squares(g.basis, above=least) for g in grams]
+    for gram, sigma in zip(grams, squares, strict=True):
+        total = total + (sigma * gram.weight if gram.at >= 0 else sigma)
+    multipliers = [program.polynomial(f) for f in free]
+    for relation, unknown in zip(relations, multipliers, strict=True):
+        total = total + unknown * relation
+    if set(scaled.terms) - set(total.terms):
+        return None
+    program.zero(scaled - total)
+    program.maximise(least)
+    solution = program.solve(seconds=max(4 * (seconds - (time.process_time() - began)), 1.0))
+    if solution is None or solution.number(least) < _LEAST:
+        return None
+    for room in _ROOM:
+        if time.process_time() - began > seconds:
+            return None
+        rounded = _rounded(scaled, grams, squares, multipliers, relations, solution, solution.number(least), room)
+        if rounded is not None:
+            blocks, polynomials = rounded
+            blocks = [GramBlock(b.weight, b.basis, tuple(x * size for x in b.entries)) for b in blocks]
+            return Certificate(tuple(blocks), tuple(p * size for p in polynomials), solution.number(least))
+    return None
+
+
+def _expected(grams: Sequence[Gram]) -> float:
+    """Return a rough estimate of the solver's time [s]: it factors a dense matrix of the entries of each block."""
+    return sum((len(g.basis) * (len(g.basis) + 1) / 2) ** 3 for g in grams) * _PER_ENTRY
+
+
+def _candidates(
+    target: Polynomial, weights: Sequence[Polynomial], relations: Sequence[Polynomial], highest: int
+) -> tuple[list[Gram], list[list[Monomial]]]:
+    """Return the Gram blocks to try, and the monomials of each relation's multiplier."""
+    among = sorted({k for p in (target, *weights, *relations) for m in p.terms for k, _ in m})
+    # where the target is 0, a sum of squares with a positive weight is 0 as well
+    vanishes = () not in target.terms
+    symmetric = [target, *weights, *relations]
+    grams = []
+    for at, weight in [(-1, Polynomial.constant(1)), *enumerate(weights)]:
+        half = (highest - weight.degree) // 2
+        if half < 0:
+            continue
+        positive = weight.terms.get((), 0) > 0
+        basis = monomials(among, half, lowest=1 if vanishes and positive else 0)
+        grams += [Gram(at, weight, tuple(part)) for part in parity_classes(basis, symmetric)]
+    free = [
+        parity_classes(monomials(among, highest - r.degree), symmetric)[0] if highest >= r.degree else []
+        for r in relations
+    ]
+    return grams, free
+
+
+def _rounded(
+    target: Polynomial,
+    grams: Sequence[Gram],
+    squares: Sequence[Squares],
+    multipliers: Sequence[Affine],
+    relations: Sequence[Polynomial],
+    solution: Solution,
+    least: float,
+    room: int,
+) -> tuple[list[GramBlock], list[Polynomial]] | None:
+    """Return the rounded blocks and multipliers; None if a matrix is not positive semidefinite."""
+    most = max(len(g.basis) for g in grams)
+    grid = 2 ** min(max(ceil(log2(most / least)) + room, 8), 60)
+    values: list[list[Fraction]] = []
+    for gram, unknown in zip(grams, squares, strict=True):
+        matrix = solution.gram(unknown)
+        lower = matrix[np.tril_indices(len(gram.basis))]
+        values.append([Fraction(round(x * grid), grid) for x in lower.tolist()])
+    polynomials = [
+        {m: Fraction(round(float(c) * grid), grid) for m, c in solution.polynomial(p).terms.items()}
+        for p in multipliers
+    ]
+    pairs = _pairs(grams)
+    rest = _remainder(target, grams, values, relations, polynomials)
+    outside = {m: Fraction(c) for m, c in rest.terms.items() if m not in pairs}
+    if outside:
+        columns = _columns(grams, relations, multipliers, pairs)
+        changes = corrected(outside, columns)
+        if changes is None:
+            return None
+        for (at, place), change in changes.items():
+            if isinstance(place, int):
+                values[at][place] += change
+            else:
+                polynomials[at][place] = polynomials[at].get(place, Fraction(0)) + change
+        rest = _remainder(target, grams, values, relations, polynomials)
+    # spread the remainder evenly, round it, and leave to the reader what is less than the grid
+    for m, c in rest.terms.items():
+        places = pairs.get(m)
+        if places is None:
+            return None
+        share = round(float(c) / sum(w for _, _, w in places) * grid)
+        for block, place, _ in places:
+            values[block][place] += Fraction(share, grid)
+    rest = _remainder(target, grams, values, relations, polynomials)
+    full = [list(v) for v in values]
+    for m, c in rest.terms.items():
+        block, place, weight = pairs[m][0]
+        full[block][place] += Fraction(c) / weight
+    if not all(_semidefinite(len(g.basis), v) for g, v in zip(grams, full, strict=True)):
+        return None
+    blocks = [GramBlock(g.at, g.basis, tuple(v)) for g, v in zip(grams, values, strict=True)]
+    return blocks, [Polynomial({m: c for m, c in p.items() if c}) for p in polynomials]
+
+
+def _pairs(grams: Sequence[Gram]) -> dict[Monomial, list[tuple[int, int, int]]]:
+    """Return, by monomial, the entries of the blocks with the weight 1: block, place, and 1 or 2 for off-diagonal."""
+    pairs: dict[Monomial, list[tuple[int, int, int]]] = {}
+    for block, gram in enumerate(grams):
+        if gram.at < 0:
+            place = 0
+            for i, m in enumerate(gram.basis):
+                for j, n in enumerate(gram.basis[: i + 1]):
+                    pairs.setdefault(joined(m, n), []).append((block, place, 1 if i == j else 2))
+                    place += 1
+    return pairs
+
+
+def _remainder(
+    target: Polynomial,
+    grams: Sequence[Gram],
+    values: Sequence[Sequence[Fraction]],
+    relations: Sequence[Polynomial],
+    polynomials: Sequence[Mapping[Monomial, Fraction]],
+) -> Polynomial:
+    """Return target − Σ σ_k · weight_k − Σ h_j · relation_j."""
+    rest = target
+    for gram, entries in zip(grams, values, strict=True):
+        rest = rest - _square(gram.basis, entries) * gram.weight
+    for relation, terms in zip(relations, polynomials, strict=True):
+        rest = rest - Polynomial({m: c for m, c in terms.items() if c}) * relation
+    return rest
+
+
+def _square(basis: Sequence[Monomial], entries: Sequence[Fraction]) -> Polynomial:
+    total: dict[Monomial, Fraction] = {}
+    place = 0
+    for i, m in enumerate(basis):
+        for j, n in enumerate(basis[: i + 1]):
+            product = joined(m, n)
+            total[product] = total.get(product, Fraction(0)) + entries[place] * (1 if i == j else 2)
+            place += 1
+    return Polynomial({m: c for m, c in total.items() if c})
+
+
+def _columns(
+    grams: Sequence[Gram],
+    relations: Sequence[Polynomial],
+    multipliers: Sequence[Affine],
+    inside: Mapping[Monomial, object],
+) -> list[Column]:
+    """Return the unknowns that change coefficients which no block with the weight 1 has."""
+    columns = []
+    for at, (relation, unknown) in enumerate(zip(relations, multipliers, strict=True)):
+        for m in unknown.terms:
+            row = {joined(m, n): Fraction(c) for n, c in relation.terms.items()}
+            columns.append(Column((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
+    for at, gram in enumerate(grams):
+        place = 0
+        for i, m in enumerate(gram.basis if gram.at >= 0 else ()):
+            for j, n in enumerate(gram.basis[: i + 1]):
+                product, factor = joined(m, n), 1 if i == j else 2
+                row = {joined(product, w): Fraction(c) * factor for w, c in gram.weight.terms.items()}
+                columns.append(
+                    Column((at, place), {m: c for m, c in row.items() if m not in inside}, 2 if i == j else 1)
+                )
+                place += 1
+    return [c for c in columns if c.row]
+
+
+def _semidefinite(size: int, entries: Sequence[Fraction]) -> bool:
+    over = 1
+    for x in entries:
+        over = lcm(over, x.denominator)
+    matrix = [[0] * size for _ in range(size)]
+    place = 0
+    for i in range(size):
+        for j in range(i + 1):
+            x = entries[place]
+            matrix[i][j] = matrix[j][i] = x.numerator * (over // x.denominator)
+            place += 1
+    return is_semidefinite(matrix)

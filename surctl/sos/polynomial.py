@@ -1,0 +1,182 @@
+"""Sparse polynomials in numbered variables; coefficients are exact fractions or floats."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+__all__ = ["Monomial", "Number", "Polynomial", "joined"]
+
+Monomial = tuple[tuple[int, int], ...]
+"""A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
+Number = Fraction | float
+"""A coefficient; integers count as fractions."""
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """A polynomial: the coefficient of each monomial; no coefficient is 0.
+
+    Sums, differences, products and powers use the operators + − * **, and quotients by numbers /; numbers count as constant polynomials.
+
+    Attributes:
+        terms: coefficient of each monomial.
+
+    Example:
+        >>> from surctl.sos import Polynomial
+        >>> x, y = Polynomial.variables(2)
+        >>> p = (x + 2 * y) ** 2 - 1
+        >>> print(p)
+        -1 + x0^2 + 4 x0 x1 + 4 x1^2
+        >>> p.degree, p.value([1, 1]), str(p.derivative(0))
+        (2, Fraction(8, 1), '2 x0 + 4 x1')
+    """
+
+    terms: Mapping[Monomial, Number]
+
+    @staticmethod
+    def constant(value: Number) -> Polynomial:
+        """Return the constant polynomial."""
+        return Polynomial({(): _number(value)} if value else {})
+
+    @staticmethod
+    def variable(index: int) -> Polynomial:
+        """Return the polynomial x_index."""
+        return Polynomial({((index, 1),): Fraction(1)})
+
+    @staticmethod
+    def variables(count: int) -> tuple[Polynomial, ...]:
+        """Return the polynomials x_0, …, x_(count − 1)."""
+        return tuple(map(Polynomial.variable, range(count)))
+
+    @staticmethod
+    def monomial(monomial: Monomial) -> Polynomial:
+        """Return the polynomial with this monomial alone, with the coefficient 1."""
+        return Polynomial({monomial: Fraction(1)})
+
+    @property
+    def degree(self) -> int:
+        """The largest total degree of a monomial; 0 for the polynomial 0."""
+        return max((sum(e for _, e in m) for m in self.terms), default=0)
+
+    @property
+    def order(self) -> int:
+        """The least total degree of a monomial, which is the order of vanishing at 0; 0 for the polynomial 0."""
+        return min((sum(e for _, e in m) for m in self.terms), default=0)
+
+    def __add__(self, other: Polynomial | Number) -> Polynomial:
+        if not isinstance(other, Polynomial | Fraction | float | int):
+            return NotImplemented
+        return self._plus(_polynomial(other), 1)
+
+    def __sub__(self, other: Polynomial | Number) -> Polynomial:
+        if not isinstance(other, Polynomial | Fraction | float | int):
+            return NotImplemented
+        return self._plus(_polynomial(other), -1)
+
+    def __radd__(self, other: Number) -> Polynomial:
+        return self + other
+
+    def __rsub__(self, other: Number) -> Polynomial:
+        return _polynomial(other) - self
+
+    def __neg__(self) -> Polynomial:
+        return Polynomial({m: -c for m, c in self.terms.items()})
+
+    def __mul__(self, other: Polynomial | Number) -> Polynomial:
+        if isinstance(other, Fraction | float | int):
+            value = _number(other)
+            return Polynomial({m: c * value for m, c in self.terms.items()} if value else {})
+        if not isinstance(other, Polynomial):
+            return NotImplemented
+        total: dict[Monomial, Number] = {}
+        for m, c in self.terms.items():
+            for n, d in other.terms.items():
+                product = joined(m, n)
+                total[product] = total.get(product, 0) + c * d
+        return Polynomial({m: c for m, c in total.items() if c})
+
+    def __rmul__(self, other: Number) -> Polynomial:
+        return self * other
+
+    def __truediv__(self, other: Number) -> Polynomial:
+        return self * (1 / _number(other))
+
+    def __pow__(self, exponent: int) -> Polynomial:
+        total = Polynomial.constant(1)
+        for _ in range(exponent):
+            total = total * self
+        return total
+
+    def _plus(self, other: Polynomial, sign: int) -> Polynomial:
+        total = dict(self.terms)
+        for m, c in other.terms.items():
+            value = total.get(m, 0) + sign * c
+            if value:
+                total[m] = value
+            else:
+                total.pop(m, None)
+        return Polynomial(total)
+
+    def derivative(self, variable: int) -> Polynomial:
+        """Return the partial derivative with respect to a variable."""
+        total: dict[Monomial, Number] = {}
+        for m, c in self.terms.items():
+            exponent = dict(m).get(variable, 0)
+            if exponent:
+                total[tuple((k, e - (k == variable)) for k, e in m if (k, e) != (variable, 1))] = c * exponent
+        return Polynomial(total)
+
+    def substituted(self, by: Mapping[int, Polynomial]) -> Polynomial:
+        """Return the polynomial with the variables in `by` replaced by polynomials."""
+        total = Polynomial({})
+        powers: dict[tuple[int, int], Polynomial] = {}
+        for m, c in self.terms.items():
+            term = Polynomial({tuple((k, e) for k, e in m if k not in by): c})
+            for k, e in m:
+                if k in by:
+                    powers[k, e] = powers.get((k, e)) or by[k] ** e
+                    term = term * powers[k, e]
+            total = total + term
+        return total
+
+    def value(self, point: Sequence[Number]) -> Number:
+        """Return the value at a point, which has a number for each variable."""
+        total: Number = Fraction(0)
+        for m, c in self.terms.items():
+            for k, e in m:
+                c = c * point[k] ** e
+            total = total + c
+        return total
+
+    def __str__(self) -> str:
+        words = []
+        for m, c in sorted(self.terms.items(), key=lambda item: _place(item[0])):
+            name = " ".join(f"x{k}" if e == 1 else f"x{k}^{e}" for k, e in m)
+            size = "" if abs(c) == 1 and name else f"{abs(float(c)):.6g}"
+            words.append(("- " if c < 0 else "+ ") + " ".join(filter(None, (size, name))))
+        text = " ".join(words) or "0"
+        return text[2:] if text.startswith("+ ") else "-" + text[2:] if text.startswith("- ") else text
+
+
+def joined(m: Monomial, n: Monomial) -> Monomial:
+    """Return the product of two monomials."""
+    if not m or not n:
+        return m or n
+    powers = dict(m)
+    for variable, exponent in n:
+        powers[variable] = powers.get(variable, 0) + exponent
+    return tuple(sorted(powers.items()))
+
+
+def _place(m: Monomial) -> tuple[int, list[tuple[int, int]]]:
+    return sum(e for _, e in m), [(k, -e) for k, e in m]
+
+
+def _number(value: Number) -> Number:
+    return Fraction(value) if isinstance(value, int) else value
+
+
+def _polynomial(value: Polynomial | Number) -> Polynomial:
+    return value if isinstance(value, Polynomial) else Polynomial.constant(value)

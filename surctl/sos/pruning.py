@@ -1,0 +1,64 @@
+"""Removal of monomials whose diagonal entry in a Gram matrix must be 0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from surctl.sos.polynomial import Monomial, Polynomial, joined
+
+__all__ = ["Gram", "pruned"]
+
+
+@dataclass(frozen=True)
+class Gram:
+    """An unknown sum of squares times a weight.
+
+    Attributes:
+        at: index of the weight; −1 for the weight 1.
+        weight: the weight.
+        basis: monomials of the Gram matrix.
+    """
+
+    at: int
+    weight: Polynomial
+    basis: tuple[Monomial, ...]
+
+
+def pruned(
+    target: Polynomial, grams: Sequence[Gram], free: Sequence[tuple[Polynomial, Sequence[Monomial]]]
+) -> list[Gram]:
+    """Return the blocks without the monomials whose diagonal entries are 0 in every identity with the target.
+
+    If the coefficient of a monomial is 0 in the target, and only diagonal entries of Gram matrices with coefficients of
+    one sign have an influence on it, these entries are 0.
+
+    Args:
+        target: the polynomial that the sum of all blocks must equal.
+        grams: the blocks.
+        free: relations with the monomials of their unknown multipliers, which have any sign.
+    """
+    fixed = set(target.terms)
+    for relation, some in free:
+        fixed |= {joined(m, n) for m in some for n in relation.terms}
+    kept = list(grams)
+    while True:
+        signed: dict[Monomial, set[tuple[int, Monomial, bool]]] = {}
+        mixed = set(fixed)
+        for block, gram in enumerate(kept):
+            for i, m in enumerate(gram.basis):
+                for n in gram.basis[:i]:
+                    product = joined(m, n)
+                    mixed.update(joined(product, w) for w in gram.weight.terms)
+                for w, c in gram.weight.terms.items():
+                    signed.setdefault(joined(joined(m, m), w), set()).add((block, m, c > 0))
+        gone: set[tuple[int, Monomial]] = set()
+        for product, entries in signed.items():
+            if product not in mixed and len({sign for _, _, sign in entries}) == 1:
+                gone |= {(block, m) for block, m, _ in entries}
+        if not gone:
+            return [gram for gram in kept if gram.basis]
+        kept = [
+            replace(gram, basis=tuple(m for m in gram.basis if (block, m) not in gone))
+            for block, gram in enumerate(kept)
+        ]

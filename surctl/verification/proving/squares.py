@@ -1,0 +1,397 @@
+"""Proof of a case by sums of squares: its normal form as a polynomial, and what is known of the polynomial's atoms."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from math import ceil, log2
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.sos.exact import Certificate, certify
+from surctl.sos.polynomial import Polynomial
+from surctl.verification.formula import Node, number, ordered, parse, text_of, variable
+from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge
+from surctl.verification.proving.facts import VALUES, facts_about
+from surctl.verification.proving.forms import Form, signed, signs_of
+from surctl.verification.proving.horner import Written
+from surctl.verification.proving.polynomial import Monomial, Poly, constant, single
+from surctl.verification.proving.statement import Case
+from surctl.verification.proving.tape import build_tape
+
+__all__ = ["SquaresProof", "prove_by_squares"]
+
+Array = NDArray[np.float64]
+
+_MOST_ATOMS, _MOST_TERMS, _HIGHEST = 16, 1500, 10
+_LEVELS = 3  # the degrees of the identity: that of the polynomial, and 2 and 4 more
+
+
+@dataclass(frozen=True)
+class SquaresProof:
+    """Attempt to prove a case by sums of squares.
+
+    Attributes:
+        form: form of the margin; None if the attempt failed.
+        squares: entry `squares` of the case in the certificate; empty if the attempt failed.
+        tried: what was tried, for the text about an unproved claim.
+    """
+
+    form: Form | None
+    squares: dict[str, Any]
+    tried: str
+
+
+class _SplitAngles(Algebra):
+    # as in the checker, the sine and cosine of a sum are those of its terms, and large products are allowed
+
+    def product(self, a: Poly, b: Poly) -> Poly:
+        if len(a) * len(b) > 8 * _MOST_TERMS:
+            raise TooLarge
+        total = self._reduced({m: Fraction(c) for m, c in (Polynomial(a) * Polynomial(b)).terms.items()})
+        if len(total) > _MOST_TERMS:
+            raise TooLarge
+        return total
+
+    def _turned(self, angle: Ratio) -> tuple[Ratio, Ratio]:
+        if angle.under:
+            return self._leaf_angle(angle)
+        total = (Ratio(constant(1)), Ratio({}))
+        for monomial, coefficient in angle.over.items():
+            total = self._sum_of_turns(total, self._one_turn(monomial, coefficient))
+        return total
+
+    def _one_turn(self, monomial: Monomial, coefficient: Fraction) -> tuple[Ratio, Ratio]:
+        known = self._known_turn(monomial, coefficient)
+        if known is not None:
+            return known
+        times, size = abs(coefficient.numerator), Fraction(1, coefficient.denominator)
+        if times >= 9:
+            times, size = 1, abs(coefficient)
+        one = total = self._leaf_angle(Ratio({monomial: size}))
+        for _ in range(times - 1):
+            total = self._sum_of_turns(total, one)
+        return total if coefficient > 0 else (total[0], Ratio({m: -c for m, c in total[1].over.items()}))
+
+
+def prove_by_squares(case: Case, names: tuple[str, ...], box: tuple[Array, Array], *, seconds: float) -> SquaresProof:
+    """Try to prove a case by sums of squares, first with identities of low degree.
+
+    Args:
+        case: the case.
+        names: names of the variables.
+        box: lower and upper bounds of the variables (n,).
+        seconds: time limit [s] of processor time.
+    """
+    end = time.process_time() + seconds
+    try:
+        problem = _Problem(case, names, box)
+    except (TooLarge, InputError):
+        return SquaresProof(None, {}, "")
+    if not problem.usable:
+        return SquaresProof(None, {}, "")
+    tried = 0
+    for degree, factors in problem.levels():
+        left = end - time.process_time()
+        if left <= 0:
+            break
+        proof = certify(
+            problem.target,
+            [problem.weight(names_) for names_ in factors],
+            relations=[r for _, r in problem.relations],
+            degree=degree,
+            seconds=left,
+        )
+        tried = degree
+        if proof is not None:
+            return SquaresProof(problem.form, problem.entry(proof, factors), "")
+    return SquaresProof(None, {}, f"sums of squares of degree up to {tried} found no proof" if tried else "")
+
+
+class _Problem:
+    """A case as polynomials in symbols, which are scaled and moved atoms."""
+
+    def __init__(self, case: Case, names: tuple[str, ...], box: tuple[Array, Array]) -> None:
+        self._names, self._box = names, box
+        self._algebra = algebra = _SplitAngles()
+        margin = algebra.of(case.margin)
+        guards = [_guard(algebra, c) for c in case.constraints]
+        written = Written(algebra)
+        ends = box[0][:, None], box[1][:, None]
+        signs = signs_of(algebra, written, names, ends)
+        self.usable = False
+        if signs is None or not margin.over or len(margin.over) > _MOST_TERMS:
+            return
+        over = signed(margin, signs)
+        factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
+        under = tuple(itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under))
+        self.form = Form(written.poly(over), under, (number(0),) * len(guards))
+        polynomials = [over, *(g.over for g in guards if g is not None and not g.under)]
+        self._atoms = self._closed({k for p in polynomials for m in p for k, _ in m})
+        if len(self._atoms) > _MOST_ATOMS or not self._atoms:
+            return
+        nodes = [written.atom(at) for at in self._atoms]
+        read = build_tape(names, nodes).run(ends)
+        if not all(fine[0] for fine in read.defined):
+            return
+        self._written = written
+        self._ranges = [(float(jet.value[0][0]), float(jet.value[1][0])) for jet in read.jets]
+        self._choose_symbols({m: -c for m, c in over.items()})
+        self.target = self.moved({m: -c for m, c in over.items()})
+        self._factors: dict[str, Polynomial] = {}
+        for j, guard in enumerate(guards):
+            if guard is not None and guard.over and not guard.under:
+                self._factors[f"c{j}"] = self.moved({m: -c for m, c in guard.over.items()})
+        self._add_bounds()
+        self._facts: list[dict[str, Any]] = []
+        self._add_facts()
+        self.relations = self._relations()
+        self.usable = True
+
+    def _closed(self, atoms: set[int]) -> list[int]:
+        """Return the atoms with those that relations and facts about them need, in order."""
+        waiting, among = list(atoms), set[int]()
+        while waiting:
+            at = waiting.pop()
+            if at in among:
+                continue
+            among.add(at)
+            kind, args = self._algebra.atoms[at]
+            inside = [a for a in args if isinstance(a, Ratio)]
+            if kind in ("sin", "cos"):
+                waiting.append(self._algebra._atom("cos" if kind == "sin" else "sin", inside[0]))
+            if len(inside) == 1 or self._is_atan(at):
+                waiting += [k for m in inside[0].over for k, _ in m]
+        return sorted(among)
+
+    def _is_atan(self, at: int) -> bool:
+        kind, args = self._algebra.atoms[at]
+        return kind == "atan2" and isinstance(args[1], Ratio) and args[1] == Ratio(constant(1))
+
+    def _choose_symbols(self, target: Poly) -> None:
+        """Choose for each atom its origin and scale: symbol = (atom − origin) / scale."""
+        lower, upper = self._box
+        nearest = {
+            name: min(max(Fraction(0), Fraction(repr(float(a)))), Fraction(repr(float(b))))
+            for name, a, b in zip(self._names, lower, upper, strict=True)
+        }
+        values = {at: self._value(at, nearest) for at in self._atoms}
+        known = {at: v for at, v in values.items() if v is not None}
+        self._touching = False
+        if all(k in known for m in target for k, _ in m):
+            self._touching = (
+                not Polynomial(target).substituted({at: Polynomial.constant(v) for at, v in known.items()}).terms
+            )
+        self._origins, self._scales = [], []
+        for at, (low, high) in zip(self._atoms, self._ranges, strict=True):
+            origin = known.get(at) if self._touching else None
+            if origin is None:
+                middle, half = (low + high) / 2, (high - low) / 2
+                grid = 2.0 ** (ceil(log2(half)) - 4) if half > 0 else 1.0
+                origin = Fraction(0) if abs(middle) < half / 4 else Fraction(round(middle / grid) * grid)
+            size = max(abs(low - float(origin)), abs(high - float(origin)), 1e-9)
+            self._origins.append(origin)
+            self._scales.append(Fraction(2) ** ceil(log2(size)))
+        place = {at: k for k, at in enumerate(self._atoms)}
+        self._by = {at: self._scales[k] * Polynomial.variable(k) + self._origins[k] for at, k in place.items()}
+        self._place = place
+
+    def _value(self, at: int, point: dict[str, Fraction]) -> Fraction | None:
+        """Return the exact value of an atom at a point; None if it is not known to be rational."""
+        kind, args = self._algebra.atoms[at]
+        if kind == "var":
+            return point[str(args[0])]
+        inside = args[0] if args else None
+        if not isinstance(inside, Ratio) or inside.under or (len(args) > 1 and not self._is_atan(at)):
+            return None
+        kind = "atan" if kind == "atan2" else kind
+        total = Fraction(0)
+        for m, c in inside.over.items():
+            for k, e in m:
+                value = self._value(k, point)
+                if value is None:
+                    return None
+                c *= value**e
+            total += c
+        if total == 0 and kind in VALUES:
+            return VALUES[kind][1]
+        if kind == "sqrt" and total >= 0:
+            root = Fraction(float(total) ** 0.5).limit_denominator(10**6)
+            return root if root * root == total else None
+        return None
+
+    def moved(self, poly: Poly) -> Polynomial:
+        """Return a polynomial in atoms as a polynomial in the symbols."""
+        return Polynomial(poly).substituted(self._by)
+
+    def _add_bounds(self) -> None:
+        for at in self._atoms:
+            kind, args = self._algebra.atoms[at]
+            if kind != "var":
+                continue
+            i = self._names.index(str(args[0]))
+            low, high = (float(end[i]) for end in self._box)
+            variable = self.moved(single(at))
+            # as in the checker, a bound contains the double and its decimal
+            self._factors[f"l{i}"] = variable - min(Fraction(low), Fraction(repr(low)))
+            self._factors[f"h{i}"] = max(Fraction(high), Fraction(repr(high))) - variable
+
+    def _add_facts(self) -> None:
+        for at in self._atoms:
+            kind, args = self._algebra.atoms[at]
+            inside = args[0] if args else None
+            if not isinstance(inside, Ratio) or inside.under or (len(args) > 1 and not self._is_atan(at)):
+                continue
+            op = "atan" if kind == "atan2" else kind
+            node = self._written.ratio(inside)
+            jet = build_tape(self._names, [node]).run((self._box[0][:, None], self._box[1][:, None])).jets[0]
+            low, high = float(jet.value[0][0]), float(jet.value[1][0])
+            argument, atom = self.moved(inside.over), self.moved(single(at))
+            for factors in facts_about(op, low, high, touching=self._touching):
+                total = Polynomial.constant(1)
+                for text in factors:
+                    total = total * _read(text, op, argument, atom)
+                self._factors[f"f{len(self._facts)}"] = total
+                self._facts.append({"of": text_of(node), "factors": list(factors)})
+
+    def _relations(self) -> list[tuple[int, Polynomial]]:
+        """Return sin² + cos² − 1 and root² − radicand, with the index of the sine or root among the symbols."""
+        found = []
+        for at in self._atoms:
+            kind, args = self._algebra.atoms[at]
+            inside = args[0] if args else None
+            if kind == "sin" and isinstance(inside, Ratio):
+                cosine = self._algebra._atom("cos", inside)
+                found.append((self._place[at], self.moved(single(at)) ** 2 + self.moved(single(cosine)) ** 2 - 1))
+            elif kind == "sqrt" and isinstance(inside, Ratio) and not inside.under:
+                found.append((self._place[at], self.moved(single(at)) ** 2 - self.moved(inside.over)))
+        return found
+
+    def weight(self, factors: Sequence[str]) -> Polynomial:
+        """Return the product of factors, scaled by a power of 2 to a largest coefficient of about 1."""
+        total = Polynomial.constant(1)
+        for name in factors:
+            total = total * self._factors[name]
+        return total * (1 / _size(total))
+
+    def levels(self) -> list[tuple[int, list[tuple[str, ...]]]]:
+        """Return the identities to try: their degree and the products of factors."""
+        first = self.target.degree + self.target.degree % 2
+        known = [(name,) for name in self._factors if name[0] in "cf"]
+        ends = [(name,) for name in self._factors if name[0] in "lh"]
+        boxes = [(f"l{name[1:]}", name) for (name,) in ends if name[0] == "h"]
+        constraints = [name for name in self._factors if name[0] == "c"]
+        pairs = [*itertools.combinations(constraints, 2)]
+        found = []
+        for degree in range(first, min(first + 2 * _LEVELS, _HIGHEST + 1), 2):
+            # with few factors, the matrices are smaller
+            if known:
+                found.append((degree, [*known, *pairs]))
+            found.append((degree, [*known, *pairs, *ends]))
+            found.append((degree, [*known, *pairs, *ends, *boxes]))
+        return found
+
+    def entry(self, proof: Certificate, factors: Sequence[tuple[str, ...]]) -> dict[str, Any]:
+        """Return the entry `squares` of a case."""
+        count = len(self._atoms)
+        used = sorted({name for b in proof.blocks if b.weight >= 0 for name in factors[b.weight] if name[0] == "f"})
+        renamed = {name: f"f{k}" for k, name in enumerate(used)}
+        blocks = []
+        for block in proof.blocks:
+            names = factors[block.weight] if block.weight >= 0 else ()
+            size = 1 / _size(self._product(names)) if names else Fraction(1)
+            over, entries = _integers([x * size for x in block.entries])
+            blocks.append(
+                {
+                    "factors": [renamed.get(name, name) for name in names],
+                    "monomials": [_exponents(m, count) for m in block.basis],
+                    "over": over,
+                    "gram": entries,
+                }
+            )
+        relations = [
+            {
+                "symbol": at,
+                "monomials": [_exponents(m, count) for m in h.terms],
+                "factors": [[Fraction(c).numerator, Fraction(c).denominator] for c in h.terms.values()],
+            }
+            for (at, _), h in zip(self.relations, proof.multipliers, strict=True)
+            if h.terms
+        ]
+        facts = [self._facts[int(name[1:])] for name in used]
+        return {"symbols": self._symbols(), "facts": facts, "blocks": blocks, "relations": relations}
+
+    def _product(self, names: Sequence[str]) -> Polynomial:
+        total = Polynomial.constant(1)
+        for name in names:
+            total = total * self._factors[name]
+        return total
+
+    def _symbols(self) -> list[str]:
+        texts = []
+        for at, origin, scale in zip(self._atoms, self._origins, self._scales, strict=True):
+            node: Node = self._written.atom(at)
+            if origin:
+                node = node - number(origin) if origin > 0 else node + number(-origin)
+            texts.append(text_of(node if scale == 1 else number(1 / scale) * node))
+        return texts
+
+
+def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
+    try:
+        return algebra.of(constraint)
+    except TooLarge:
+        return None
+
+
+def _read(text: str, op: str, argument: Polynomial, atom: Polynomial) -> Polynomial:
+    """Return a text in t with a polynomial for t, and another one for the function `op` of t."""
+    values: dict[Node, Polynomial] = {}
+    root = parse(text, {"t": variable("t")})
+    for node in ordered(root):
+        args = [values[a] for a in node.args]
+        match node.op:
+            case "num":
+                values[node] = Polynomial.constant(node.value)
+            case "var":
+                values[node] = argument
+            case "add":
+                values[node] = args[0] + args[1]
+            case "sub":
+                values[node] = args[0] - args[1]
+            case "neg":
+                values[node] = -args[0]
+            case "mul":
+                values[node] = args[0] * args[1]
+            case "div":
+                values[node] = args[0] * (1 / Fraction(args[1].terms[()]))
+            case "pow":
+                values[node] = args[0] ** node.value.numerator
+            case _:
+                assert node.op == op
+                values[node] = atom
+    return values[root]
+
+
+def _size(p: Polynomial) -> Fraction:
+    return Fraction(2) ** round(log2(max(abs(float(c)) for c in p.terms.values())))
+
+
+def _exponents(m: Monomial, count: int) -> list[int]:
+    powers = dict(m)
+    return [powers.get(k, 0) for k in range(count)]
+
+
+def _integers(entries: Sequence[Fraction]) -> tuple[int, list[int | list[int]]]:
+    """Return a power of 2 and the entries times it; an entry with another denominator is a list [p, q]."""
+    over = max((x.denominator for x in entries if x.denominator & (x.denominator - 1) == 0), default=1)
+    return over, [
+        x.numerator * (over // x.denominator) if over % x.denominator == 0 else [x.numerator, x.denominator]
+        for x in entries
+    ]
