@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 _MOST_CORNERS = 8
 _MOST_TERMS = 130  # polynomials with more terms are not searched
+_SPARE = 0.02  # least decay rate of a candidate, as a share of that of the linearisation
 _MARGIN = 1.25  # radius of the grid relative to that of the region
 _ROUNDS = 5
 _GROWTH = 1.01  # relative growth of the volume below which the rounds end
@@ -58,6 +59,7 @@ def candidates(
     d = dynamics
     until = time.process_time() + seconds
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+    rate = max(rate, _least_rate(d, linear))
     shift = np.eye(len(scales)) * rate / 2
     shifted = linear.matrices / np.sqrt(1 - min(rate, 0.999)) if d.discrete else linear.matrices + shift
     matrix = common_quadratic(shifted, scales, discrete=d.discrete)
@@ -85,6 +87,13 @@ def candidates(
         template = wider
         coefficients, volume = shaper.shaped(template, start, share)
         yield Candidate(f"polynomial of degree {higher}", template.function(coefficients), volume)
+
+
+def _least_rate(d: Dynamics, linear: Linear) -> float:
+    """Return a small part of the slowest decay rate of a quadratic function close to the equilibrium."""
+    eigenvalues = np.linalg.eigvals(linear.matrices)
+    slowest = 1 - float(np.abs(eigenvalues).max()) ** 2 if d.discrete else -2 * float(eigenvalues.real.max())
+    return _SPARE * slowest
 
 
 @dataclass(eq=False)
@@ -127,14 +136,34 @@ class _Shaper:
             volume = max(volume, grown)
             if done or time.process_time() > until:
                 break
-        return best, volume
+        return self._polished(template, start, best, max(until - time.process_time(), seconds / 4)), volume
 
-    def _grid(self, template: Template) -> Grid:
+    def _polished(self, template: Template, start: Array, best: Array, seconds: float) -> Array:
+        """Return coefficients near `best` that are also good between the points of the coarse grid."""
+        fine = self._grid(template, finer=2)
+        first = start / max(float(fine.sizes(start[None], self.rate).level[0]), 1e-300)
+        for share in (0.0, 0.01, 0.03, 0.1, 0.3):
+            trial = (1 - share) * best + share * first
+            if fine.sizes(trial[None], self.rate).level[0] > 0:
+                return enlarge(fine, trial, seconds=seconds, rate=self.rate, seed=self.seed, step=1e-3)[0]
+        return start
+
+    def _grid(self, template: Template, finer: int = 1) -> Grid:
         n = len(self.scales)
         outer = None if self.extent is None else _MARGIN * self.extent
+        if outer is not None and finer > 1:
+            # each direction takes the radius of the nearest coarse one
+            near = np.argmax(directions(n, finer * self.rays, half=self.half).T @ self.directions, axis=1)
+            outer = outer[near]
         points = 48 if outer is None else 24 if n < 4 else 16
         return grid(
-            template, self.scales, rays=self.rays, points=points, corners=self.corners, outer=outer, half=self.half
+            template,
+            self.scales,
+            rays=finer * self.rays,
+            points=points,
+            corners=self.corners,
+            outer=outer,
+            half=self.half,
         )
 
     def _volume(self, radii: Array) -> float:

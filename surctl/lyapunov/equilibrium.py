@@ -84,8 +84,12 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
     found = equilibria(d, seed=seed)
     texts = "; ".join(", ".join(f"{name} = {v:.9g}" for name, v in zip(d.names, x, strict=True)) for x in found)
     if len(found) != 1:
-        many = f"is not one, and the box contains several: {texts}" if found else "is not one, and the search finds none"
-        raise InputError(many, key=f"{d.name}.equilibrium", remedy="give the equilibrium, or other bounds of the states")
+        many = (
+            f"is not one, and the box contains several: {texts}" if found else "is not one, and the search finds none"
+        )
+        raise InputError(
+            many, key=f"{d.name}.equilibrium", remedy="give the equilibrium, or other bounds of the states"
+        )
     states = tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, found[0], strict=True))
     moved = replace(d, states=states)
     if not moved.residual() <= _REST * max(size, 1.0):

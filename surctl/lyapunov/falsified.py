@@ -113,6 +113,7 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
     starts = _starts(g, v, z, corners)
     found += _first(search, g >= 0, v, z, corners, "decrease")
     found += [end for start in starts if (end := _descend(search, start, edge)) is not None]
+    found = [f for f in found if f.confirmed]
     if not found:
         return Falsified(float(v.max()), {}, "none", confirmed=False)
     return min(found, key=lambda f: f.level)
@@ -146,9 +147,7 @@ def _starts(g: Array, v: Array, z: Array, corners: Array) -> list[Array]:
     return chosen
 
 
-def _first(
-    search: _Search, bad: NDArray[np.bool_], v: Array, z: Array, corners: Array, cause: str
-) -> list[Falsified]:
+def _first(search: _Search, bad: NDArray[np.bool_], v: Array, z: Array, corners: Array, cause: str) -> list[Falsified]:
     if not bad.any():
         return []
     which = bad.argmax(axis=0)

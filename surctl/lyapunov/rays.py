@@ -13,7 +13,7 @@ __all__ = ["Grid", "Sizes", "directions", "grid", "product", "reach"]
 
 Array = NDArray[np.float64]
 
-_BEYOND = 5  # points on each ray beyond the part in which the region may lie
+_BEYOND = 10  # points on each ray beyond the part in which the region may lie
 _ONE_THREAD = 250_000  # multiplications of a matrix product above which threads cost more than they save
 _NEAREST = 0.02  # radius of the innermost points, as a share of the outermost ones
 

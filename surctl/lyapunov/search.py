@@ -127,9 +127,7 @@ def find_stability(
     elif linear.verdict == "marginal":
         return _none("unknown", f"{linear.reason}, which decides nothing; give a function", began)
     else:
-        offered = candidates(
-            d, linear, degree=degree, seconds=_SEARCH * time_limit, rate=wanted or 0.0, seed=seed
-        )
+        offered = candidates(d, linear, degree=degree, seconds=_SEARCH * time_limit, rate=wanted or 0.0, seed=seed)
     trials = []
     for candidate in offered:
         bound = least_level(d, candidate.function, wanted, seed=seed)
