@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -157,7 +157,7 @@ def object_of(reference: str, kind: type[Built], *, key: str) -> Built:
 
 @cache
 def _executed(path: Path, digest: str, key: str) -> dict[str, object]:
-    """Run the file as a module of its own, with its folder searched for imports as for a script."""
+    """Run the file as a module of its own."""
     text = _text(path, key)
     if hashlib.sha256(text).hexdigest() != digest:
         raise InputError("has changed since it was named", file=path, key=key, remedy="start again with its new text")
@@ -165,17 +165,12 @@ def _executed(path: Path, digest: str, key: str) -> dict[str, object]:
     module = ModuleType(name)
     module.__file__ = str(path)
     sys.modules[name] = module
-    searched, before = sys.path, list(sys.path)
-    sys.path.insert(0, str(path.parent))
     try:
         # not through the import system, whose cached bytecode can be that of another text
         _guarded(path, "import", lambda: exec(compile(text, path, "exec"), vars(module)))
     except BaseException:
         del sys.modules[name]
         raise
-    finally:  # also if the file changed the list
-        searched[:] = before
-        sys.path = searched
     return vars(module)
 
 
@@ -193,9 +188,22 @@ def called(reference: str, function: Callable[..., Any], *arguments: object) -> 
     return _guarded(path, name, lambda: function(*arguments))
 
 
+@contextlib.contextmanager
+def _searched(folder: Path) -> Iterator[None]:
+    """Search the folder for imports, as for a script; restore sys.path afterwards, also if the code changes it."""
+    path, before = sys.path, list(sys.path)
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        path[:] = before
+        sys.path = path
+
+
 def _guarded(path: Path, key: str, call: Callable[[], Any]) -> Any:
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # what the file prints must not stand in a command's JSON
+        # what the file prints must not stand in a command's JSON
+        with _searched(path.parent), contextlib.redirect_stdout(sys.stderr):
             return call()
     except InputError as error:
         raise error.inside(path, error.key or key) from None

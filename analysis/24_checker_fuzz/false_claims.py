@@ -31,6 +31,7 @@ def worth(text: str, at: dict[str, Any]) -> Any:
     """Return the value of an expression at a point, with every number taken as the exact decimal."""
     names: dict[str, Any] = {
         "sin": mp.sin, "cos": mp.cos, "acos": mp.acos, "atan": mp.atan, "atan2": mp.atan2, "sqrt": mp.sqrt,
+        "tan": mp.tan, "asin": mp.asin, "exp": mp.exp, "log": mp.log, "sinh": mp.sinh, "cosh": mp.cosh, "tanh": mp.tanh,
         "abs": abs, "min": min, "max": max, "select": lambda a, b, x, y: x if a <= b else y, "pi": mp.pi, "mpf": mpf,
     }  # fmt: skip
     exact = re.sub(r"(?<![\w.])(\d+\.?\d*(?:e[-+]?\d+)?)", r"mpf('\1')", text).replace("^", "**")
@@ -108,6 +109,9 @@ _MONOTONE: tuple[tuple[str, tuple[float, float], int], ...] = (
     ("x - 1/x", (-9.0, -0.1), 1), ("atan2(x, 0.7)", (-3.0, 3.0), 1), ("atan2(1, x)", (-3.0, 3.0), 0),
     ("atan2(0.3, x)", (-3.0, -0.1), 0), ("x*sqrt(x) - pi", (0.1, 9.0), 1), ("-acos(x/3)*2", (-3.0, 3.0), 1),
     ("sin(x + 40*pi)", (-1.2, 1.2), 1), ("max(x, 2*x)", (0.1, 3.0), 1), ("select(x, 9, x, 0)", (-3.0, 3.0), 1),
+    ("exp(x)", (-9.0, 9.0), 1), ("log(x)", (1e-9, 9.0), 1), ("tanh(x)", (-3.0, 3.0), 1), ("tan(x)", (-1.5, 1.5), 1),
+    ("asin(x)", (-1.0, 1.0), 1), ("sinh(x)", (-3.0, 3.0), 1), ("cosh(x)", (0.01, 3.0), 1), ("x^0.7", (1e-9, 9.0), 1),
+    ("x^-1.5", (0.1, 9.0), 0), ("x^(2/3) + tan(x/9)", (0.0, 9.0), 1), ("exp(-exp(x))", (-3.0, 1.5), 0),
 )  # fmt: skip
 
 
@@ -128,7 +132,11 @@ def concave(draw: random.Random) -> Forged:
     """Claim a bound just below a maximum, with a tangent at the maximum as evidence."""
     p, q = round(draw.uniform(-1, 1), 3), round(draw.uniform(-1, 1), 3)
     a, b = round(draw.uniform(0.1, 3), 3), round(draw.uniform(0.1, 3), 3)
-    text = f"{a}*(2 - (x - ({p}))^2) + cos(y - ({q}))*{b}"
+    u = f"(x - ({p}))"
+    hill = draw.choice(
+        [f"2 - {u}^2", f"{u} - exp({u})", f"2 - cosh({u})", f"log(2 + {u}) - {u}/2", f"(2 - {u}^2)^0.75"]
+    )
+    text = f"{a}*({hill}) + cos(y - ({q}))*{b}"
     at = {"x": mpf(repr(p)), "y": mpf(repr(q))}
     bound, twin = short_of(worth(text, at), draw)
     box = {"x": (p - 0.5, p + 0.75), "y": (q - 0.5, q + 0.75)}
@@ -160,7 +168,25 @@ def overflow(draw: random.Random) -> Forged:
 def shadowed(draw: random.Random) -> Forged:
     """Claim with a variable whose name is that of a number or function, or has look-alike characters."""
     name = draw.choice(
-        ["pi", "sin", "select", "sqrt", "abs", "atan2", "х", "x٣", "x³", "ｘ", "x y", "x\r", "1x", "_", ""]
+        [
+            "pi",
+            "sin",
+            "select",
+            "sqrt",
+            "abs",
+            "atan2",
+            "exp",
+            "tan",
+            "х",
+            "x٣",
+            "x³",
+            "ｘ",
+            "x y",
+            "x\r",
+            "1x",
+            "_",
+            "",
+        ]
     )
     high = draw.uniform(4, 9)
     certificate = sealed(name or "x", "3.2", {name: (0.0, high)}, tree=draw.choice("nm"))
@@ -231,6 +257,10 @@ def rewritten(draw: random.Random) -> Forged:
         ("sin(x)^2", "0.75 - cos(x)^2 - 0.0000001", {"x": (0.6, 0.7)}, {"x": mpf("0.7")}),
         ("atan2(x, -1)", "atan2(-x, 1) - 0.25", {"x": (0.5, 0.7)}, {"x": mpf("0.6")}),
         ("cos(x/2)", "cos(x/3) - 1", {"x": (1.0, 2.0)}, {"x": mpf(1)}),
+        ("x^1.5", "x^(13/9) - 0.5", {"x": (0.25, 0.5)}, {"x": mpf("0.5")}),
+        ("exp(x)", f"exp({wrong}*x) - 3", {"x": (0.5, 1.0)}, {"x": mpf(1)}),
+        ("log(x^2)", "2*log(x) - 1", {"x": (0.5, 1.5)}, {"x": mpf("1.5")}),
+        ("asin(sin(x))", "x - 4", {"x": (1.0, 3.0)}, {"x": mpf("1.5")}),
     ])  # fmt: skip
     right = decimal(worth(left, at) * (1 - mpf(10) ** -draw.uniform(7, 20)))
     return forged("rewriting", left, right, box, at, numerator=numerator, tree="n")

@@ -27,7 +27,7 @@ from false_claims import false_claims
 from mpmath import libmp
 
 from surctl.certcheck import check_document
-from surctl.certcheck.enclosure import decimal, enclose
+from surctl.certcheck.enclosure import Undefined, decimal, enclose
 from surctl.certcheck.expressions import ExpressionTable
 
 BITS = 260  # 78 digits
@@ -40,8 +40,25 @@ _TRUE: dict[str, Callable[..., Raw]] = {
     "atan(x)": lambda x, _: libmp.mpf_atan(x, BITS),
     "acos(x)": lambda x, _: libmp.mpf_acos(x, BITS),
     "atan2(y, x)": lambda x, y: libmp.mpf_atan2(y, x, BITS),
+    "tan(x)": lambda x, _: libmp.mpf_tan(x, BITS),
+    "asin(x)": lambda x, _: libmp.mpf_asin(x, BITS),
+    "exp(x)": lambda x, _: libmp.mpf_exp(x, BITS),
+    "log(x)": lambda x, _: libmp.mpf_log(x, BITS),
+    "sinh(x)": lambda x, _: sinh(x),
+    "cosh(x)": lambda x, _: libmp.mpf_cosh(x, BITS),
+    "tanh(x)": lambda x, _: libmp.mpf_tanh(x, BITS),
+    "x^0.5": lambda x, _: powr(x, 1, 2),
+    "x^(3/2)": lambda x, _: powr(x, 3, 2),
+    "x^-1.5": lambda x, _: powr(x, -3, 2),
+    "x^(1/3)": lambda x, _: powr(x, 1, 3),
+    "x^63.999": lambda x, _: powr(x, 63999, 1000),
 }
 """Round to 78 digits; exact values stay exact."""
+
+_POSITIVE = frozenset({"sqrt(x)", "log(x)", *(text for text in _TRUE if text.startswith("x^"))})
+_WITHIN_ONE = frozenset({"acos(x)", "asin(x)"})
+_EXPONENTIAL = frozenset({"exp(x)", "sinh(x)", "cosh(x)"})
+_LARGEST = 1e6  # of the argument of an exponential
 
 _EXACT: dict[str, Callable[[Fraction, Fraction], Fraction]] = {
     "x + y": lambda x, y: x + y,
@@ -52,13 +69,30 @@ _EXACT: dict[str, Callable[[Fraction, Fraction], Fraction]] = {
 }
 
 
+def sinh(x: Raw) -> Raw:
+    """Return sinh x to 78 digits; the difference loses twice the bits by which x is small."""
+    if x == libmp.fzero:
+        return x
+    bits = BITS + 20 + 2 * max(0, -(x[2] + x[3]))
+    both = libmp.mpf_exp(x, bits), libmp.mpf_exp(libmp.mpf_neg(x), bits)
+    return libmp.mpf_shift(libmp.mpf_sub(*both, bits), -1)
+
+
+def powr(x: Raw, p: int, q: int) -> Raw:
+    """Return x^(p/q) to 78 digits."""
+    if x == libmp.fzero:
+        return x
+    times = libmp.mpf_mul(libmp.mpf_log(x, 2 * BITS), libmp.from_int(p), 2 * BITS)
+    return libmp.mpf_exp(libmp.mpf_div(times, libmp.from_int(q), 2 * BITS), BITS)
+
+
 def number(draw: random.Random) -> float:
-    """Return any double, or a difficult one: huge, denormal, at a branch cut, near a tie, near ±1 or a multiple of
-    π/2.
+    """Return any double, or a difficult one: huge, denormal, at a branch cut, near a tie, near ±1, a multiple of π/2 or
+    of ln 2, or an argument whose exponential nearly overflows.
     """
     near = [-math.inf, math.inf]
     sign = draw.choice((1, -1))
-    match draw.randrange(10):
+    match draw.randrange(12):
         case 0 | 1:
             return draw.uniform(-4, 4)
         case 2:
@@ -75,6 +109,12 @@ def number(draw: random.Random) -> float:
             return sign * (1 - 2.0 ** -draw.randrange(1, 54))
         case 8:
             return sign * (1 + 2.0 ** -draw.randrange(1, 53))
+        case 9:
+            return math.nextafter(sign * math.log(2) * draw.randrange(1, 1100), draw.choice(near))
+        case 10:
+            return draw.choice(
+                (709.78, -745.2, 2.0**8, -_LARGEST, sign * draw.random() * 2.0 ** draw.randrange(-45, 20))
+            )
         case _:
             return sign * math.sqrt(draw.uniform(0, 1)) * 2.0 ** draw.randrange(-60, 60)
 
@@ -101,32 +141,68 @@ def fraction(x: Raw) -> Fraction:
     return Fraction(int(p), int(q))
 
 
-def missed(text: str, points: int, seed: int) -> tuple[int, int]:
-    """Return the numbers of points, and of points whose value is outside the interval, for one function."""
+def suited(text: str, x: float, y: float) -> bool:
+    """Return whether the function is defined, and its reference can be computed."""
+    if text in _WITHIN_ONE:
+        return abs(x) <= 1
+    if text in _EXPONENTIAL:
+        return abs(x) <= _LARGEST
+    if text in ("log(x)", "x^-1.5"):
+        return x > 0
+    return y != 0 if text == "x/y" else x != 0 or text != "x^-2"
+
+
+def within(text: str, box: tuple[float, float]) -> tuple[float, float]:
+    """Return the part of a range of x on which the function is defined."""
+    low, high = box
+    if text in _WITHIN_ONE:
+        return max(low, -1.0), min(high, 1.0)
+    if text in _EXPONENTIAL:
+        return max(low, -_LARGEST), min(high, _LARGEST)
+    if text in ("log(x)", "x^-1.5"):
+        return (low if low > 0 else 5e-324), high
+    return (max(low, 0.0), high) if text in _POSITIVE else box
+
+
+def relative_width(found: Interval) -> float:
+    """Return the width of an interval as a share of its ends; 0 for an interval that contains 0."""
+    if libmp.mpf_le(found[0], libmp.fzero) and libmp.mpf_ge(found[1], libmp.fzero):
+        return 0.0
+    size = min(map(libmp.mpf_abs, found), key=libmp.to_rational)
+    return float(libmp.to_float(libmp.mpf_div(libmp.mpf_sub(found[1], found[0], BITS), size, BITS)))
+
+
+def missed(text: str, points: int, seed: int) -> tuple[int, int, float]:
+    """Return for one function the numbers of points, and of points whose value is outside the interval, and the largest
+    relative width of the interval at a single number.
+    """
     draw, sheet = random.Random(f"{text}/{seed}"), ExpressionTable(("x", "y"))
     at = sheet.read(text)
-    looked = outside = 0
+    looked, outside, widest = 0, 0, 0.0
     while looked < points:
         x, y = number(draw), number(draw)
-        if text == "sqrt(x)":
+        if text in _POSITIVE:
             x = abs(x)
-        if (text == "acos(x)" and abs(x) > 1) or (text == "x/y" and y == 0) or (text == "x^-2" and x == 0):
+        if not suited(text, x, y):
             continue
-        box = [side(x, draw), side(y, draw)]
-        if text == "acos(x)":
-            box[0] = max(box[0][0], -1.0), min(box[0][1], 1.0)
-        if text == "sqrt(x)":
-            box[0] = max(box[0][0], 0.0), box[0][1]
+        box = [within(text, side(x, draw)), side(y, draw)]
         if any(not low <= at_ <= high for (low, high), at_ in zip(box, (x, y), strict=True)):
             continue
         if text == "atan2(y, x)" and all(low <= 0 <= high for low, high in box):
             continue
         if text in ("x/y", "x^-2") and box["xy".index(text[-1] if text == "x/y" else "x")][0] <= 0:
             box = [(x, x), (y, y)]
-        (jet,) = enclose(sheet, [at], [doubles(*ends) for ends in box])
+        try:
+            (jet,) = enclose(sheet, [at], [doubles(*ends) for ends in box])
+        except Undefined:
+            if text != "tan(x)" or box[0][0] == box[0][1]:  # the tangent has poles
+                outside += 1
+            continue
         looked += 1
         outside += not held(text, jet.value, x, y)
-    return looked, outside
+        if box[0][0] == box[0][1] and box[1][0] == box[1][1]:
+            widest = max(widest, relative_width(jet.value))
+    return looked, outside, widest
 
 
 def held(text: str, found: Interval, x: float, y: float) -> bool:
@@ -141,22 +217,25 @@ def held(text: str, found: Interval, x: float, y: float) -> bool:
     return first <= _EXACT[text](Fraction(x), Fraction(y)) <= last
 
 
-def missed_decimals(points: int, seed: int) -> tuple[int, int]:
+def missed_decimals(points: int, seed: int) -> tuple[int, int, float]:
     """Return the same for the decimal that is printed for a double."""
-    draw, outside = random.Random(f"decimal/{seed}"), 0
+    draw, outside, widest = random.Random(f"decimal/{seed}"), 0, 0.0
     for _ in range(points):
         x = number(draw)
-        low, high = map(fraction, decimal(x))
+        found = decimal(x)
+        low, high = map(fraction, found)
         outside += not low <= Fraction(repr(x)) <= high
-    return points, outside
+        widest = max(widest, relative_width(found))
+    return points, outside, widest
 
 
 def one_function(text: str, points: int, seed: int) -> tuple[str, bool]:
     """Return the table row of a function, and whether every interval contains its value."""
     began = time.process_time()
-    looked, outside = missed_decimals(points, seed) if text == "decimal" else missed(text, points, seed)
+    looked, outside, widest = missed_decimals(points, seed) if text == "decimal" else missed(text, points, seed)
     print(f"{text}: {outside} of {looked}", file=sys.stderr)
-    return f"| `{text}` | {looked} | {outside} | {time.process_time() - began:.0f} s |", not outside
+    width = f"2^{math.log2(widest):.1f}" if widest else "0"
+    return f"| `{text}` | {looked} | {outside} | {width} | {time.process_time() - began:.0f} s |", not outside
 
 
 def functions(points: int, seed: int, workers: int) -> tuple[list[str], bool]:
@@ -206,7 +285,12 @@ def main(words: Sequence[str] | None = None) -> int:
     points, claims = (500, 300) if given.quick else (given.points, given.claims)
     held_, sound = functions(points, given.seed, given.workers)
     forged, safe = forgeries(claims, given.seed)
-    lines = ["| function | points | outside of the range | took |", "|---|---|---|---|", *held_, ""]
+    lines = [
+        "| function | points | outside of the range | width at a number | took |",
+        "|---|---|---|---|---|",
+        *held_,
+        "",
+    ]
     lines += [
         "| false in its | claims | accepted | by as little as | corresponding true claims accepted |",
         "|---|---|---|---|---|",

@@ -17,7 +17,7 @@ import numpy as np
 from worked import Array, back_to_back, choose, draw, print_margins, sizes, sweep
 
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Cost, Plant, System, linearise, run_system
+from surctl.system import Controller, Cost, Plant, System, linearise, linearise_plant, run_system
 
 GRAVITY, CART, POLE, HALF = 9.8, 1.0, 0.1, 0.5  # m/s^2, kg, kg, m: half the length of the pole
 LIMIT = 10.0  # N
@@ -78,7 +78,7 @@ def gain(weights: Array) -> Array:
     return np.asarray(control.dlqr(SAMPLED.A, SAMPLED.B, np.diag(weights), [[1 / LIMIT**2]])[0]).ravel()
 
 
-SAMPLED = control.sample_system(linearise(system).plant_system(), PERIOD, "zoh")
+SAMPLED = control.sample_system(linearise_plant(plant), PERIOD, "zoh")
 
 
 def main() -> int:

@@ -12,12 +12,11 @@ import math
 import sys
 
 import casadi as ca
-import numpy as np
-from scipy.optimize import minimize
-from worked import back_to_back, choose, draw, every_pair, mean_cost, named, print_margins, sizes, sweep
+from worked import LEAST, back_to_back, choose, draw, named, print_margins, sizes, sweep
 
 from surctl.ir import Layout, Port
-from surctl.system import Action, Controller, Cost, Plant, System, linearise, run_system, simulate_system
+from surctl.system import Action, Controller, Cost, Plant, System, linearise, run_system
+from surctl.tuning import tune_system
 
 MASS, GRAVITY = 0.5, 9.81  # kg, m/s^2
 WEIGHT = MASS * GRAVITY
@@ -97,19 +96,15 @@ def main() -> int:
     sets, states = sizes(__doc__)
     record = run_system(system, 12.0, {"disturbance.wind": -3})
     print(f"one run, default gains: cost {record['cost']:.4g}, in the gust {record['error_in_gust']:.3f} m")
-    tried = draw(sets, 1, {"k_p": (1, 60), "k_d": (1, 20), "k_i": (0, 40)})
+    ranges = {"k_p": (1.0, 60.0), "k_d": (1.0, 20.0), "k_i": (0.0, 40.0)}
+    tried = draw(sets, 1, ranges)
     starts = draw(states, 2, {"start.height": (1, 3), "start.speed": (-1, 1), "plant.mass": (0.45, 0.6),
                               "plant.lag": (0.02, 0.08), "disturbance.wind": (-4, 4)})  # fmt: skip
     cost = sweep(system, 12.0, tried, starts)
-
-    def of(p):  # mean cost of one gain set in logarithms
-        values = every_pair({name: np.exp(p[k : k + 1]) for k, name in enumerate(tried)}, starts)
-        return mean_cost(simulate_system(system, 12.0, values), 1)[0]
-
-    began = np.log([*choose(system, tried, cost, ("tau",), {}).values()])
-    optimum = minimize(of, began, method="Nelder-Mead", options={"maxfev": 3 * states, "xatol": 1e-3, "fatol": 1e-4})
-    best = dict(zip(tried, np.exp(optimum.x), strict=True))
-    print(f"search: {named(best)}, cost {optimum.fun:.4g}, {optimum.nfev} evaluations of {states} runs")
+    choose(system, tried, cost, ("tau",), {})
+    tuned = tune_system(system, 12.0, ranges, cases=starts, objective="cost", trials=6 * sets, least_disk_margin=LEAST)
+    best = tuned.gains
+    print(f"search: {named(best)}, cost {tuned.costs['cost']:.4g}, {tuned.trials} gain sets of {states} runs")
     record = run_system(system, 12.0, {**best, "disturbance.wind": -3})
     print(f"the same run: cost {record['cost']:.4g}, in the gust {record['error_in_gust']:.3f} m")
     stable = print_margins(linearise(system, best), "tau", "height", "speed")

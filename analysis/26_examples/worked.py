@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.export import Records, as_records, build_bundle, build_controller, compare_runs, write_bundle
-from surctl.system import Linearisation, Record, Runs, System, linearise, simulate_system
+from surctl.export import build_bundle, build_controller, compare_runs, write_bundle
+from surctl.system import Linearisation, Record, Runs, System, every_combination, linearise, simulate_system
 from surctl.verification import system_disk_margin, system_margins
 
 Array = NDArray[np.float64]
@@ -39,13 +39,6 @@ def draw(count: int, seed: int, ranges: Mapping[str, tuple[ArrayLike, ArrayLike]
     return {name: rng.uniform(low, high, (count, *np.shape(low))) for name, (low, high) in ranges.items()}
 
 
-def every_pair(gains: Mapping[str, Array], starts: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the numbers of one run for every gain set with every initial state, gain set by gain set."""
-    g, s = len(next(iter(gains.values()))), len(next(iter(starts.values())))
-    repeated = {name: np.repeat(value, s, axis=0) for name, value in gains.items()}
-    return repeated | {name: np.concatenate([value] * g) for name, value in starts.items()}
-
-
 def mean_cost(runs: Runs, sets: int) -> Array:
     """Return the mean cost of each gain set over its initial states; infinite if one of its runs ended early."""
     cost = np.where(runs.stopped == "time", runs["cost"], np.inf)
@@ -54,7 +47,7 @@ def mean_cost(runs: Runs, sets: int) -> Array:
 
 def sweep(system: System, seconds: float, gains: Mapping[str, Array], starts: Mapping[str, Array]) -> Array:
     """Simulate every gain set from every initial state; print what was run, and return the cost of each set."""
-    values = every_pair(gains, starts)
+    values = every_combination(gains, starts)
     simulate_system(system, system.dt)  # compiled before the clock runs
     began = time.process_time()
     runs = simulate_system(system, seconds, values)
@@ -106,12 +99,11 @@ def print_margins(linear: Linearisation, *openings: str) -> bool:
 def back_to_back(record: Record) -> bool:
     """Export the controller of a recorded run as C, compare it with Python at each step; return whether they agree."""
     controller = record.system.controller
-    X, U, p = record.controller
-    bundle = build_bundle(controller, controller.gains.unpack(p))
+    bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]))
     with tempfile.TemporaryDirectory() as folder:
         files = write_bundle(bundle, Path(folder, bundle.name))
         compiled = build_controller(controller, bundle, Path(folder, bundle.name))
-        (report,) = compare_runs(compiled, [as_records(controller, Records(X, U, p))])
+        (report,) = compare_runs(compiled, [record])
     print(
         f"C: {len(files)} files, {report.code_bytes:,} bytes of code and constants, {report.steps} steps; largest "
         f"difference to Python: command {report.tau.absolute:.1e}, state {report.state.absolute:.1e}; invalid inputs: "

@@ -1,4 +1,4 @@
-"""Proved intervals for sines, cosines and angles, in fixed-point arithmetic with an error bound and outward rounding.
+"""Proved intervals for sines, cosines, tangents and angles, in fixed-point arithmetic with error bounds.
 
 A fixed-point number is an integer number of units of 2^-128. Every sum in this module has at most 40 terms. The error
 of a term is less than 3 units, because truncation of a product or quotient costs less than one unit and the errors of
@@ -16,7 +16,7 @@ from typing import Any
 
 from mpmath import libmp
 
-__all__ = ["BITS", "Interval", "angle", "arccos", "circle", "pi"]
+__all__ = ["BITS", "Interval", "angle", "arccos", "arcsin", "circle", "pi", "tangent"]
 
 Interval = Any
 """The pair (lower end, upper end) of an interval, as raw numbers of mpmath."""
@@ -161,6 +161,26 @@ def circle(a: Interval) -> tuple[Interval, Interval]:
     return cosine, sine
 
 
+def tangent(a: Interval) -> Interval | None:
+    """Return the range of the tangent on an interval; None if the interval may contain a pole, or is too large.
+
+    `_at` numbers the quarter turns by k, so the branch of the tangent between two poles has the number ⌊(k + 1)/2⌋.
+    Near a multiple of π/2, k may be off by one. At an even multiple this does not change the branch. Near an odd
+    multiple, within 2^10 units, the interval of the cosine contains 0, and the result is None. On one branch the
+    tangent increases.
+    """
+    if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
+        return None
+    values, branches = [], set()
+    for end in a:
+        k, _, cosine, sine = _at(end)
+        if not (libmp.mpf_gt(cosine[0], libmp.fzero) or libmp.mpf_lt(cosine[1], libmp.fzero)):
+            return None
+        branches.add((k + 1) // 2)
+        values.append(libmp.mpi_div(sine, cosine, BITS))
+    return (values[0][0], values[1][1]) if len(branches) == 1 else None
+
+
 def _hull(a: Interval, b: Interval) -> Interval:
     low = a[0] if libmp.mpf_le(a[0], b[0]) else b[0]
     return low, a[1] if libmp.mpf_ge(a[1], b[1]) else b[1]
@@ -234,11 +254,22 @@ def arccos(x: Interval) -> Interval:
     return _arccos_of(x[1])[0], _arccos_of(x[0])[1]
 
 
+def arcsin(x: Interval) -> Interval:
+    """Return the range of arcsin on an interval within [−1, 1]; arcsin increases, so its values at the ends suffice."""
+    # arcsin x = atan2(x, √((1 − x)(1 + x)))
+    return angle((x[0], x[0]), _other_leg(x[0]))[0], angle((x[1], x[1]), _other_leg(x[1]))[1]
+
+
 @lru_cache(8192)
 def _arccos_of(x: Raw) -> Interval:
-    # arccos x = atan2(√((1 − x)(1 + x)), x), with the root rounded down and up
+    # arccos x = atan2(√((1 − x)(1 + x)), x)
+    return angle(_other_leg(x), (x, x))
+
+
+def _other_leg(x: Raw) -> Interval:
+    """Return √((1 − x)(1 + x)), with the root rounded down and up, for a number in [−1, 1]."""
     ends = []
     for rounding in "fc":
         factors = (step(libmp.fone, x, 2 * BITS, rounding) for step in (libmp.mpf_sub, libmp.mpf_add))
         ends.append(libmp.mpf_sqrt(libmp.mpf_mul(*factors, 2 * BITS, rounding), 2 * BITS, rounding))
-    return angle((ends[0], ends[1]), (x, x))
+    return ends[0], ends[1]

@@ -22,6 +22,7 @@ __all__ = ["check"]
 
 _CLAIM = {
     "name", "time", "property", "states", "parameters", "dynamics", "function", "initial", "unsafe", "multiplier",
+    "about",
 }  # fmt: skip
 _DOCUMENT = {"format", "version", "kind", "claim", "sha256", "change", "margin", "proofs"}
 

@@ -28,6 +28,7 @@ _KINEMATIC = (
     "dynamics, sampling and sensing: the certificate proves one inequality for its variables within their ranges, "
     "and nothing about the rest of the loop"
 )
+_STATED = "dynamics: that they are those of plant and controller is stated by the certificate, and not checked"
 _RULE = "law: the certificate is about a braking rule that is not part of the exported law"
 _ALIKE = (
     ("mass", "mass_kg", ("m11", "m22")),
@@ -73,9 +74,11 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
         manifest: the manifest of the bundle.
     """
     comparison = _Comparison(document["claim"], manifest)
-    {"region": comparison.region, "braking": comparison.braking, "heading": comparison.heading}.get(
-        document["kind"], comparison.inequality
-    )()
+    kinds = {
+        "region": comparison.region, "braking": comparison.braking, "heading": comparison.heading,
+        "lyapunov": comparison.motion, "barrier": comparison.motion,
+    }  # fmt: skip
+    kinds.get(document["kind"], comparison.inequality)()
     return Belonging(tuple(comparison.differs), tuple(comparison.excludes))
 
 
@@ -100,6 +103,22 @@ class _Comparison:
                 if variable["name"] in _VARIABLES:
                     ends = variable["lower"], variable["upper"]
                     self._within(variable["name"], ends, _VARIABLES[variable["name"]])
+
+    def motion(self) -> None:
+        about = self.claim["about"]
+        if not about:
+            self.differs.append("dynamics: the certificate does not state the controller that its dynamics are about")
+            return
+        if about["controller"] != self.manifest.laws[0]:
+            self.differs.append("controller: the certificate is about another controller")
+        for name, values in about["gains"].items():
+            for at, value in enumerate(values):
+                self._gain(name, value, at)
+        lacking = sorted(set(self.manifest.gains) - set(about["gains"]))
+        self.differs += [f"{name}: the certificate does not state this gain" for name in lacking]
+        self.excludes += [_STATED, _ROUNDING.format(self.manifest.real)]
+        if self.claim["time"] == "continuous":
+            self.excludes.append("sampling: the certificate is about the control law in continuous time")
 
     def heading(self) -> None:
         self.differs.append(

@@ -44,6 +44,18 @@ def along(table: ExpressionTable, root: int, rates: Sequence[int]) -> int:
         elif op == "pow":
             base = put("pow", args[0], value=entry.value - 1) if entry.value != 1 else one
             slope[at] = times(times(put("num", value=entry.value), base), moves[0])
+        elif op == "powr":
+            base = put("powr", args[0], value=entry.value - 1)
+            slope[at] = times(times(put("num", value=entry.value), base), moves[0])
+        elif op == "exp":
+            slope[at] = times(at, moves[0])
+        elif op == "log":
+            slope[at] = put("div", moves[0], args[0])
+        elif op in ("sinh", "cosh"):
+            slope[at] = times(put("cosh" if op == "sinh" else "sinh", args[0]), moves[0])
+        elif op in ("tan", "tanh"):
+            inner = put("add" if op == "tan" else "sub", one, put("pow", at, value=2))
+            slope[at] = times(inner, moves[0])
         elif op == "sqrt":
             slope[at] = put("div", moves[0], put("mul", two, at))
         elif op == "sin":
@@ -52,9 +64,11 @@ def along(table: ExpressionTable, root: int, rates: Sequence[int]) -> int:
             slope[at] = put("neg", times(put("sin", args[0]), moves[0]))
         elif op == "atan":
             slope[at] = put("div", moves[0], put("add", one, put("pow", args[0], value=2)))
-        elif op == "acos":
+        elif op in ("acos", "asin"):
             rest = put("sub", one, put("pow", args[0], value=2))
-            slope[at] = put("neg", put("div", moves[0], put("sqrt", rest)))
+            slope[at] = put("div", moves[0], put("sqrt", rest))
+            if op == "acos":
+                slope[at] = put("neg", slope[at])
         else:
             raise Rejected(f"the checker has no derivative of {op}")
     return slope[root]

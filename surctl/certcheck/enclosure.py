@@ -1,8 +1,8 @@
 """Interval arithmetic of the checker, with first and second derivatives; mpmath rounds each end outward to 60 bits.
 
 An interval is a pair of mpmath's raw numbers (tuples, not `mpf` objects). A derivative None means the interval [0, 0].
-mpmath rounds sums, products, quotients, integer powers and roots correctly; sines, cosines, atan2 and arccos come from
-`surctl.certcheck.angles`.
+mpmath rounds sums, products, quotients, integer powers and roots correctly; sines, cosines, tangents, atan2, arccos and
+arcsin come from `surctl.certcheck.angles`, the other functions from `surctl.certcheck.exponentials`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from mpmath import libmp
 
 from surctl.certcheck.angles import BITS, Interval, angle, arccos, circle, pi
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.elementary import ELEMENTARY, Undefined, elementary
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import go_on
 
@@ -42,10 +43,6 @@ _MOST = 2_000_000  # largest count of numbers in all jets of an expression
 _ZERO = (libmp.fzero, libmp.fzero)
 _ONE = (libmp.fone, libmp.fone)
 _LINE = (libmp.fninf, libmp.finf)
-
-
-class Undefined(Exception):
-    """Error for an operation that is not defined on the whole interval of its operand."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +179,9 @@ def _step(op: str, value: Fraction, args: list[Jet], at: tuple[int, ...], box: S
         case "pow":
             jet = _power(args[0], abs(value.numerator))
             return jet if value >= 0 else _reciprocal(jet)
+        case _ if op in ELEMENTARY:
+            jet, (image, derivatives) = args[0], elementary(op, args[0].value, value)
+            return Jet(image) if jet.slope is None else _chain(jet, image, derivatives())
         case "atan2":
             return _angle(args[0], args[1])
         case "atan":

@@ -1,7 +1,9 @@
 """Parser of expressions for the checker: it converts text to a list of operations without duplicates.
 
-An expression may contain sums, products, integer powers with ^, the functions in `FUNCTIONS`, exact decimal numbers and
-`pi`.
+An expression may contain sums, products, powers with ^ and a constant exponent, the functions in `FUNCTIONS`, exact
+decimal numbers and `pi`. An exponent is a decimal number, or a fraction of decimal numbers in parentheses. A power with
+an integer exponent is the operation `pow`, any other power is `powr`, which is defined for positive numbers, and for 0
+if the exponent is positive.
 """
 
 from __future__ import annotations
@@ -14,17 +16,23 @@ from fractions import Fraction
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 
-__all__ = ["BRANCHES", "FUNCTIONS", "Entry", "ExpressionTable"]
+__all__ = ["BRANCHES", "FUNCTIONS", "RESERVED", "Entry", "ExpressionTable"]
 
 FUNCTIONS = {
-    "abs": 1, "acos": 1, "atan": 1, "atan2": 2, "cos": 1, "max": 2, "min": 2, "select": 4, "sin": 1, "sqrt": 1,
+    "abs": 1, "acos": 1, "asin": 1, "atan": 1, "atan2": 2, "cos": 1, "cosh": 1, "exp": 1, "log": 1, "max": 2, "min": 2,
+    "select": 4, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1,
 }  # fmt: skip
 """Number of arguments of each function; select(a, b, x, y) is x if a ≤ b, and y otherwise."""
+
+RESERVED = ("abs", "acos", "atan", "atan2", "cos", "max", "min", "pi", "select", "sin", "sqrt")
+"""Names that no variable has. The other functions came later, and older certificates may have variables of their names:
+a name followed by a parenthesis is a function, any other name is a variable."""
 
 BRANCHES = ("abs", "max", "min", "select")
 """Functions whose value is one of two expressions."""
 
 _LONGEST, _DEEPEST, _MOST = 60_000, 150, 50_000
+_LONGEST_EXPONENT = 40  # characters of a number in an exponent
 _CACHED = 64
 _LEXEME = re.compile(r"[ \t\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)|([A-Za-z]\w*)|([-+*/^(),])|$)", re.ASCII)
 _BINDS = {"+": 1, "-": 1, "*": 2, "/": 2}
@@ -33,7 +41,7 @@ _OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
 
 @dataclass(frozen=True)
 class Entry:
-    """One operation; `value` is the number (of `num`), the exponent (of `pow`) or the variable's index (of `var`)."""
+    """One operation; `value` is the number of `num`, the exponent of `pow` and `powr`, or the index of the variable."""
 
     op: str
     args: tuple[int, ...] = ()
@@ -120,19 +128,41 @@ class ExpressionTable:
         tree = self._operand(rest, depth)
         if rest[-1] == ("sign", "^"):
             rest.pop()
-            down = rest[-1] == ("sign", "-")
-            if down:
-                rest.pop()
-            kind, exponent = rest.pop()
-            if kind != "number" or not exponent.isdigit() or len(exponent) > 2 or int(exponent) > 64:
-                raise Rejected(f"{exponent!r} is not an exponent: give an integer of at most 64")
+            exponent = self._exponent(rest)
             if rest[-1] == ("sign", "^"):
                 raise Rejected("a power of a power needs parentheses")
-            tree = self.put("pow", tree, value=-int(exponent) if down else int(exponent))
+            tree = self.put("pow" if exponent.denominator == 1 else "powr", tree, value=exponent)
         if minus:
             entry = self.entries[tree]
             return self.put("num", value=-entry.value) if entry.op == "num" else self.put("neg", tree)
         return tree
+
+    def _exponent(self, rest: list[tuple[str, str]]) -> Fraction:
+        fraction = rest[-1] == ("sign", "(")
+        if fraction:
+            rest.pop()
+        minus = rest[-1] == ("sign", "-")
+        if minus:
+            rest.pop()
+        value = self._constant(rest)
+        if fraction:
+            if rest[-1] == ("sign", "/"):
+                rest.pop()
+                under = self._constant(rest)
+                if not under:
+                    raise Rejected("the denominator of an exponent is 0")
+                value /= under
+            self._close(rest)
+        if value > 64:
+            raise Rejected(f"{value} is not an exponent: give a number of at most 64")
+        return -value if minus else value
+
+    @staticmethod
+    def _constant(rest: list[tuple[str, str]]) -> Fraction:
+        kind, text = rest.pop()
+        if kind != "number" or len(text) > _LONGEST_EXPONENT:
+            raise Rejected(f"{text!r} is not an exponent: give a number of at most 64")
+        return Fraction(text)
 
     def _operand(self, rest: list[tuple[str, str]], depth: int) -> int:
         kind, text = rest.pop()

@@ -2,7 +2,8 @@
 
 If an angle is a sum, its cosine and sine are the real and imaginary parts of a product of unit complex numbers, one for
 each term of the sum. The other rewriting rules are sqrt(p)² = p, sin² = 1 − cos², and the sine and cosine of atan2 and
-acos as ratios of sides of a right triangle. An identity holds wherever both sides are defined and the polynomials in
+acos as ratios of sides of a right triangle. The functions of `surctl.certcheck.elementary` are indeterminates, one for
+each function and argument. An identity holds wherever both sides are defined and the polynomials in
 `Exact.assumed` are positive.
 """
 
@@ -13,6 +14,7 @@ from fractions import Fraction
 from math import isqrt, lcm
 
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.elementary import ELEMENTARY
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.patience import go_on
 
@@ -36,15 +38,17 @@ class Exact:
 
     Attributes:
         assumed: polynomials that must be positive for the identities to hold.
+        entry_of: for each indeterminate that is a function without rewriting rules, a position of it in the table.
     """
 
     def __init__(self, expressions: ExpressionTable) -> None:
-        self._expressions = expressions
+        self.expressions = expressions
         self._values: dict[int, Fraction_] = {}
         self._held = 0
         self._inside: dict[str, Sum] = {}  # radicand of each root, by its atom
         self._angles: dict[str, tuple[Fraction_, Fraction_]] = {}  # cosine and sine of each atan2 and acos
         self.assumed: list[Sum] = []
+        self.entry_of: dict[str, int] = {}
 
     def equal(self, a: int, b: Callable[[Exact], Fraction_]) -> bool:
         """Return whether the expression at table position `a` equals the fraction that the function `b` returns."""
@@ -120,7 +124,7 @@ class Exact:
 
     def of(self, root: int) -> Fraction_:
         """Return the expression at position `root` of the table as a fraction."""
-        for at in self._expressions.needed([root]):
+        for at in self.expressions.needed([root]):
             if at not in self._values:
                 go_on()
                 self._values[at] = self._step(at)
@@ -130,7 +134,7 @@ class Exact:
         return self._values[root]
 
     def _step(self, at: int) -> Fraction_:
-        entry = self._expressions.entries[at]
+        entry = self.expressions.entries[at]
         args = [self._values[a] for a in entry.args]
         match entry.op:
             case "num":
@@ -165,6 +169,10 @@ class Exact:
                 return self._inverse_angle("atan2", args[0], (_ONE, _ONE))
             case "atan2" | "acos":
                 return self._inverse_angle(entry.op, *args)
+            case _ if entry.op in ELEMENTARY:
+                atom = f"{entry.op}{entry.value}{{{_spelled(args[0][0])} over {_spelled(args[0][1])}}}"
+                self.entry_of.setdefault(atom, at)
+                return {((atom, 1),): Fraction(1)}, _ONE
             case _:  # abs, max, min or select without a choice is a new unknown
                 return {((f"b{at}", 1),): Fraction(1)}, _ONE
 

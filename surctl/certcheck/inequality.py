@@ -351,6 +351,8 @@ def _atom_range(atom: str, exactly: Exact, box: Box) -> Interval:
         return span(-1.0, 1.0)
     if atom[:5] in ("acos{", "atan2"):
         return span(-3.2, 3.2)
+    if atom in exactly.entry_of:
+        return enclose(exactly.expressions, [exactly.entry_of[atom]], [span(*ends) for ends in box])[0].value
     raise Rejected("the sign of a denominator under a root cannot be checked")
 
 

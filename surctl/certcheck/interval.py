@@ -15,7 +15,7 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.enclosure import Undefined
-from surctl.certcheck.expressions import FUNCTIONS, ExpressionTable
+from surctl.certcheck.expressions import RESERVED, ExpressionTable
 from surctl.certcheck.inequality import DIMENSIONS, Box, Inequality, listed, number
 
 __all__ = ["check", "printable", "variables_of"]
@@ -50,7 +50,7 @@ def variables_of(variables: object) -> tuple[list[str], Box]:
     for name in names:
         if not isinstance(name, str) or not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
             raise Rejected(f"{name!r} is not a name of a variable: use letters A-Z and a-z, digits and _ only")
-        if name == "pi" or name in FUNCTIONS:
+        if name in RESERVED:
             raise Rejected(f"the variable {name!r} has the name of a number or a function")
     printable(*(v["unit"] for v in entries))
     if any(set(v) != {"name", "unit", "lower", "upper"} for v in entries):

@@ -29,7 +29,9 @@ from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text,
 
 __all__ = ["check"]
 
-_MOTION = {"name", "time", "property", "states", "parameters", "dynamics", "function", "level", "rate"}
+_MOTION = {
+    "name", "time", "property", "states", "parameters", "dynamics", "function", "level", "rate", "about",
+}  # fmt: skip
 _FRAME = {"format", "version", "kind", "claim", "sha256", "change", "proofs"}
 _LARGEST_POWER = 8
 
@@ -78,15 +80,15 @@ def _bound(
         raise Rejected("the certificate has missing or unknown keys")
     rate, inner, level = (Fraction(repr(number(claim[key]))) for key in ("rate", "inner", "level"))
     ranges = dict(zip(motion.names, motion.box, strict=True))
-    push, most = "0", Fraction(0)
+    driving, most = "0", Fraction(0)
     for name, gain in claim["gains"].items():
         if name not in ranges or name in motion.states or number(gain) < 0:
             raise Rejected("a gain is negative, or does not belong to a parameter")
-        push += f" + {decimal_text(gain)}*{name}^2"
+        driving += f" + {decimal_text(gain)}*{name}^2"
         most += Fraction(repr(number(gain))) * max(Fraction(repr(end)) ** 2 for end in ranges[name])
     if not inner + most / rate <= level:
         raise Rejected("the bound exceeds the level")
-    right = f"-({_rate(claim['rate'], motion)}*(({function}) - {decimal_text(claim['inner'])})) + ({push})"
+    right = f"-({_rate(claim['rate'], motion)}*(({function}) - {decimal_text(claim['inner'])})) + ({driving})"
     needed = motion.stays(inside) if motion.discrete else _faces(motion, decimal_text(claim["level"]), function)
     return [*needed, _decrease(motion, function, change, right, inside)]
 

@@ -77,29 +77,29 @@ class Motion:
         """
         ExpressionTable(self.states).read(function)  # a function of the states alone
         table = ExpressionTable(self.names)
-        root, given = table.read(function), table.read(stated)
+        root, claimed = table.read(function), table.read(stated)
         rates = [table.read(text) for text in self.rates]
         if not self.discrete:
             self._continuous(table, rates)
         own = composed(table, root, dict(enumerate(rates))) if self.discrete else along(table, root, rates)
         self._defined(table, [*rates, own])
-        if own != given:
+        if own != claimed:
             exact = Exact(table)
-            if not exact.equal(given, lambda e: e.of(own)) or exact.assumed:
+            if not exact.equal(claimed, lambda e: e.of(own)) or exact.assumed:
                 raise Rejected("the stated change of the function does not follow from the dynamics")
         return str(stated)
 
     def _defined(self, table: ExpressionTable, roots: Sequence[int]) -> None:
-        """Raise Rejected unless the expressions are defined in the whole box, which is halved until this is seen."""
-        waiting, seen = [self.box], 0
+        """Raise Rejected unless the expressions are defined in the whole box, which is halved as often as needed."""
+        waiting, halved = [self.box], 0
         while waiting:
             box = waiting.pop()
             go_on()
             try:
                 enclose(table, roots, [span(*ends) for ends in box])
             except Undefined as reason:
-                seen += 1
-                if seen > _MOST_HALVED:
+                halved += 1
+                if halved > _MOST_HALVED:
                     raise Rejected(f"the dynamics may be undefined in the box: {reason}") from None
                 widths = [
                     (high - low) / (top - bottom or 1.0)
@@ -143,15 +143,18 @@ def read_motion(claim: Mapping[str, Any]) -> Motion:
     if any(low == high for low, high in box):
         raise Rejected("the range of a state has no width")
     printable(claim["name"])
+    about = claim["about"]
+    if about and (not isinstance(about, dict) or set(about) != {"plant", "controller", "gains"}):
+        raise Rejected("the certificate does not state plant, controller and gains that the dynamics are about")
     return Motion(states, names, ranges, [dynamics[name] for name in states], claim["time"] == "discrete")
 
 
 def check_all(obligations: Sequence[Obligation], proofs: object) -> None:
     """Raise Rejected unless there is one proof for each obligation."""
-    given = listed(proofs)
-    if len(given) != len(obligations):
-        raise Rejected(f"the certificate has {len(given)} proofs, but {len(obligations)} inequalities must be proved")
-    for k, (obligation, cases) in enumerate(zip(obligations, given, strict=True)):
+    proved = listed(proofs)
+    if len(proved) != len(obligations):
+        raise Rejected(f"the certificate has {len(proved)} proofs, but {len(obligations)} inequalities must be proved")
+    for k, (obligation, cases) in enumerate(zip(obligations, proved, strict=True)):
         try:
             obligation.check(cases)
         except Rejected as reason:

@@ -68,7 +68,7 @@ def _shown(claim: Mapping[str, Any]) -> list[str]:
     # without the wording of the claim, which the checker does not verify
     lines = []
     for key, value in claim.items():
-        if key == "statement" or value in ([], "", 0.0):
+        if key == "statement" or value in ([], {}, "", 0.0):
             continue
         entries = value if isinstance(value, list) else [value]
         if len(entries) > 1 and all(isinstance(entry, str) for entry in entries):

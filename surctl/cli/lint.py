@@ -23,7 +23,9 @@ _NEXT = {
     "vehicle": ("tune --vehicle {} --out tuned", "study {}"),
     "gains": ("verify --gains {}", "simulate pool-static --gains {}"),
     "goals": ("tune --goals {}",),
+    "barrier": ("verify {}",),
     "claim": ("verify {}",),
+    "lyapunov": ("verify {}",),
     "region": ("verify {}",),
     "scenario": ("simulate {}",),
     "study": ("study {}", "tune {}"),
@@ -68,6 +70,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     from surctl.control import load_gains
     from surctl.errors import InputError
     from surctl.files import pick, read_toml
+    from surctl.lyapunov import load_problem
     from surctl.simulation import LIBRARY, findings, load_scenario
     from surctl.study import load_plan
     from surctl.tuning import load_goals
@@ -83,7 +86,9 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
         "vehicle": load_vehicle,
         "gains": load_gains,
         "goals": load_goals,
+        "barrier": lambda file: load_problem(Path(file)),
         "claim": lambda file: load_claim(Path(file)),
+        "lyapunov": lambda file: load_problem(Path(file)),
         "region": lambda file: load_region(Path(file)),
     }
     plan = None

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from surctl.cli.law_option import law_words
+
 if TYPE_CHECKING:
     from surctl.simulation import Scenario
     from surctl.vehicle import Vehicle
@@ -32,7 +34,14 @@ def fitting_scenario(vehicle: Vehicle, scenario: str | None = None) -> str | Non
 
 
 def export_command(
-    scenario: str | None, vehicle: str, gains: str, certificates: Sequence[Path] = (), *, sensing: str = "sonar"
+    scenario: str | None,
+    vehicle: str,
+    gains: str,
+    certificates: Sequence[Path] = (),
+    *,
+    law: str = "guarded",
+    guidance: str | None = None,
+    sensing: str = "sonar",
 ) -> list[str]:
     """Return the words of the export command, with the certificates that apply; empty if the vehicle fits no scenario.
 
@@ -41,6 +50,8 @@ def export_command(
         vehicle: name or file of the vehicle.
         gains: name or file of the gains.
         certificates: certificate files; the command carries those that concern the exported law.
+        law: the law to export, a name or FILE.py:FUNCTION.
+        guidance: path guidance; None: the default of the command.
         sensing: "sonar" or "truth".
     """
     from surctl.control import build_law, load_gains
@@ -55,7 +66,7 @@ def export_command(
     numbers = law_numbers(load_scenario(chosen), load_gains(gains), robot)
     travel = fitting_certificates(certificates, build_law(), robot, numbers) if certificates else []
     words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", gains]
-    words += ["--law", "guarded", "--sensing", sensing]
+    words += [*law_words(law), *(() if guidance is None else ("--guidance", guidance)), "--sensing", sensing]
     return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
 
 

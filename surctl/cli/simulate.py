@@ -45,7 +45,7 @@ __all__ = ["simulate"]
 )
 @click.option("--explain", "explained", is_flag=True, help="Print which limits override which tasks.")
 @animate_option
-@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat or nc.")
+@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat or nc (systems: default csv).")
 @click.option("--frame", metavar="NAME", help="Frame of --save: enu (default) or ned.")
 @campaign_options
 @trust_option
@@ -97,8 +97,9 @@ def simulate(
     Examples: surctl simulate pool-static --sensing sonar; surctl simulate tank-static --runs 1000 --monte-carlo --out
     mc; surctl simulate my_system.py:build plant.mass=2 --seconds 5
     """
-    if is_system(scenarios, "seconds", "out", "as_json"):
-        simulate_system(scenarios, seconds=seconds, out=out, as_json=as_json)
+    if is_system(scenarios, "seconds", "out", "save", "as_json"):
+        _check_save(save, None, out=out, campaign=False)
+        simulate_system(scenarios, seconds=seconds, out=out, save=save or "csv", as_json=as_json)
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
     link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout)
     link.check(campaign=campaign.any or replayed is not None)
@@ -175,7 +176,7 @@ def simulate(
                     if as_json:
                         progress(lines[-1])
                     lines += linear_part(run, results[-1])
-                    if run.metrics.stopped_because in ("standstill", "dead end"):
+                    if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
                         results[-1]["stop_reason"] = stop_reason(run)
                         lines.append(f"  {run.metrics.stopped_because}: {results[-1]['stop_reason']}")
                     lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)

@@ -16,7 +16,7 @@ __all__ = ["export_system"]
 
 def export_system(words: Sequence[str], *, seconds: float | None, name: str | None, out: Path, as_json: bool) -> None:
     """Write the controller as C, compare C and Python over a run; exit with status 1 if a number differs."""
-    from surctl.export import Records, build_bundle, build_controller, compare_runs, write_bundle
+    from surctl.export import build_bundle, build_controller, compare_runs, write_bundle
     from surctl.ir import find_compiler
     from surctl.system import LOST, run_system
 
@@ -25,13 +25,12 @@ def export_system(words: Sequence[str], *, seconds: float | None, name: str | No
     find_compiler()
     controller = own.system.controller
     record = run_system(own.system, duration, values)
-    states, inputs, gains = record.controller
-    bundle = build_bundle(controller, controller.gains.unpack(gains), name=name)
+    bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]), name=name)
     files = write_bundle(bundle, out)
     progress("compiling and replaying")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         compiled = build_controller(controller, bundle, Path(scratch, bundle.name))
-        (sil,) = compare_runs(compiled, [Records(states, inputs, gains)])
+        (sil,) = compare_runs(compiled, [record])
     largest = max(part.absolute for part in (sil.tau, sil.state, sil.telemetry))
     passed = sil.conclusive and largest == 0.0 and record.stopped != LOST
     lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from surctl.system import System
 
-__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "load_system", "seconds_option"]
+__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "listed", "load_system", "seconds_option"]
 
 seconds_option = click.option("--seconds", type=float, metavar="S", help="Duration of a run of a system [s].")
 
@@ -32,12 +32,21 @@ class OwnSystem:
         word: FILE.py:FUNCTION as typed.
         label: FILE.py:FUNCTION without folder.
         settings: further words of the command line.
+        sha256: SHA-256 of the text of the file.
     """
 
     system: System
     word: str
     label: str
     settings: tuple[str, ...]
+    sha256: str
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """Return the version of surctl, and name and SHA-256 of the file that the system comes from."""
+        from surctl import __version__
+
+        return {"source": f"surctl {__version__}", "system": self.label, "file_sha256": self.sha256}
 
     @property
     def title(self) -> str:
@@ -119,20 +128,30 @@ def load_system(words: Sequence[str]) -> OwnSystem:
     from surctl.system import System
 
     reference = pinned(words[0], key="system")
-    return OwnSystem(object_of(reference, System, key="system"), words[0], label(reference), tuple(words[1:]))
+    system, sha256 = object_of(reference, System, key="system"), reference.rpartition("#")[2]
+    return OwnSystem(system, words[0], label(reference), tuple(words[1:]), sha256)
 
 
 def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
     """Return the numbers of words NAME=VALUE by name; commas separate the entries of a vector.
 
     Raises:
-        InputError: a word does not assign a value, a value is not a number, or a name is given twice.
+        InputError: as in `listed`.
     """
     import numpy as np
 
+    return {name: np.array(v[0] if len(v) == 1 else [v]) for name, v in listed(words).items()}
+
+
+def listed(words: Sequence[str]) -> dict[str, list[float]]:
+    """Return the numbers of words NAME=V1,V2,… by name.
+
+    Raises:
+        InputError: a word does not assign a value, a value is not a number, or a name is given twice.
+    """
     from surctl.errors import InputError
 
-    values: dict[str, NDArray[np.float64]] = {}
+    values: dict[str, list[float]] = {}
     for word in words:
         name, equals, text = (part.strip() for part in word.partition("="))
         if not (name and equals):
@@ -140,10 +159,9 @@ def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
         if name in values:
             raise InputError("is given twice", key=name, remedy="give it once")
         try:
-            numbers = [float(number) for number in text.split(",")]
+            values[name] = [float(number) for number in text.split(",")]
         except ValueError:
             raise InputError("is not a number", key=name, value=text, remedy=f"write {name}=1.5") from None
-        values[name] = np.array(numbers[0] if len(numbers) == 1 else [numbers])
     return values
 
 

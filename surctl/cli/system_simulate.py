@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +14,11 @@ from surctl.cli.system_option import OwnSystem, assigned, command_line, load_sys
 if TYPE_CHECKING:
     from surctl.system import Record, System
 
-__all__ = ["cost_data", "cost_lines", "end_text", "simulate_system", "write_table"]
+__all__ = ["cost_data", "cost_lines", "end_text", "simulate_system"]
 
 
-def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | None, as_json: bool) -> None:
-    """Simulate one run, print how it ended and its costs, and write its signals and their plot to `out`."""
+def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool) -> None:
+    """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
     from surctl.files import prepare_folder
     from surctl.system import LOST, run_system
 
@@ -28,12 +28,13 @@ def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | 
         prepare_folder(out)
     record = run_system(own.system, duration, values)
     lines = [end_text(own, record), *cost_lines(own.system, record.figures)]
-    files = [] if out is None else _write(own, record, out)
+    files = [] if out is None else _write(own, record, out, save)
     lines += [f"  {file}" for file in files]
     data = {
         **own.names,
         "values": {name: value.ravel().tolist() for name, value in values.items()},
         "stopped": record.stopped,
+        "not_finite": record.lost or None,
         "duration_s": record.duration,
         "costs": cost_data(own.system, record.figures),
         "files": [str(file) for file in files],
@@ -45,12 +46,15 @@ def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | 
 
 def end_text(own: OwnSystem, record: Record) -> str:
     """Return one line with the system, and when and why the run ended."""
-    return f"{own.title}: ended after {record.duration:.10g} s ({record.stopped}), control period {own.system.dt:g} s"
+    why = f"{record.stopped}: {record.lost}" if record.lost else record.stopped
+    return f"{own.title}: ended after {record.duration:.10g} s ({why}), control period {own.system.dt:g} s"
 
 
 def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
     """Return one line for each cost: name, value with unit, and what it means."""
     width = max(map(len, figures), default=0)
+    if figures and all(map(math.isnan, figures.values())):
+        return ["  no costs: a run that ends at its start, or is not finite, has none"]
     return [
         f"  {name:<{width}}  {value:.6g} {cost.unit} ({cost.how}){f'  {cost.meaning}' if cost.meaning else ''}"
         for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True)
@@ -65,23 +69,14 @@ def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> Path:
-    """Write columns as CSV, with all digits that are needed to restore each number; return the path."""
-    from surctl.files import write_file
-
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(columns)
-    rows.writerows(zip(*columns.values(), strict=True))
-    return write_file(path, text.getvalue())
-
-
-def _write(own: OwnSystem, record: Record, out: Path) -> list[Path]:
+def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
     from surctl.report import save_record_plot
+    from surctl.system import save_record
 
     name = f"{own.system.plant.name}-{own.system.controller.name}"
-    table = {head: column.tolist() for head, column in record.table().items()}
-    return [save_record_plot(record, out, name=name), write_table(out / f"{name}.csv", table)]
+    origin = own.origin | {"values": json.dumps({n: v.tolist() for n, v in assigned(own.settings).items()})}
+    file = save_record(record, out / f"{name}.{kind}", about=origin)
+    return [save_record_plot(record, out, name=name), file]
 
 
 def _sweep(own: OwnSystem, seconds: float) -> str:

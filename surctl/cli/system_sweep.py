@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surctl.cli.output import finish
 from surctl.cli.system_option import OwnSystem, command_line, load_system
-from surctl.cli.system_simulate import write_table
 
 if TYPE_CHECKING:
     from surctl.system import Runs
@@ -18,6 +18,7 @@ __all__ = ["sweep_system"]
 
 _SHOWN = 40  # largest number of points in the text output
 _MOST_JSON = 100_000  # largest number of points printed as JSON
+_MOST_REPEATED = 20_000  # largest number of control periods of a run that is repeated in Python
 _NAMED = 5  # largest number of points that a line names
 
 
@@ -25,7 +26,9 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     """Simulate a run at each point of the grid in compiled code; print each cost's range and best point."""
     from surctl.errors import InputError
     from surctl.files import prepare_folder
+    from surctl.recorded_write import write_csv
     from surctl.system import LOST, simulate_system
+    from surctl.system.values import check_scalar
     from surctl.tuning import make_design, parse_axis
 
     own = load_system(words)
@@ -36,10 +39,13 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     if as_json and len(design.points) > _MOST_JSON:
         problem = f"would print {len(design.points)} points"
         raise InputError(problem, key="--json", remedy="drop this option and read sweep.csv")
+    for name in design.names:
+        check_scalar(own.system, name)
     values = {name: design.points[:, k] for k, name in enumerate(design.names)}
     prepare_folder(out)
     runs = simulate_system(own.system, duration, values, threads=workers or 2)
-    table = write_table(out / "sweep.csv", _columns(own, design, runs))
+    table = write_csv(out / "sweep.csv", _columns(own, design, runs))
+    dataset = _write_dataset(own, design, runs, out / "sweep.nc", seconds=duration)
     best = _best(own, design, runs)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
     lines = [f"{own.title}: {len(design.points)} runs of {duration:g} s, control period {own.system.dt:g} s"]
@@ -48,7 +54,8 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     if lost:
         named = "; ".join(_point(design, k) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(design.points)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
-    lines.append(f"table {table}")
+        lines += [f"  in the first of them: {name}" for name in [_lost_number(own, design, runs, lost[0])] if name]
+    lines.append(f"table {table}, netCDF {dataset}")
     data = {
         **own.names,
         "seconds": duration,
@@ -58,12 +65,21 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         "best": best,
         "not_finite": [_at(design, k) for k in lost],
         "table": str(table),
+        "netcdf": str(dataset),
     }
     then = []
     if best:
         at = next(iter(best.values()))["at"]
         then = [command_line("simulate", own, *(f"{n}={v!r}" for n, v in at.items()), "--seconds", f"{duration:g}")]
     finish(data, lines, as_json=as_json, passed=bool(best), then=then)
+
+
+def _lost_number(own: OwnSystem, design: Design, runs: Runs, k: int) -> str:
+    """Return the number of point k that is not finite, from a run in Python; "" if that run would take too long."""
+    from surctl.system import run_system
+
+    periods = round(float(runs.time[k]) / own.system.dt) + 2
+    return run_system(own.system, periods * own.system.dt, _at(design, k)).lost if periods < _MOST_REPEATED else ""
 
 
 def _at(design: Design, k: int) -> dict[str, float]:
@@ -87,10 +103,33 @@ def _columns(own: OwnSystem, design: Design, runs: Runs) -> dict[str, list[Any]]
     return columns | {"stopped": runs.stopped.tolist(), "duration [s]": runs.time.tolist()}
 
 
+def _write_dataset(own: OwnSystem, design: Design, runs: Runs, path: Path, *, seconds: float) -> Path:
+    """Write axes (as dimensions), costs, durations, and reasons of the ends of runs as netCDF; return the path."""
+    import numpy as np
+
+    from surctl.recorded_write import Column, write_netcdf
+    from surctl.system.record_file import identity
+    from surctl.system.values import unit_of
+
+    axes = [np.unique(design.points[:, k]) for k in range(len(design.names))]
+    columns = {
+        name: Column(values, unit_of(own.system, name), name) for name, values in zip(design.names, axes, strict=True)
+    }
+    for name, cost in own.system.costs.items():
+        columns[name] = Column(runs[name], cost.unit, cost.meaning or name)
+    columns["run.stopped"] = Column(runs.stopped, "", "why the run ended")
+    columns["run.duration"] = Column(runs.time, "s", "duration of the run")
+    sizes = dict(zip(design.names, design.shape, strict=True))
+    attributes = identity(own.system) | own.origin | {"seconds": seconds}
+    return write_netcdf(path, columns, sizes=sizes, attributes=attributes)
+
+
 def _rows(own: OwnSystem, design: Design, runs: Runs) -> list[str]:
     rows, units = [], {name: cost.unit for name, cost in own.system.costs.items()}
     for k in range(min(len(design.points), _SHOWN)):
-        costs = "  ".join(f"{name}={values[k]:.6g} {units[name]}" for name, values in runs.figures.items())
+        figures = {name: float(values[k]) for name, values in runs.figures.items()}
+        costs = "  ".join(f"{name}={value:.6g} {units[name]}" for name, value in figures.items())
+        costs = "no costs" if all(map(math.isnan, figures.values())) else costs
         rows.append(f"  {_point(design, k)}: {costs}{_ended(str(runs.stopped[k]), float(runs.time[k]))}")
     more = len(design.points) - _SHOWN
     return [*rows, f"  ... and {more} more points in the table"] if more > 0 else rows

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surctl.cli.output import finish, progress
-from surctl.cli.system_option import OwnSystem, command_line, load_system
-from surctl.cli.system_simulate import cost_data, write_table
+from surctl.cli.system_option import OwnSystem, command_line, listed, load_system
+from surctl.cli.system_simulate import cost_data
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from surctl.tuning import SystemTuning
 
 __all__ = ["tune_own_system"]
-
-_SPREAD = 4.0  # a default range extends from a quarter of the nominal value to four times this value
 
 
 def tune_own_system(
@@ -34,16 +32,17 @@ def tune_own_system(
 ) -> None:
     """Search gains, write them, and print costs and disk margin; exit with status 1 if a bound is violated."""
     from surctl.files import prepare_folder
+    from surctl.recorded_write import write_csv
     from surctl.tuning import tune_system
     from surctl.tuning.systems import check_tuning
 
     own = load_system(words)
-    duration, cases, space = own.seconds(seconds), _cases(own.settings), _ranges(own, ranges)
+    duration, cases, space = own.seconds(seconds), _cases(own), _ranges(own, ranges)
     check_tuning(own.system, space, cases)
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
     result = tune_system(own.system, duration, space, cases=cases, trials=trials, seed=seed, threads=workers)
-    table = write_table(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+    table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
     lines = [f"{own.title}: {result.trials} gain sets, runs of {duration:g} s", *_lines(own, result), f"gains {table}"]
     data = {
         **own.names,
@@ -69,6 +68,7 @@ def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) ->
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
     from surctl.system import entry_labels
+    from surctl.tuning.space import default_range
 
     gains = own.system.controller.gains
     nominal = dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
@@ -78,28 +78,21 @@ def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) ->
             raise InputError("is no gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
         if ends is None and nominal[name] == 0:
             raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
-        low, high = sorted((nominal[name] / _SPREAD, nominal[name] * _SPREAD))
-        result[name] = (low, high) if ends is None else ends
+        result[name] = default_range(nominal[name]) if ends is None else ends
     return result
 
 
-def _cases(words: Sequence[str]) -> dict[str, NDArray[np.float64]]:
+def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:
     """Return the values of each name in all cases from words NAME=V1,V2,…; a single value is for all cases."""
     import numpy as np
 
-    from surctl.errors import InputError
+    from surctl.system.values import check_scalar
 
-    cases = {}
-    for word in words:
-        name, _, text = word.partition("=")
-        try:
-            numbers = [float(number) for number in text.split(",")]
-        except ValueError:
-            raise InputError(
-                "is not NAME=V1,V2,…", key="setting", value=word, remedy="such as start.q=0.1,0.3"
-            ) from None
-        cases[name] = np.array(numbers[0] if len(numbers) == 1 else numbers)
-    return cases
+    values = listed(own.settings)
+    for name in values:
+        if len(values[name]) > 1:
+            check_scalar(own.system, name)
+    return {name: np.array(v[0] if len(v) == 1 else v) for name, v in values.items()}
 
 
 def _lines(own: OwnSystem, result: SystemTuning) -> list[str]:

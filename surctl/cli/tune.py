@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from surctl.cli.law_option import law_words, trust_option
+from surctl.cli.next_export import export_command
 from surctl.cli.output import as_json, at_hand, finish, finite, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
@@ -258,7 +259,7 @@ def tune(
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
     arguments = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
     law = [*law_words(plan.law), "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
-    then = [shlex.join(["surctl", "export", *about, *law])]
+    then = export_command(about[1], about[3], str(gains_path), law=plan.law, guidance=kind["guidance"], sensing="truth")
     if law_source(plan.law).parts:  # the claims are about parts of the built-in laws
         then = [shlex.join(["surctl", "verify", *arguments]), *then]
     if not tuning.accepted:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.barrier_options import barrier_options
+from surctl.cli.motion_verify import are_problems, verify_motion
 from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system
@@ -100,18 +101,21 @@ def verify(
 
     The linear analysis about straight cruise gives margins, poles, the slowest mode, the largest stable speed and
     sampling limits, for the nominal vehicle and for the worst of --uncertainty or of the vehicle's ranges. Region and
-    braking claims are checked only if they are named (see surctl list). A claim file holds an inequality of your own
-    (kind claim) or a region claim with other numbers (kind region); --show prints library claims as examples. --stack
-    prints which tasks of a law are orthogonal, independent or dependent, and which converge. Exit status: 1 if a
-    verdict is not as expected, a named claim is not applicable, the linear loop is unstable, or the safety claim fails.
+    braking claims are checked only if they are named (see surctl list). A file holds an inequality of your own (kind
+    claim; --show prints examples), a region claim with other numbers (kind region), or a region of attraction or a
+    barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent
+    or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable,
+    the linear loop is unstable, or the safety claim fails.
 
     For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop.
 
     Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml;
-    surctl verify my_system.py:build plant.mass=2; surctl verify braking-inertia-20 --scenario tank-static
+    surctl verify my_system.py:build plant.mass=2; surctl verify pendulum.toml
     """
     if is_system(claims, "as_json"):
         verify_system(claims, as_json=as_json)
+    if are_problems(claims, only=("seed", "time_limit", "out", "as_json")):
+        verify_motion(claims, seed=seed, time_limit=time_limit, out=out, as_json=as_json)
     from surctl.cli.braking import is_braking, prove_all
     from surctl.cli.linear_part import linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command

@@ -39,7 +39,7 @@ from surctl.control.ports import (
 from surctl.control.reference import learnt, path_following
 from surctl.control.registry import law_ref, law_source
 from surctl.control.routines import limited, sensing
-from surctl.control.source import LawSource, decision_of, thrust_of
+from surctl.control.source import LawSource, decision_of, perceived_by, thrust_of
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.stored import law_bytes, law_from
 from surctl.errors import InputError, SurctlError, nearest
@@ -276,7 +276,7 @@ def _decide(
         if depths:
             layer_depth, aimed = aimed_depth(xs, us["eta"], us["nu"], us["column"], ps)
             parameters = {**ps, "depth": aimed}
-        perceived = perceive(xs, us, ps, dt=dt) if source.perceive is None else source.perceive(us, ps)
+        perceived = perceive(xs, us, ps, dt=dt) if source.perceive is None else perceived_by(source, us, ps, chosen.law)
         scan = Scan(us["unknown"], us["sonars"], us["placed"]) if scans else None
         situation = Situation(
             avoidance, desired, perceived, xs, us["eta"], us["nu"], parameters, dt, scan, moving, barrier, movers

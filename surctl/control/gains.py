@@ -44,6 +44,8 @@ class GainSpec:
             raise InputError("has no default", key=key, remedy="give default=…, the value where no gain file says one")
         for value in (self.default, *(self.range or ())):
             check_value(key, float(value), None, {key: self})
+        if self.range is not None and self.range[0] > self.range[1]:
+            raise InputError("is a reversed range", key=f"{key}.range", value=self.range, remedy="write (low, high)")
         if self.range is not None and not self.range[0] <= self.default <= self.range[1]:
             raise InputError("is outside its range", key=key, value=self.default, remedy="widen the range")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -18,9 +18,10 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Port, identifier
 from surctl.own_code import called, is_own, own_file
 from surctl.priority import Mode
+from surctl.system.parts import expression
 from surctl.tasks import Task
 
-__all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "decision_of", "thrust_of"]
+__all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "decision_of", "perceived_by", "thrust_of"]
 
 PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoidance (20)", "barrier"
 """Parts of a law for which the library has claims and linear models: path following by equations (8)–(12) of the paper;
@@ -128,6 +129,12 @@ def decision_of(source: LawSource, situation: Situation, reference: str) -> Deci
     return _checked_decision(called(reference, source.decide, situation), source, file=own_file(reference))
 
 
+def perceived_by(source: LawSource, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX], reference: str) -> Perception:
+    """Return the law's own perception; an error in a law of the user's own is reported in one line with its file."""
+    assert source.perceive is not None
+    return called(reference, source.perceive, u, p) if is_own(reference) else source.perceive(u, p)
+
+
 def thrust_of(source: LawSource, reference: str) -> Thrust | None:
     """Return the law's velocity controller; one from the user is wrapped in checks of its returned values."""
     thrust = source.thrust
@@ -142,7 +149,7 @@ def thrust_of(source: LawSource, reference: str) -> Thrust | None:
 
 
 def _checked_decision(decision: object, source: LawSource, *, file: object) -> Decision:
-    """Return the decision if it has the shapes, units and names that its law requires; else raise InputError.
+    """Return the decision, as expressions, if it has the shapes, units and names of its law; else raise InputError.
 
     Args:
         decision: what the function `decide` returned.
@@ -152,12 +159,6 @@ def _checked_decision(decision: object, source: LawSource, *, file: object) -> D
 
     def fail(problem: str, key: str, remedy: str) -> InputError:
         return InputError(problem, file=file, key=f"{source.name}.{key}", remedy=remedy)
-
-    def symbolic(value: Any, key: str) -> ca.SX:
-        try:
-            return ca.SX(value)
-        except (NotImplementedError, RuntimeError, TypeError):
-            raise fail(f"is {type(value).__name__}", key, "give a CasADi SX expression or numbers") from None
 
     if not isinstance(decision, Decision):
         raise fail(f"returned {type(decision).__name__}, not Decision", "decide", "return Decision([task, …])")
@@ -174,16 +175,26 @@ def _checked_decision(decision: object, source: LawSource, *, file: object) -> D
     for row in decision.rows:
         if not hasattr(row, "rows"):
             raise fail(f"contains {type(row).__name__}", "rows", "give surctl.tasks.HalfPlane or a barrier's rows")
+    values: dict[str, Any] = {"state": {}}
     for name, shape in (("velocity", (2, 1)), ("avoiding", (1, 1)), ("degraded", (1, 1)), ("stopped", (1, 1))):
-        if (actual := symbolic(getattr(decision, name), name).shape) != shape:
-            raise fail(f"has shape {actual}", name, f"give {shape}")
+        values[name] = _symbolic(getattr(decision, name), source, name, file=file)
+        if values[name].shape != shape:
+            raise fail(f"has shape {values[name].shape}", name, f"give {shape}")
     known = {port.name: port for port in source.ports}
     for name, value in decision.state.items():
         if name not in known:
             raise fail("is no state port of this law", f"state.{name}", f"{nearest(name, known)}")
-        if (count := symbolic(value, f"state.{name}").numel()) != known[name].size:
-            raise fail(f"has {count} numbers", f"state.{name}", f"give {known[name].size}")
-    return decision
+        values["state"][name] = after = _symbolic(value, source, f"state.{name}", file=file)
+        if after.numel() != known[name].size:
+            raise fail(f"has {after.numel()} numbers", f"state.{name}", f"give {known[name].size}")
+    return replace(decision, **values)
+
+
+def _symbolic(value: Any, source: LawSource, key: str, *, file: object) -> ca.SX:
+    try:
+        return expression(value, key=f"{source.name}.{key}")
+    except InputError as error:
+        raise error.inside(file) from None
 
 
 def _checked_thrust(returned: object, source: LawSource, *, file: object) -> tuple[ca.SX, ca.SX]:
@@ -195,10 +206,7 @@ def _checked_thrust(returned: object, source: LawSource, *, file: object) -> tup
     remedy = "return (thrust (4, 1), next state (4, 1))"
     if not isinstance(returned, tuple) or len(returned) != 2:
         raise InputError(f"returned {type(returned).__name__}", file=file, key=f"{source.name}.thrust", remedy=remedy)
-    try:
-        thrust, following = (ca.SX(part) for part in returned)
-    except (NotImplementedError, RuntimeError, TypeError):
-        raise InputError("returned no SX", file=file, key=f"{source.name}.thrust", remedy=remedy) from None
+    thrust, following = (_symbolic(part, source, "thrust", file=file) for part in returned)
     if thrust.shape != (_VELOCITIES, 1) or following.shape != (_VELOCITIES, 1):
         shapes = f"returned shapes {thrust.shape} and {following.shape}"
         raise InputError(shapes, file=file, key=f"{source.name}.thrust", remedy=remedy)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.export.contract import Exportable
+from surctl.system import Record
 
-__all__ = ["Records", "as_records"]
+__all__ = ["AnyRecord", "Records", "as_records"]
 
 Vector = NDArray[np.float64]
 Triple = tuple[ArrayLike, ArrayLike, ArrayLike]
@@ -36,8 +38,16 @@ class Records:
         return len(self.X)
 
 
-def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
-    """Return `Records` from triples (state, inputs, gains), or from `Records` whose gains P may be one vector (np,).
+AnyRecord: TypeAlias = Records | Record | Sequence[Triple]
+
+
+def as_records(law: Exportable, records: AnyRecord) -> Records:
+    """Return `Records` of a law from a recorded run.
+
+    Args:
+        law: the law that ran.
+        records: triples (state, inputs, gains), `Records` whose gains P may be one vector (np,), or the `Record` of a
+            system that `law` controls.
 
     Raises:
         InputError: there is no step, or an array does not fit the law's layouts.
@@ -55,6 +65,8 @@ def as_records(law: Exportable, records: Records | Sequence[Triple]) -> Records:
         >>> recording.P.shape, records.P.shape == (len(recording.X), law.gains.size)
         ((70,), True)
     """
+    if isinstance(records, Record):
+        records = Records(*records.controller)
     if not isinstance(records, Records):
         rows = list(records)
         records = Records(*(_stack([row[k] for row in rows]) for k in range(3)))

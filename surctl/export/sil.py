@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.export.bundle import build_bundle
@@ -17,7 +17,7 @@ from surctl.export.contract import Exportable, command_word
 from surctl.export.faults import fault_failures
 from surctl.export.precision import evaluated, replayed, rounded
 from surctl.export.process import Controller, build_controller
-from surctl.export.records import Records, as_records
+from surctl.export.records import AnyRecord, Records, as_records
 from surctl.export.rows import Rows
 from surctl.ir import Real, compiler_version
 
@@ -136,7 +136,7 @@ class SilReport:
 
 def software_in_the_loop(
     law: Exportable,
-    records: Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]],
+    records: AnyRecord,
     *,
     workdir: Path | str | None = None,
     real: Real = "float64",
@@ -149,7 +149,7 @@ def software_in_the_loop(
 
     Args:
         law: the control law.
-        records: (x, u, p) of each step, or `Records`.
+        records: (x, u, p) of each step, `Records`, or the `Record` of a system.
         workdir: folder for the bundle and the program, which stay there; None uses a temporary folder.
         real: precision of the bundle; Python rounds the result of every operation to this precision.
 
@@ -176,7 +176,7 @@ def software_in_the_loop(
 
 def software_in_the_loop_runs(
     law: Exportable,
-    runs: Sequence[Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]]],
+    runs: Sequence[AnyRecord],
     *,
     workdir: Path | str | None = None,
     real: Real = "float64",
@@ -207,9 +207,7 @@ def software_in_the_loop_runs(
         return compare_runs(controller, recorded)
 
 
-def compare_runs(
-    controller: Controller, runs: Sequence[Records | Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]]]
-) -> tuple[SilReport, ...]:
+def compare_runs(controller: Controller, runs: Sequence[AnyRecord]) -> tuple[SilReport, ...]:
     """Return the reports of `software_in_the_loop_runs` for a controller that is already compiled.
 
     Raises:

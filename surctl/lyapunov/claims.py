@@ -57,11 +57,14 @@ class Stability:
 
     kind = "lyapunov"
 
+    def __post_init__(self) -> None:
+        self.dynamics.require_equilibrium()
+
     @property
     def statement(self) -> str:
         """The claim in words."""
-        pace = "" if self.rate is None else f", with V decreasing at the rate {self.rate:g}"
-        return f"every solution with V(x(0)) < {self.level:g} converges to the equilibrium{pace}"
+        pace = "" if self.rate is None else f" at the rate {self.rate:g}"
+        return f"where V < {self.level:g}, V decreases{pace} and every solution converges to the equilibrium"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
@@ -133,7 +136,7 @@ class Bound:
     @property
     def statement(self) -> str:
         """The claim in words."""
-        return f"every solution with V(x(0)) < {self.level:g} stays there, and V decays to {self.ultimate:g}"
+        return f"every solution that starts where V < {self.level:g} stays there, and V decays to {self.ultimate:g}"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
@@ -150,10 +153,10 @@ class Bound:
         """Return the inequalities to prove: the region lies in the box, V decays."""
         d = self.dynamics
         inside = [self.function - exact(self.level)]
-        push = number(0)
+        driving = number(0)
         for name, gain in self.gains.items():
-            push = push + exact(gain) * power(variable(name), 2)
-        right = -(exact(self.rate) * (self.function - exact(self.inner))) + push
+            driving = driving + exact(gain) * power(variable(name), 2)
+        right = -(exact(self.rate) * (self.function - exact(self.inner))) + driving
         claims = _stays(d, inside) if d.discrete else _faces(d, self.level, self.function)
         return [*claims, _decrease(d, self.function, right, inside)]
 
@@ -222,6 +225,7 @@ def _plain(dynamics: Dynamics, what: str) -> dict[str, Any]:
         "name": dynamics.name,
         "time": dynamics.time,
         "property": what,
+        "about": dict(dynamics.about),
         "states": [entry(s) for s in dynamics.states],
         "parameters": [entry(w) for w in dynamics.parameters],
         "dynamics": {s.name: text_of(rate) for s, rate in zip(dynamics.states, dynamics.rates, strict=True)},

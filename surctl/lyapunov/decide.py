@@ -14,9 +14,10 @@ from surctl.certcheck import check_document, seal
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
 from surctl.verification import Claim
-from surctl.verification.falsifier import falsify
+from surctl.verification.decide import confirmed
+from surctl.verification.falsifier import search
 from surctl.verification.formula import text_of
-from surctl.verification.proving import certain_excess, prove
+from surctl.verification.proving import prove
 
 __all__ = ["Decision", "decide_motion"]
 
@@ -212,15 +213,14 @@ def _short(value: float, *, up: bool = False) -> float:
 def _refuted(claim: Claim, seed: int) -> Mapping[str, float] | None:
     """Return a point at which interval arithmetic confirms that the inequality fails, or None."""
     try:
-        verdict = falsify(claim, samples=_SAMPLES, starts=_STARTS, seed=seed)
+        outcome = search(claim, samples=_SAMPLES, starts=_STARTS, seed=seed)
     except InputError as error:
         if "no sample lies in its domain" in error.problem:
             return None
         raise
-    if verdict.counterexample is None:
-        return None
-    point = verdict.counterexample.values
-    return point if certain_excess(claim, claim.point(point)[:, None])[0] > 0 else None
+    worst = outcome.verdict.counterexample
+    sure = None if worst is None else confirmed(claim, worst, outcome.violating)
+    return None if sure is None else sure.values
 
 
 def _point(values: Mapping[str, float]) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -63,10 +63,11 @@ class Dynamics:
         rates: time derivative of each state (continuous) or its successor (discrete), as expressions.
         parameters: uncertain parameters and disturbances.
         source: where the dynamics are published.
+        about: digests of `plant` and `controller`, and the values of `gains` by name, if the dynamics are those of a
+            closed loop (`surctl.system.System`); otherwise empty.
 
     Raises:
-        InputError: a name is not valid or is used twice, a range is not finite or empty, the equilibrium lies outside
-            the box, or a rate uses an unknown name.
+        InputError: a name is not valid or is used twice, a range is not finite, or a rate uses an unknown name.
 
     Example:
         >>> from surctl.lyapunov import Dynamics, State
@@ -83,6 +84,7 @@ class Dynamics:
     rates: tuple[Node, ...]
     parameters: tuple[Range, ...] = ()
     source: str = ""
+    about: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         names = [v.name for v in self.variables]
@@ -99,12 +101,6 @@ class Dynamics:
                 raise InputError(
                     "needs finite bounds, the lower one first", key=f"{self.name}.{v.name}", value=list(ends),
                     remedy="give lower and upper",
-                )  # fmt: skip
-        for v in self.states:
-            if not v.lower < v.equilibrium < v.upper:
-                raise InputError(
-                    "has its equilibrium outside its bounds", key=f"{self.name}.{v.name}", value=v.equilibrium,
-                    remedy="widen the bounds",
                 )  # fmt: skip
         for state, rate in zip(self.states, self.rates, strict=True):
             for node in ordered(rate):
@@ -132,6 +128,15 @@ class Dynamics:
     def equilibrium(self) -> Array:
         """The equilibrium (n,)."""
         return np.array([s.equilibrium for s in self.states])
+
+    def require_equilibrium(self) -> None:
+        """Raise InputError unless the equilibrium lies inside the box."""
+        for s in self.states:
+            if not s.lower < s.equilibrium < s.upper:
+                raise InputError(
+                    "has its equilibrium outside its bounds", key=f"{self.name}.{s.name}", value=s.equilibrium,
+                    remedy="widen the bounds",
+                )  # fmt: skip
 
     @property
     def box(self) -> Array:

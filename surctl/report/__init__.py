@@ -22,6 +22,7 @@ from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
 from surctl.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
 from surctl.report.map_view import MapView, map_view, plot_map, plot_maps
+from surctl.report.motion_plots import plot_motion
 from surctl.report.page import render_page, render_sections, write_page
 from surctl.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
 from surctl.report.plan_view import plot_run
@@ -59,6 +60,7 @@ __all__ = [
     "plot_locus",
     "plot_map",
     "plot_maps",
+    "plot_motion",
     "plot_nyquist",
     "plot_parallel",
     "plot_poles",

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import os
-from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +10,11 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.files import write_file
 from surctl.recorded import shown
+from surctl.recorded_write import RECORD_FORMATS, Column, RecordFormat, write_mat, write_netcdf
 from surctl.simulation.run import Run
 from surctl.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, check_frame, swap_body, swap_pose
 
 __all__ = ["RECORD_FORMATS", "RecordFormat", "record_columns", "save_record"]
-
-RecordFormat = Literal["csv", "mat", "nc"]
-RECORD_FORMATS: tuple[RecordFormat, ...] = get_args(RecordFormat)
 
 _UNITS = {
     "t_s": "s",
@@ -109,39 +102,13 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
         above = f"# frame={frame} ({frame_text}); SI units, radians; {shown(about)}"
         rows = [above, ",".join(columns), *(",".join(map(_plain, row)) for row in zip(*columns.values(), strict=True))]
         return write_file(path, "\n".join(rows) + "\n")
+    described = {name: Column(values, _UNITS[name], _MEANING[name]) for name, values in columns.items()}
     if kind == "mat":
-        from scipy.io import savemat
-
-        held = io.BytesIO()
-        texts = {"frame": frame_text, "about": about, "units": _UNITS, "meaning": _MEANING}
-        savemat(held, {**{k: v[:, None] for k, v in columns.items()}, **texts}, oned_as="column")
-        text = b"MATLAB 5.0 MAT-file, a run of surctl".ljust(116)  # replaces the date that scipy writes
-        return write_file(path, text + held.getvalue()[116:])
-    return _netcdf(path, columns, about, frame_text)
+        return write_mat(path, described, texts={"frame": frame_text, "about": about})
+    attributes = {"title": about, "frame": frame_text}
+    return write_netcdf(path, described, sizes={"time": len(run.record.time)}, attributes=attributes)
 
 
 def _plain(value: float) -> str:
     # the clearance is inf if there is no obstacle or wall
     return repr(int(value)) if abs(value) < 1e15 and value == int(value) else repr(float(value))
-
-
-def _netcdf(path: Path, columns: Mapping[str, NDArray[np.float64]], about: str, frame: str) -> Path:
-    import netCDF4
-
-    part = path.with_suffix(f".{os.getpid()}.tmp")
-    try:
-        with netCDF4.Dataset(part, "w", format="NETCDF4") as file:
-            file.setncatts({"Conventions": "CF-1.11", "title": about, "frame": frame})
-            file.createDimension("time", len(columns["t_s"]))
-            for name, values in columns.items():
-                variable = file.createVariable(name, "f8", ("time",))
-                variable.setncatts({"units": _UNITS[name], "long_name": _MEANING[name]})
-                variable[:] = values
-        part.replace(path)
-    except (OSError, RuntimeError) as error:  # netCDF reports a full disk as a RuntimeError
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-        reason = getattr(error, "strerror", None) or str(error)
-        remedy = "free disk space or name another folder"
-        raise InputError(f"cannot be written ({reason})", file=path, remedy=remedy) from None
-    return path

@@ -1,4 +1,4 @@
-"""Explain in words why a run ended at a standstill."""
+"""Explain in words why a run ended at a standstill, in a dead end, or with a number that is not finite."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.simulation.run import Run, depth_changes
+from surctl.system.controller import lost_entry
 
 __all__ = ["stop_reason"]
 
 
 def stop_reason(run: Run) -> str:
-    """Return why a run ended as `stopped` or `dead end`, in one sentence without a full stop.
+    """Return why a run ended as `standstill`, `dead end` or `fault`, in one sentence without a full stop.
 
-    The sentence names either the information that the law lacked, or the position where it gave up and the time without
-    progress.
+    The sentence names the information that the law lacked, or the position where it gave up and the time without
+    progress, or the number that is not finite.
 
     Raises:
-        InputError: the run ended for a reason other than a standstill.
+        InputError: the run ended for another reason.
 
     Example:
         >>> from dataclasses import replace
@@ -33,8 +34,13 @@ def stop_reason(run: Run) -> str:
     law, record, why = run.law, run.record, run.metrics.stopped_because
     if why == "dead end":
         return _dead_end_reason(run)
+    if why == "fault":
+        name = (
+            lost_entry(law, record.law_state[-1], record.law_input[-1], record.law_parameters) or "a number of the step"
+        )
+        return f"{name} is not finite at {record.time[-1]:.2f} s"
     if why != "standstill" or law.perception is None:
-        raise InputError("ended neither at a standstill nor in a dead end", key="run", value=why)
+        raise InputError("ended neither at a standstill, in a dead end nor by a fault", key="run", value=why)
     perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.law_parameters)
     silent = np.flatnonzero(run.telemetry("healthy")[-1] < 0.5).tolist()
     if perceived[law.perception.outputs.slice("placed")][0] < 0.5:

@@ -18,7 +18,8 @@ Number = Fraction | float
 class Polynomial:
     """A polynomial: the coefficient of each monomial; no coefficient is 0.
 
-    Sums, differences, products and powers use the operators + − * **, and quotients by numbers /; numbers count as constant polynomials.
+    The operators + − * ** give sums, differences, products and powers, and / divides by a number. Numbers count as
+    constant polynomials.
 
     Attributes:
         terms: coefficient of each monomial.

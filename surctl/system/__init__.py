@@ -13,8 +13,11 @@ from surctl.system.linear import Linearisation, Operating, find_equilibrium, lin
 from surctl.system.loop import Cost, Signals, System
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Parts, Plant
+from surctl.system.plant_linear import linearise_plant
 from surctl.system.record import Record, run_system
+from surctl.system.record_file import save_record
 from surctl.system.runs import ENDED, LOST, Runs, periods, simulate_system
+from surctl.system.values import every_combination
 
 __all__ = [
     "ENDED",
@@ -37,9 +40,12 @@ __all__ = [
     "command_ports",
     "entry_labels",
     "entry_units",
+    "every_combination",
     "find_equilibrium",
     "linearise",
+    "linearise_plant",
     "periods",
     "run_system",
+    "save_record",
     "simulate_system",
 ]

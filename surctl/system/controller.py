@@ -12,10 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir import Block, Layout, Port, Recording, identifier, runnable, without_libm
-from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
+from surctl.ir import Block, Layout, Port, Recording, identifier, replay, runnable, without_libm
+from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined, not_finite
 
-__all__ = ["NONFINITE", "Action", "Controller", "ControllerStep", "SampledController", "Step", "command_ports"]
+__all__ = [
+    "NONFINITE",
+    "Action",
+    "Controller",
+    "ControllerStep",
+    "SampledController",
+    "Step",
+    "command_ports",
+    "lost_entry",
+    "step_results",
+]
 
 Vector = NDArray[np.float64]
 
@@ -247,3 +257,22 @@ def command_ports(controller: SampledController) -> Layout:
         ports.append(port)
         at += port.size
     return Layout(tuple(ports))
+
+
+def step_results(controller: SampledController) -> tuple[tuple[str, Layout], ...]:
+    """Return kind and layout of the four results of a step: command, next state, status and telemetry."""
+    commands = command_ports(controller)
+    telemetry = Layout(tuple(port for port in controller.outputs if port.name not in commands))
+    return ("command", commands), ("next state", controller.state), ("status", _STATUS), ("telemetry", telemetry)
+
+
+def lost_entry(controller: SampledController, x: Vector, u: Vector, p: Vector) -> str:
+    """Return the name of the first number of a step that is not finite, such as "command force[1]".
+
+    Arguments (state, inputs, gains) come before results; the text is empty if all numbers are finite.
+    """
+    kinds, layouts = ("controller state", "input", "gain"), (controller.state, controller.inputs, controller.gains)
+    if lost := not_finite(zip(kinds, layouts, (x, u, p), strict=True)):
+        return lost
+    results = replay(controller.block, x, u, p)
+    return not_finite((kind, layout, v) for (kind, layout), v in zip(step_results(controller), results, strict=True))

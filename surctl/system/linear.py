@@ -16,6 +16,7 @@ from surctl.ir import to_casadi
 from surctl.system.controller import Controller, SampledController
 from surctl.system.loop import System
 from surctl.system.parts import entry_labels
+from surctl.system.plant_linear import plant_matrices, state_space
 from surctl.system.values import RunNumbers, run_numbers
 
 __all__ = ["Linearisation", "Operating", "find_equilibrium", "linearise"]
@@ -23,6 +24,8 @@ __all__ = ["Linearisation", "Operating", "find_equilibrium", "linearise"]
 Array = NDArray[np.float64]
 
 _NEWTON = 50
+_EULER, _LONGEST = 1000, 1e6  # number of implicit steps, and their greatest length in control periods
+_NEAR = 1e-6  # from here on, Newton steps are taken
 _REST = 1e-9
 
 
@@ -56,16 +59,7 @@ class Linearisation:
 
     def plant_system(self) -> Any:
         """Return the plant as `control.StateSpace`, from actuator commands and disturbances to measured outputs."""
-        import control  # takes seconds to import
-
-        A, B, E, C, D = self.plant
-        plant = self.system.plant
-        inputs = [*entry_labels(plant.inputs), *entry_labels(plant.disturbances)]
-        through = np.hstack([np.zeros((len(C), B.shape[1])), D])
-        return control.ss(
-            A, np.hstack([B, E]), C, through, states=entry_labels(plant.state), inputs=inputs,
-            outputs=entry_labels(plant.measurements, "measured "), name=plant.name,
-        )  # fmt: skip
+        return state_space(self.system.plant, self.plant)
 
     def controller_system(self) -> Any:
         """Return the controller as discrete-time `control.StateSpace`, from measurements and references to commands."""
@@ -222,15 +216,19 @@ def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Op
     system, numbers = functions.system, functions.numbers
     started = any(name.startswith("start.") for name in values or {})
     ends = []
-    for x in [numbers.start[0]] if started else [np.zeros(system.plant.state.size), numbers.start[0]]:
-        point, rests = _newton(functions, np.concatenate([x, system.controller.initial_state()]))
-        if rests:
-            return functions.operating(point)
-        ends.append(point)
+    starts = [numbers.start[0]] if started else [np.zeros(system.plant.state.size), numbers.start[0]]
+    for search in (_newton, _transient):
+        for x in starts:
+            point, rests = search(functions, np.concatenate([x, system.controller.initial_state()]))
+            if rests:
+                return functions.operating(point)
+            ends.append(point)
     error = np.nan_to_num(functions.error(ends[0])[0], nan=np.inf)
     worst = _state_labels(system)[int(np.argmax(np.abs(error)))]
+    constant = functions.constant_commands(ends[0])
+    saturated = f", and command `{constant[0]}` does not depend on the state there (saturated?)" if constant else ""
     raise InputError(
-        f"no equilibrium is found: `{worst}` still moves", key=system.plant.name,
+        f"no equilibrium is found: `{worst}` still moves{saturated}", key=system.plant.name,
         remedy="begin nearer to it with start.…, or check references and disturbances",
     )  # fmt: skip
 
@@ -250,6 +248,28 @@ def _newton(functions: _Rest, point: Array) -> tuple[Array, bool]:
                 break
         point = trial
     return point, False
+
+
+def _transient(functions: _Rest, point: Array) -> tuple[Array, bool]:
+    """Follow the loop by implicit Euler steps of growing length, then take Newton steps.
+
+    Newton's method alone stalls where a saturated command does not depend on the state.
+    """
+    system = functions.system
+    rates = np.ones(point.size)
+    rates[system.plant.state.size :] = 1 / system.dt
+    length, size = system.dt, np.inf
+    for _ in range(_EULER):
+        error, slope = functions.error(point)
+        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
+            break
+        before, size = size, float(np.linalg.norm(rates * error))
+        if size <= _NEAR * max(1.0, float(np.max(np.abs(point)))):
+            break
+        length = float(np.clip(length * min(2.0, max(0.5, before / size)), system.dt, _LONGEST * system.dt))
+        step = np.eye(point.size) / length - rates[:, None] * slope
+        point = point + np.linalg.lstsq(step, rates * error, rcond=None)[0]
+    return _newton(functions, point)
 
 
 def linearise(
@@ -284,15 +304,11 @@ def linearise(
     """
     functions = _Rest.of(system, values) if at is None else _Rest(system, at.numbers)
     point = _equilibrium(functions, values) if at is None else at
-    plant, numbers = system.plant, point.numbers
-    x, f = ca.SX.sym("x", plant.state.size), ca.SX.sym("f", plant.inputs.size)
-    d, p = ca.SX.sym("d", plant.disturbances.size), ca.DM(numbers.plant[0])
-    rate, y = plant.derivative(x, f, d, ca.SX(p)), plant.measurement(x, d, ca.SX(p))
-    jacobians = [ca.jacobian(rate, v) for v in (x, f, d)] + [ca.jacobian(y, v) for v in (x, d)]
+    numbers, d = point.numbers, ca.SX.sym("d", system.plant.disturbances.size)
     late = ca.Function("late", [d], [system.disturbance_at(ca.SX(0), d)])(numbers.disturbance[0])
     commands = dict(zip(entry_labels(system.commands), point.f, strict=True))
-    applied = np.array([commands[label] for label in entry_labels(plant.inputs)])
-    matrices = tuple(np.array(m) for m in ca.Function("plant", [x, f, d], jacobians).call([point.x, applied, late]))
+    applied = np.array([commands[label] for label in entry_labels(system.plant.inputs)])
+    matrices = plant_matrices(system.plant, point.x, applied, np.array(late).reshape(-1), numbers.plant[0])
     return Linearisation(system, point, matrices, functions.law(point))
 
 
@@ -314,7 +330,9 @@ class _Rest:
         X, Z = ca.MX.sym("x", plant.state.size), ca.MX.sym("z", controller.state.size)
         command, after = law(Z, inputs(measure(X), self.reference), gains)[:2]
         error, point = ca.vertcat(rate(X, command), after - Z), ca.vertcat(X, Z)
-        self._error = ca.Function("rest", [X, Z], [error, ca.jacobian(error, point), command])
+        self._error = ca.Function(
+            "rest", [X, Z], [error, ca.jacobian(error, point), command, ca.jacobian(command, point)]
+        )
         Y, R = ca.MX.sym("y", plant.measurements.size), ca.MX.sym("r", system.references.size)
         command, after = law(Z, inputs(Y, R), gains)[:2]
         slopes = [ca.jacobian(out, by) for out in (after, command) for by in (Z, Y, R)]
@@ -330,8 +348,13 @@ class _Rest:
 
     def error(self, point: Array) -> tuple[Array, Array]:
         # residual at (x, z), and its derivative
-        error, slope, _ = self._error.call(self._split(point))
+        error, slope, _, _ = self._error.call(self._split(point))
         return np.array(error).reshape(-1), np.array(slope)
+
+    def constant_commands(self, point: Array) -> list[str]:
+        # labels of commands that do not change with the state about this point
+        slopes = np.array(self._error.call(self._split(point))[3])
+        return [name for name, row in zip(entry_labels(self.system.commands), slopes, strict=True) if not row.any()]
 
     def operating(self, point: Array) -> Operating:
         x, z = self._split(point)

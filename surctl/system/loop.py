@@ -13,8 +13,8 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Layout, Port, identifier
-from surctl.system.controller import SampledController, command_ports
+from surctl.ir import Layout, Port, Recording, identifier
+from surctl.system.controller import SampledController, command_ports, step_results
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
 
@@ -57,10 +57,11 @@ class Cost:
 
     Attributes:
         of: function that returns a scalar expression of the signals (`Signals`).
-        how: how the values over a run become one number. `integral` is their sum times the period; `mean`, `rms`, `max`
-            and `min` have their usual meaning; `final` is the value at the last control instant. `last_time` is the
-            last time [s] at which the expression is positive, or 0 if the expression is never positive. So the
-            `last_time` of an error minus its tolerance is a settling time.
+        how: how the values over a run become one number. `integral` is their sum times the period, without
+            the instant at which a stop ends the run. `mean`, `rms`, `max` and `min` have their usual meaning. `final`
+            is the value at the last control instant. `last_time` is the last time [s] at which the expression is
+            positive, or 0 if the expression is never positive. So the `last_time` of an error minus its tolerance is a
+            settling time.
         unit: SI unit of the metric.
         meaning: description of the metric, for tables and plots.
         at_most: upper bound of the metric, which tuned gains must satisfy (see `surctl.tuning.tune_system`), or None.
@@ -156,6 +157,7 @@ class System:
         for port in self.controller.inputs:
             if port.name in self.plant.measurements:
                 _connected(port, self.plant.measurements, key=f"{self.controller.name}.inputs", to="measured output")
+        self._check_compiles()
         _ = self.signals  # a metric that cannot be computed is reported here
 
     @cached_property
@@ -166,7 +168,7 @@ class System:
     @cached_property
     def telemetry(self) -> Layout:
         """Return the layout of the telemetry of the controller."""
-        return Layout(tuple(port for port in self.controller.outputs if port.name not in self.commands))
+        return step_results(self.controller)[-1][1]
 
     @cached_property
     def references(self) -> Layout:
@@ -210,15 +212,35 @@ class System:
 
         The arguments are x, command, d, r, p, g, k and t, with the meaning that they have in `Signals`.
         """
-        layouts = {
-            "x": self.plant.state, "f": self.commands, "d": self.plant.disturbances, "r": self.references,
-            "p": self.plant.parameters, "g": self.controller.gains, "k": self.telemetry,
-        }  # fmt: skip
-        symbols = {name: ca.SX.sym(name, layout.size) for name, layout in layouts.items()}
-        t = ca.SX.sym("t")
+        symbols = self._symbols()
         return ca.Function(
-            "signals", [*symbols.values(), t], list(self.evaluated(**symbols, t=t)), [*symbols, "t"], ["costs", "stops"]
+            "signals", list(symbols.values()), list(self.evaluated(**symbols)), list(symbols), ["costs", "stops"]
         )
+
+    def _symbols(self) -> dict[str, ca.SX]:
+        sizes = {
+            "x": self.plant.state.size, "f": self.commands.size, "d": self.plant.disturbances.size,
+            "r": self.references.size, "p": self.plant.parameters.size, "g": self.controller.gains.size,
+            "k": self.telemetry.size, "t": 1,
+        }  # fmt: skip
+        return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+    def _check_compiles(self) -> None:
+        """Raise InputError if a function of the system cannot be compiled; the key of the error names this function."""
+        symbols = self._symbols()
+        with Recording() as recording:
+            costs, stops = self.evaluated(**symbols)
+            functions = {
+                "reference": self.reference_at(symbols["t"], symbols["r"]),
+                "disturbance": self.disturbance_at(symbols["t"], symbols["d"]),
+                **{f"costs.{name}": costs[k] for k, name in enumerate(self.costs)},
+                **{f"stops.{name}": stops[k] for k, name in enumerate(self.stops)},
+            }
+            for key, expression in functions.items():
+                try:
+                    recording.block("value", symbols, {"value": expression})
+                except InputError as error:
+                    raise error.inside(None, key) from None
 
     def evaluated(
         self, *, x: ca.SX, f: ca.SX, d: ca.SX, r: ca.SX, p: ca.SX, g: ca.SX, k: ca.SX, t: ca.SX

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias
 
 import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, identifier
 
-__all__ = ["EMPTY", "Parts", "called", "checked_layout", "entry_labels", "entry_units", "joined"]
+__all__ = [
+    "EMPTY",
+    "Parts",
+    "called",
+    "checked_layout",
+    "entry_labels",
+    "entry_units",
+    "expression",
+    "joined",
+    "not_finite",
+]
 
 Parts: TypeAlias = Mapping[str, ca.SX]
 EMPTY = Layout(())
@@ -70,12 +82,12 @@ def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:
         missing = [port.name for port in layout if port.name not in returned]
         if missing:
             raise InputError("is not returned", key=f"{key}.{missing[0]}", remedy="return every port of the layout")
-        parts = {name: _expression(value, key=f"{key}.{name}") for name, value in returned.items()}
+        parts = {name: expression(value, key=f"{key}.{name}") for name, value in returned.items()}
         try:
             return layout.join(parts)
         except InputError as error:
             raise InputError(error.problem, key=f"{key}.{error.key}", remedy="return the shape of the port") from None
-    flat = _expression(returned, key=key)
+    flat = expression(returned, key=key)
     if flat.numel() != layout.size:
         names = ", ".join(port.name for port in layout)
         raise InputError(
@@ -114,12 +126,30 @@ def entry_units(layout: Layout) -> list[str]:
     return units
 
 
-def _expression(value: Any, *, key: str) -> ca.SX:
+def not_finite(parts: Iterable[tuple[str, Layout, ArrayLike]]) -> str:
+    """Return kind and label of the first entry that is not finite, such as "command force[1]"; "" if there is none.
+
+    Args:
+        parts: kind, layout and values (n,) of vectors.
+    """
+    for kind, layout, values in parts:
+        lost = np.flatnonzero(~np.isfinite(values))
+        if lost.size:
+            return f"{kind} {entry_labels(layout)[lost[0]]}"
+    return ""
+
+
+def expression(value: Any, *, key: str) -> ca.SX:
+    """Return a value of a user's function as a dense SX; a list is a column of its items.
+
+    Raises:
+        InputError: the value is no CasADi SX, number, or list of them.
+    """
     try:
         return ca.densify(ca.SX(value))
     except (NotImplementedError, RuntimeError, TypeError):
         if isinstance(value, list | tuple):
-            return ca.vertcat(*(_expression(item, key=key) for item in value))
+            return ca.vertcat(*(expression(item, key=key) for item in value))
         raise InputError(
-            f"is a {type(value).__name__}", key=key, remedy="return CasADi SX expressions or numbers"
+            f"is of type {type(value).__name__}", key=key, remedy="return CasADi SX expressions or numbers"
         ) from None

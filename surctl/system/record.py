@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, on_vectors
-from surctl.system.controller import NONFINITE
+from surctl.recorded_write import Column
+from surctl.system.controller import NONFINITE, lost_entry
 from surctl.system.loop import How, System, once_per_system
-from surctl.system.parts import entry_labels, entry_units
+from surctl.system.parts import entry_labels, entry_units, not_finite
 from surctl.system.runs import ENDED, LOST, moved_state, periods
 from surctl.system.values import run_numbers
 
@@ -32,10 +33,12 @@ class Record:
         signals: values (n, size) of states, commands, measured outputs, references and telemetry, by port name; a
             controller state has the prefix `controller.` if a plant state has an equal name.
         status: (n,) status of each step.
-        figures: value of each metric (cost) by name.
+        figures: value of each metric (cost) by name; NaN as in `Runs`.
         stopped: reason for the end of the run: the name of a stop of the system, "time" or "not finite".
         controller: arguments of the controller, for comparison with the exported C code: states (n, states), inputs (n,
             inputs), and gains (gains,).
+        lost: for a run that ended as "not finite", the first number that is not finite and its time, such as "state
+            x[0] at 1.2 s"; otherwise empty.
     """
 
     system: System
@@ -45,6 +48,7 @@ class Record:
     figures: Mapping[str, float]
     stopped: str
     controller: tuple[Array, Array, Array]
+    lost: str = ""
 
     def __getitem__(self, name: str) -> Array | float:
         known: dict[str, Array | float] = {**self.figures, **self.signals}
@@ -67,13 +71,21 @@ class Record:
 
     def table(self) -> dict[str, Array]:
         """Return time, all entries of all signals, and status as columns (n,), by a label with the unit."""
-        columns: dict[str, Array] = {"time [s]": self.time}
+        return {f"{label} [{column.unit}]": column.values for label, column in self.columns().items()}
+
+    def columns(self) -> dict[str, Column]:
+        """Return time, all entries of all signals, and status with values (n,), unit and meaning, by label.
+
+        A signal with the label `time` or `status` gets a trailing underscore.
+        """
+        columns = {"time": Column(self.time, "s", "time since the start")}
         for name, port in self.ports().items():
             alone = Layout((port,))
             labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
-            heads = (f"{label} [{unit}]" for label, unit in zip(labels, entry_units(alone), strict=True))
-            columns |= dict(zip(heads, self.signals[name].T, strict=True))
-        return columns | {"status [1]": self.status.astype(float)}
+            for label, unit, values in zip(labels, entry_units(alone), self.signals[name].T, strict=True):
+                key = f"{label}_" if label in ("time", "status") else label
+                columns[key] = Column(values, unit, f"{label}: {port.meaning}" if port.meaning else label)
+        return columns | {"status": Column(self.status.astype(float), "1", "status of the controller's steps")}
 
 
 def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None) -> Record:
@@ -107,7 +119,7 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
     x, z = start, system.controller.initial_state()
     rows: list[tuple[Array, ...]] = []
     status: list[int] = []
-    stopped = ENDED
+    stopped, lost = ENDED, ""
     for k in range(periods(system, seconds)):
         t = np.array([k * system.dt])
         y, u, reference = sense(x, t, plant, constants, disturbance)
@@ -117,12 +129,13 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         status.append(step.status)
         (after,) = move(x, step.tau, t, plant, disturbance)
         if step.status == NONFINITE or not (np.isfinite(after).all() and np.isfinite(costs).all()):
-            stopped = LOST
+            stopped, lost = LOST, _lost(system, k, (z, u, gains), costs, after)
             break
         if np.any(stops != 0):
             stopped = list(system.stops)[int(np.flatnonzero(stops)[0])]
             break
         x, z = after, np.asarray(step.x_next)
+    has_costs = stopped != LOST and (stopped == ENDED or len(rows) > 1)
     tables = [np.array([row[j] for row in rows]) for j in range(8)]
     return Record(
         system,
@@ -130,12 +143,23 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
         _named(system, tables),
         np.array(status),
         {
-            name: np.nan if stopped == LOST else _figure(cost.how, tables[7][:, j], system.dt)
+            name: _figure(cost.how, tables[7][:, j], system.dt, whole=stopped == ENDED) if has_costs else np.nan
             for j, (name, cost) in enumerate(system.costs.items())
         },
         stopped,
         (tables[5], tables[6], gains),
+        lost,
     )
+
+
+def _lost(system: System, k: int, step: tuple[Array, Array, Array], costs: Array, after: Array) -> str:
+    """Return the first number of control period k that is not finite, and its time."""
+    name = lost_entry(system.controller, *step) or not_finite(
+        [("cost", Layout(tuple(Port(cost, (1,), "1", "") for cost in system.costs)), costs)]
+    )
+    later = not name  # the plant state at the end of the period
+    name = name or not_finite([("state", system.plant.state, after)])
+    return f"{name} at {(k + later) * system.dt:.6g} s"
 
 
 def _named(system: System, tables: list[Array]) -> dict[str, Array]:
@@ -177,11 +201,12 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
     return on_vectors(sense), on_vectors(move), on_vectors(system.signals)
 
 
-def _figure(how: How, series: Array, dt: float) -> float:
+def _figure(how: How, series: Array, dt: float, *, whole: bool) -> float:
+    # after a stop, no period follows the last instant
     past = np.flatnonzero(series > 0)
     return float(
         {
-            "integral": dt * series.sum(),
+            "integral": dt * series[: None if whole else -1].sum(),
             "mean": series.mean(),
             "rms": np.sqrt(np.mean(series**2)),
             "max": series.max(),

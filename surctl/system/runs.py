@@ -44,7 +44,8 @@ class Runs:
     """Results of n runs; `runs["name"]` returns a metric (n,).
 
     Attributes:
-        figures: values (n,) of each metric (cost) by name; NaN for a run that produced a number that is not finite.
+        figures: values (n,) of each metric (cost) by name; NaN for a run that produced a number that is not finite, and
+            for a run that a stop ended at its start.
         stopped: (n,) reasons for the end of each run: the name of a stop of the system, "time" or "not finite".
         time: (n,) duration of each run [s].
         state: (n, states) plant state at the end of each run.
@@ -102,11 +103,11 @@ def simulate_system(
     reasons = np.array([ENDED, *system.stops, LOST])
     code = np.where(flag < 0, len(reasons) - 1, np.round(flag)).astype(int)
     sums = ends[:, state.slice("sums")]
+    moved = count - (flag != 0)
     figures = {
-        name: np.where(flag < 0, np.nan, _figure(cost, sums[:, j], count))
+        name: np.where((flag < 0) | (moved == 0), np.nan, _figure(cost, sums[:, j], count))
         for j, (name, cost) in enumerate(system.costs.items())
     }
-    moved = count - (flag != 0)
     return Runs(figures, reasons[code], moved * system.dt, ends[:, state.slice("plant")])
 
 
@@ -167,7 +168,7 @@ def loop_step(system: System) -> Block:
                 "count": now["count"] + 1,
                 "plant": ca.if_else(stays, now["plant"], moved),
                 "controller": ca.if_else(stays, now["controller"], outputs["x_next"]),
-                "sums": _summed(system, now["sums"], costs, t),
+                "sums": _summed(system, now["sums"], costs, t, stays),
             }
         )
         move = recording.block("move", {"s": s, "w": w, **outputs}, {"s_next": after})
@@ -215,13 +216,13 @@ def moved_state(system: System, x: ca.SX, command: ca.SX, constants: Mapping[str
     return moved
 
 
-def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX) -> ca.SX:
+def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX, ended: ca.SX) -> ca.SX:
     after = []
     for k, cost in enumerate(system.costs.values()):
         old, value = sums[k], costs[k]
         after.append(
             {
-                "integral": old + system.dt * value,
+                "integral": ca.if_else(ended, old, old + system.dt * value),  # no period follows the last instant
                 "mean": old + value,
                 "rms": old + value * value,
                 "max": ca.fmax(old, value),

@@ -12,11 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.system.loop import System
+from surctl.system.parts import entry_units
 
-__all__ = ["RunNumbers", "run_numbers"]
+__all__ = ["RunNumbers", "check_scalar", "every_combination", "run_numbers", "unit_of"]
 
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
+_NAMED = 4  # largest number of entries that a message names
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,7 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
     Raises:
         InputError: a name is unknown, a number is not finite, or the arrays are for different numbers of runs.
     """
-    layouts: dict[str, Layout] = {
-        "gains": system.controller.gains, "plant": system.plant.parameters, "reference": system.references,
-        "disturbance": system.plant.disturbances, "start": system.plant.state,
-    }  # fmt: skip
+    layouts = _layouts(system)
     placed: list[tuple[str, slice, Array]] = []
     count = 1
     for name, value in values.items():
@@ -79,6 +78,71 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
     for group, place, array in placed:
         tables[group][:, place] = array
     return RunNumbers(*(tables[name] for name in ("start", "plant", "reference", "disturbance", "gains")))
+
+
+def every_combination(*groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Return the numbers of runs for every combination of the rows of groups; the rows of the first group vary slowest.
+
+    Args:
+        groups: numbers by name, as in `run_numbers`: scalars, (n,) or (n, size); the arrays of a group with more than
+            one row have equal n.
+
+    Raises:
+        InputError: a name is in two groups, or the arrays of a group have different lengths.
+
+    Example:
+        >>> from surctl.system import every_combination
+        >>> runs = every_combination({"k": [1.0, 2.0]}, {"start.x": [0.1, 0.2, 0.3], "plant.mass": 5.0})
+        >>> runs["k"].tolist(), runs["start.x"].tolist(), float(runs["plant.mass"])
+        ([1.0, 1.0, 1.0, 2.0, 2.0, 2.0], [0.1, 0.2, 0.3, 0.1, 0.2, 0.3], 5.0)
+    """
+    combined: dict[str, Array] = {}
+    count = 1
+    for group in groups:
+        arrays = {name: np.asarray(value, dtype=float) for name, value in group.items()}
+        rows = max((len(array) for array in arrays.values() if array.ndim), default=1)
+        combined = {name: np.repeat(array, rows, axis=0) if array.ndim else array for name, array in combined.items()}
+        for name, array in arrays.items():
+            if name in combined:
+                raise InputError("is in two groups", key=name, remedy="give it once")
+            if array.ndim and len(array) not in (1, rows):
+                raise InputError(f"has {len(array)} rows, others {rows}", key=name, remedy="give one length")
+            whole = np.broadcast_to(array, (rows, *array.shape[1:])) if array.ndim else array
+            combined[name] = np.concatenate([whole] * count) if array.ndim else array
+        count *= rows
+    return combined
+
+
+def check_scalar(system: System, name: str) -> None:
+    """Raise InputError if a name does not denote a single number of the system; the message names the entries.
+
+    Args:
+        system: the closed loop.
+        name: name of a number, as in `run_numbers`.
+    """
+    size = len(_entries(system, name))
+    if size > 1:
+        entries = ", ".join(f"{name}[{k}]" for k in range(min(size, _NAMED))) + ", …" * (size > _NAMED)
+        raise InputError(f"has {size} entries", key=name, remedy=f"name one: {entries}")
+
+
+def unit_of(system: System, name: str) -> str:
+    """Return the unit of a single number of the system, which has a name as in `run_numbers`."""
+    return _entries(system, name)[0]
+
+
+def _entries(system: System, name: str) -> list[str]:
+    # units of the entries that the name denotes
+    layouts = _layouts(system)
+    group, place = _place(name, layouts)
+    return entry_units(layouts[group])[place]
+
+
+def _layouts(system: System) -> dict[str, Layout]:
+    return {
+        "gains": system.controller.gains, "plant": system.plant.parameters, "reference": system.references,
+        "disturbance": system.plant.disturbances, "start": system.plant.state,
+    }  # fmt: skip
 
 
 def _place(name: str, layouts: Mapping[str, Layout]) -> tuple[str, slice]:

@@ -12,6 +12,7 @@ from surctl.control import Law, LawSource, build_law_of, load_gains
 from surctl.ir import replay
 from surctl.simulation import law_numbers, load_scenario
 from surctl.system import NONFINITE
+from surctl.system.controller import lost_entry
 from surctl.testing.finding import CheckFailed
 from surctl.testing.ranges import checked_count, checked_type
 from surctl.vehicle import load_vehicle
@@ -80,10 +81,9 @@ def check_law(source: LawSource, *, samples: int = 200, extent: float = 5.0, see
     p = law_numbers(load_scenario("tank-speed-010"), gains, vehicle)
     x, u = _points(law, samples, extent, np.random.default_rng(seed))
     tau, following, _, telemetry = replay(law.block, x, u, np.tile(p, (samples, 1)))
-    for name, values in (("thrust", tau), ("next state", following), ("telemetry", telemetry)):
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if bad.size:
-            raise CheckFailed(what, f"{name} is not finite", at=_at(law, x[bad[0]], u[bad[0]]))
+    finite = [np.isfinite(values).all(axis=1) for values in (tau, following, telemetry)]
+    for k in np.flatnonzero(~np.all(finite, axis=0))[:1]:
+        raise CheckFailed(what, f"{lost_entry(law, x[k], u[k], p)} is not finite", at=_at(law, x[k], u[k]))
     over = np.flatnonzero((np.abs(tau) > np.asarray(vehicle.thrust_limit) * (1 + 1e-12)).any(axis=1))
     if over.size:
         raise CheckFailed(what, "thrust exceeds the limits", at=_at(law, x[over[0]], u[over[0]]))

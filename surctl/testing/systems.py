@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.ir import Block, Layout, on_vectors, replay
 from surctl.system import NONFINITE, Controller, Plant
+from surctl.system.controller import step_results
+from surctl.system.parts import not_finite
 from surctl.testing.finding import CheckFailed
 from surctl.testing.ranges import checked_count, checked_type
 
@@ -84,9 +86,10 @@ def check_plant(
     symbols = [ca.SX.sym(name, layout.size) for name, layout in layouts.items()]
     x_, _, d_, p_ = symbols
     measure = ca.Function("measure", [x_, d_, p_], [plant.measurement(x_, d_, p_)])
+    rates, outputs = [("derivative of", plant.state)], [("measured output", plant.measurements)]
     error = max(
-        _compare(what, plant.block, plant.function, layouts, points),
-        _compare(what, plant.measured, measure, layouts, {name: points[name] for name in ("x", "d", "p")}),
+        _compare(what, plant.block, plant.function, layouts, points, rates),
+        _compare(what, plant.measured, measure, layouts, {name: points[name] for name in ("x", "d", "p")}, outputs),
     )
     slope_of = ca.densify(ca.jacobian(plant.function(*symbols), symbols[0]))
     slope, jacobian = on_vectors(plant.function), on_vectors(ca.Function("J", symbols, [slope_of]))
@@ -140,12 +143,11 @@ def check_controller(
     points = _points(layouts, ranges or {}, fixed={"p"}, count=samples, seed=seed)
     symbols = [ca.SX.sym(name, layout.size) for name, layout in layouts.items()]
     action = ca.Function("action", symbols, list(controller.action(*symbols)))
-    error = _compare(what, controller.block, action, layouts, points)
+    error = _compare(what, controller.block, action, layouts, points, step_results(controller))
     for k in range(samples):
         step = controller.step(*(points[name][k] for name in layouts))
         if step.status < 0:
-            why = "a result is not finite" if step.status == NONFINITE else f"the status is {step.status}"
-            raise CheckFailed(what, why, at=_at(layouts, points, k))
+            raise CheckFailed(what, f"the status is {step.status}", at=_at(layouts, points, k))
     bad = controller.step(*(np.full(layout.size, np.nan) for layout in layouts.values()))
     if controller.inputs.size and (bad.status != NONFINITE or np.any(bad.tau != 0)):
         raise CheckFailed(what, "an input that is not a number gives a command")
@@ -179,17 +181,23 @@ def _points(
 
 
 def _compare(
-    what: str, block: Block, direct: ca.Function, layouts: Mapping[str, Layout], points: Mapping[str, Array]
+    what: str,
+    block: Block,
+    direct: ca.Function,
+    layouts: Mapping[str, Layout],
+    points: Mapping[str, Array],
+    results: Sequence[tuple[str, Layout]],
 ) -> float:
     """Return the largest relative difference between the instruction list and CasADi with C library functions."""
     listed = replay(block, *points.values())
     function = on_vectors(direct.expand())
     largest = 0.0
     for k in range(len(next(iter(points.values())))):
-        for table, expected in zip(listed, function(*(values[k] for values in points.values())), strict=True):
+        direct_results = function(*(values[k] for values in points.values()))
+        for table, expected, (kind, layout) in zip(listed, direct_results, results, strict=True):
             row = table[k]
-            if not (np.isfinite(row).all() and np.isfinite(expected).all()):
-                raise CheckFailed(what, "a result is not finite", at=_at(layouts, points, k))
+            if lost := not_finite([(kind, layout, row + expected)]):
+                raise CheckFailed(what, f"{lost} is not finite", at=_at(layouts, points, k))
             if row.size:
                 largest = max(largest, float((np.abs(row - expected) / (1 + np.abs(expected))).max()))
         if largest > _LIBM_ERROR:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.system import ENDED, System, linearise, simulate_system
-from surctl.system.values import run_numbers
+from surctl.system import ENDED, System, every_combination, linearise, simulate_system
+from surctl.system.values import check_scalar, run_numbers
 from surctl.verification import system_disk_margin
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
@@ -155,7 +155,8 @@ def check_tuning(
             raise InputError("is not a range", key=gain, value=tuple(ends), remedy="give (low, high) with low < high")
         if gain.startswith(("plant.", "reference.", "disturbance.", "start.")):
             raise InputError("is not a gain", key=gain, remedy="tune gains of the controller; put it into the cases")
-    run_numbers(system, {**{gain: ends[0] for gain, ends in ranges.items()}, **cases})
+        check_scalar(system, gain)
+    run_numbers(system, every_combination({gain: ends[0] for gain, ends in ranges.items()}, cases))
     return name
 
 
@@ -182,11 +183,7 @@ class _Search:
     def costs(self, sets: Array) -> Array:
         """Return the mean costs (sets, costs) of gain sets (sets, gains); infinite if a run of a case ends early."""
         n, k = len(sets), self.count
-        values: dict[str, ArrayLike] = {name: np.repeat(sets[:, j], k) for j, name in enumerate(self.names)}
-        for name, array in self.cases.items():
-            values[name] = (
-                array if array.ndim == 0 else np.concatenate([np.broadcast_to(array, (k, *array.shape[1:]))] * n)
-            )
+        values = every_combination(dict(zip(self.names, sets.T, strict=True)), self.cases)
         runs = simulate_system(self.system, self.seconds, values, threads=self.threads)
         whole = runs.stopped == ENDED
         self.lasted = np.where(whole, 1.0, runs.time / self.seconds).reshape(n, k).mean(axis=1)

@@ -20,6 +20,7 @@ from surctl.verification.formula import (
     from_casadi,
     number,
     parse,
+    parse_relation,
     text_of,
     to_casadi,
     variable,
@@ -27,8 +28,6 @@ from surctl.verification.formula import (
 from surctl.verification.proving import statement_of
 
 __all__ = ["load_claim", "write_claim"]
-
-_RELATIONS = ("<=", ">=")
 
 
 class _VariableTable(Strict):
@@ -82,6 +81,12 @@ def load_claim(path: Path) -> Claim:
         y_e = { lower = -2, upper = 2, unit = "m", meaning = "cross-track error" }
         u = { lower = 0.05, upper = 0.25, unit = "m/s" }
 
+    Expressions have numbers, names, `pi`, + - * / ^, parentheses, and the functions abs, acos, asin, atan, atan2, cos,
+    cosh, exp, log (natural), max, min, select, sin, sinh, sqrt, tan and tanh; select(a, b, x, y) is x if a <= b, and y
+    otherwise. An exponent is a constant, such as 2, -1.5, (1/3) or the name of a constant. A power with a fractional
+    exponent is defined for positive numbers, and for 0 if the exponent is positive. Where the claim's expressions are
+    not defined (a logarithm of 0, a pole of tan), the claim is not proved: exclude that part by bounds or constraints.
+
     Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side that counts as rounding;
     default 1e-9), `witnesses` (points, each with a value for every variable) and the table `[motion]` (`rates` by
     variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential equations with which a
@@ -115,13 +120,7 @@ def load_claim(path: Path) -> Claim:
         return to_casadi(parse(text, known, file=path, key=key), symbols)
 
     def row(text: str, key: str) -> ca.SX:
-        sign = [r for r in _RELATIONS if r in text]
-        if len(sign) != 1 or text.count(sign[0]) != 1:
-            raise InputError("needs one <= or >=", file=path, key=key, value=text, remedy='write e.g. "x^2 <= 4"')
-        at = text.index(sign[0])
-        # pad with blanks, so that errors name the right column for the text after the sign
-        first, second = read(text[:at], key), read(" " * (at + 2) + text[at + 2 :], key)
-        return first - second if sign[0] == "<=" else second - first
+        return to_casadi(parse_relation(text, known, file=path, key=key), symbols)
 
     rows = [row(text, f"constraints.{k}") for k, text in enumerate(table.constraints)]
     statement = table.statement or f"{table.left} <= {table.right}"

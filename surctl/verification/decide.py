@@ -18,7 +18,7 @@ from surctl.verification.oracle import Oracle, build_oracle
 from surctl.verification.proving import certain_excess, prove
 from surctl.verification.verdict import Verdict
 
-__all__ = ["decide"]
+__all__ = ["confirmed", "decide"]
 
 _INSIDE = 1e-9  # first distance by which a point is moved into the domain, in the constraint's unit
 _MOVES = 6
@@ -62,7 +62,7 @@ def decide(
     outcome = search(claim, samples=samples, starts=starts, seed=seed)
     verdict = outcome.verdict
     if verdict.counterexample is not None:
-        sure = _confirmed(claim, verdict.counterexample, outcome.violating)
+        sure = confirmed(claim, verdict.counterexample, outcome.violating)
         if sure is not None:
             return replace(verdict, counterexample=sure, seconds=time.perf_counter() - began)
         # rounding may explain the violation, or the point may lie outside the domain: the claim may still be true
@@ -80,7 +80,7 @@ def decide(
     return replace(verdict, verdict="unknown", open_ends=reason, open_boxes=proof.open_boxes, seconds=seconds)
 
 
-def _confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float64]) -> Counterexample | None:
+def confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float64]) -> Counterexample | None:
     """Return a counterexample that interval arithmetic confirms, or None if no counterexample is confirmed.
 
     Candidates are the worst point, then the other violating points (n, k), then the worst few violating points, moved

@@ -353,3 +353,22 @@ def test_certificates_travel_and_those_of_another_controller_do_not(
         load_certificates([path])
     with pytest.raises(InputError, match="is not a file of format"):
         load_certificates([folder / "manifest.json"])
+
+
+def test_a_claim_about_dynamics_belongs_to_the_controller_and_gains_that_it_states(folder: Path) -> None:
+    manifest = manifest_of(bundle_of(), folder)
+    gains = {name: list(values) for name, values in manifest.gains.items()}
+    about = {"plant": "p", "controller": manifest.laws[0], "gains": gains}
+
+    def compared(**changes: Any) -> tuple[str, ...]:
+        claim = {"name": "loop", "time": "continuous", "about": {**about, **changes}}
+        return compare({"kind": "lyapunov", "claim": claim}, manifest).differs
+
+    assert compared() == ()
+    assert compared(controller="c") == ("controller: the certificate is about another controller",)
+    assert compared(gains=gains | {"k1": [9.0]}) == (f"k1[0]: 9.0 certified, {gains['k1'][0]!r} exported",)
+    assert compared(gains={k: v for k, v in gains.items() if k != "k1"}) == (
+        "k1: the certificate does not state this gain",
+    )
+    plain = compare({"kind": "barrier", "claim": {"name": "loop", "time": "discrete", "about": {}}}, manifest)
+    assert not plain.belongs

@@ -125,6 +125,15 @@ def test_at_a_point_the_range_is_narrow() -> None:
         ("sqrt(x)", (-1e-300, 1.0)),
         ("acos(x)", (0.0, 1.0000000000000002)),
         ("atan2(x, x)", (-1.0, 1.0)),
+        ("asin(x)", (-1.0000000000000002, 1.0)),
+        ("log(x)", (0.0, 1.0)),
+        ("tan(x)", (1.5, 1.6)),
+        ("tan(x)", (-1e308, -1e308 + 1e300)),
+        ("x^0.5", (-1e-300, 1.0)),
+        ("x^(-1/2)", (0.0, 1.0)),
+        ("exp(exp(exp(x)))", (0.0, 9.0)),
+        ("1/exp(-exp(exp(x)))", (0.0, 9.0)),
+        ("cosh(x)", (-1e300, 1.0)),
     ],
 )
 def test_what_is_not_defined_on_the_whole_box_is_refused(text, box) -> None:

@@ -11,6 +11,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+import xarray
 from click.testing import CliRunner, Result
 
 from surctl.cli.app import app
@@ -127,9 +128,16 @@ def test_a_run_gives_the_figures_and_signals_of_the_system(file: str) -> None:
     ]  # fmt: skip
     np.testing.assert_array_equal(np.array(rows, dtype=float)[:, 2:4], record["pose"])
     assert Path("out/pool-pump.png").stat().st_size > 10_000
+    assert data(*words, "--out", "out", "--save", "nc")["files"][1] == "out/pool-pump.nc"
+    with xarray.open_dataset("out/pool-pump.nc") as read:
+        np.testing.assert_array_equal(read["pose[1]"].values, np.asarray(record["pose"])[:, 1])
+        assert (read["pose[1]"].units, read["f"].units, read.time.units) == ("rad", "m/s", "s")
+        assert read.attrs["system_sha256"] == own(file).digest() and read.attrs["system"] == "mine.py:build"
+        assert json.loads(read.attrs["values"])["reference.goal"] == 0.5
     assert "final  0.5" in run(*words).stdout and "m (final)  at the end" in run(*words).stdout
     high = data("simulate", file, "start.x=6", "--seconds", "0.5")
-    assert (high["stopped"], high["duration_s"]) == ("high", 0.0)
+    assert (high["stopped"], high["duration_s"], high["costs"]["work"]["value"]) == ("high", 0.0, None)
+    assert "  no costs: a run that ends at its start" in run("simulate", file, "start.x=6", "--seconds", "1").stdout
 
 
 def test_a_run_that_is_not_finite_fails(file: str) -> None:
@@ -138,7 +146,9 @@ def test_a_run_that_is_not_finite_fails(file: str) -> None:
     exact = run_system(own(file), 3.0, {"plant.blow": 1.0, "k": 0.0})
     assert lost["stopped"] == "not finite" and lost["duration_s"] == exact.duration and 0.9 < exact.duration < 1.1
     assert lost["costs"]["final"]["value"] is None and "next" not in lost
-    assert "not finite" in run(*words, "--out", "out").stdout and Path("out/pool-pump.png").exists()
+    assert lost["not_finite"] == exact.lost == f"state x at {exact.duration + 0.01:.6g} s"
+    text = run(*words, "--out", "out").stdout
+    assert f"(not finite: {exact.lost})" in text and "nan" not in text and Path("out/pool-pump.png").exists()
 
 
 def test_the_linear_loop_is_that_of_the_system(file: str) -> None:
@@ -175,10 +185,17 @@ def test_a_sweep_gives_the_costs_of_each_run(file: str) -> None:
     with Path("swept/sweep.csv").open(newline="") as text:
         head, *rows = csv.reader(text)
     assert head == ["k", "plant.blow", "final [m]", "work [m/s]", "stopped", "duration [s]"] and len(rows) == 6
+    with xarray.open_dataset(done["netcdf"]) as read:
+        np.testing.assert_array_equal(read["final"].values, runs["final"].reshape(3, 2))
+        assert read["final"].dims == ("k", "plant.blow") and read["k"].values.tolist() == [0, 1, 2]
+        assert (read["k"].units, read["final"].units, read["final"].long_name) == ("1/s", "m", "at the end")
+        assert read["run.stopped"].values.ravel().tolist() == runs.stopped.tolist()
+        assert read.attrs["controller_sha256"] == own(file).controller.block.digest()
     text = run(*words).stdout
     assert (
         f"{np.count_nonzero(~finite)} of 6 runs are not finite: k=0, plant.blow=1" in text and "least final: " in text
     )
+    assert "  k=0, plant.blow=1: no costs  (not finite at " in text and "  in the first of them: state x at " in text
     assert data("sweep", file, "plant.blow=1", "k=0", "--seconds", "3", "--out", "swept", status=1)["best"] == {}
 
 
@@ -209,10 +226,18 @@ MISTAKES = {
     "a number twice": (("verify", "mine.py:build", "k=1", "k=2"), "k: is given twice"),
     "an infinite number": (("verify", "mine.py:build", "k=inf"), "k: is not finite"),
     "too many entries": (("verify", "mine.py:build", "start.pose=1,2,3"), "start.pose: has shape"),
+    "no folder": (("simulate", "mine.py:build", "--save", "nc", "--seconds", "1"), "--save: needs an output folder"),
     "no duration": (("simulate", "mine.py:build"), "--seconds: is missing"),
     "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is no duration"),
     "duration nan": (("sweep", "mine.py:build", "k=1", "--seconds", "nan"), "--seconds = nan: is no duration"),
     "a century": (("export", "mine.py:build", "--seconds", "3e9"), "give at most 100000 s"),
+    "a vector as axis": (
+        ("sweep", "mine.py:build", "start.pose=1,2", "--seconds", "1"), "has 2 entries; name one: start.pose[0],",
+    ),
+    "a vector in cases": (
+        ("tune", "mine.py:build", "start.pose=1,2", "--seconds", "1"), "has 2 entries; name one: start.pose[0],",
+    ),
+    "a case twice": (("tune", "mine.py:build", "start.x=1", "start.x=2", "--seconds", "1"), "start.x: is given twice"),
     "a grid without count": (("sweep", "mine.py:build", "k=1..2", "--seconds", "1"), "write k=1..2:COUNT"),
     "no axis": (("sweep", "mine.py:build", "--seconds", "1"), "nothing to sweep"),
     "no costs": (("sweep", "mine.py:bare", "k=1", "--seconds", "1"), "has no costs"),
@@ -254,7 +279,7 @@ def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -
         (("--gain", "k=2..1", "--seconds", "3"), "is not a range"),
         ((), "--seconds: is missing"),
         (("--goals", "default", "--seconds", "3"), "--goals: does not apply to a system"),
-        (("start.x=a", "--seconds", "3"), "is not NAME=V1,V2"),
+        (("start.x=a", "--seconds", "3"), "start.x = 'a': is not a number"),
     ],
 )
 def test_mistakes_in_tune_are_one_line(file: str, words: tuple[str, ...], problem: str, tmp_path: Path) -> None:

@@ -185,7 +185,7 @@ BAD = {
     'return LawSource("a", lambda s: hold(s, s.p["dept"]))': "KeyError: 'dept'",
     'return LawSource("a", lambda s: Decision(hold(s).levels, velocity=ca.SX.zeros(3)))': "has shape",
     'return LawSource("a", lambda s: Decision(hold(s).levels, state={"z": 1}))': "is no state port of this law",
-    'return LawSource("a", lambda s: Decision(hold(s).levels, state={"side": ca.MX.sym("q")}))': "is MX; give",
+    'return LawSource("a", lambda s: Decision(hold(s).levels, state={"side": ca.MX.sym("q")}))': "is of type MX",
     'return LawSource("a", hold, state=(Port("z", (-1,), "m", "x"),))': "has no entries",
     'return LawSource("a", hold, thrust=lambda w, nu, z, p, dt: w)': "returned SX; return",
 }
@@ -224,6 +224,8 @@ def test_a_changed_file_is_not_run_under_the_old_name(law: str, tmp_path: Path) 
 
 
 def test_a_gain_spec_is_checked() -> None:
+    with pytest.raises(InputError, match=r"^g\.range = \(0\.8, 0\.3\): is a reversed range; write \(low, high\)"):
+        GainSpec("m", "a distance", default=0.5, range=(0.8, 0.3)).check_default("g")
     with pytest.raises(InputError, match="is outside its range"):
         GainSpec("m", "x", default=1.0, range=(2.0, 3.0)).check_default("a.gains.g")
 
@@ -283,6 +285,22 @@ def test_the_text_that_runs_is_the_text_that_was_compared(tmp_path: Path) -> Non
         os.utime(file, (1, 1))
         assert law_source(law_ref("my_law.py:wall", folder=tmp_path)).gains["k_wall"].default == float(gain)
     assert [entry.name for entry in tmp_path.iterdir()] == ["my_law.py"]
+
+
+def test_a_function_of_the_file_can_import_its_neighbour(tmp_path: Path) -> None:
+    (tmp_path / "neighbour_of_law.py").write_text("SPEED = 0.1\n")
+    late = "def decide(s):\n    from neighbour_of_law import SPEED\n"
+    (tmp_path / "late.py").write_text(LAW.replace("def decide(s):\n", late))
+    before = list(sys.path)
+    assert build_law(law_ref("late.py:wall", folder=tmp_path)).name == "wall"
+    assert sys.path == before
+
+
+def test_a_number_that_is_not_finite_is_named(mission: Path, tmp_path: Path) -> None:
+    text = LAW.replace('s.p["depth"], gain', 's.p["depth"] * ca.sqrt(-s.eta[0]), gain')
+    (tmp_path / "lost.py").write_text(text)
+    said = surctl("simulate", mission, "--law", tmp_path / "lost.py:wall").output
+    assert "  fault: command tau[2] is not finite at 0.00 s" in said
 
 
 def test_what_a_file_prints_or_does_to_the_path_stays_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from surctl.errors import InputError
-from surctl.export import Records, build_bundle, software_in_the_loop
+from surctl.export import build_bundle, software_in_the_loop
 from surctl.ir import Layout, Port
 from surctl.system import Controller, run_system
 from tests.system.examples import level
@@ -35,8 +35,7 @@ def test_the_commands_keep_their_names() -> None:
 def test_the_c_code_gives_the_numbers_of_the_run(tmp_path: Path) -> None:
     need_compiler()
     system = level()
-    x, u, p = run_system(system, 5.0).controller
-    report = software_in_the_loop(system.controller, Records(x, u, p), workdir=tmp_path)
+    report = software_in_the_loop(system.controller, run_system(system, 5.0), workdir=tmp_path)
     assert report.conclusive and report.tau.absolute == report.state.absolute == 0.0
     assert "command 0.0e+00" in report.summary()
 

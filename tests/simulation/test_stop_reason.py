@@ -85,5 +85,10 @@ def test_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_run_that_ended_otherwise_has_no_such_reason() -> None:
     run = _flown(DEAF_TWICE)
     other = replace(run, metrics=replace(run.metrics, stopped_because="time limit"))
-    with pytest.raises(InputError, match="ended neither at a standstill nor in a dead end"):
+    with pytest.raises(InputError, match="ended neither at a standstill, in a dead end nor by a fault"):
         stop_reason(other)
+    inputs = run.record.law_input.copy()
+    inputs[-1, run.law.inputs.slice("yaw").start] = np.nan
+    lost = replace(other, metrics=replace(run.metrics, stopped_because="fault"))
+    lost = replace(lost, record=replace(run.record, law_input=inputs))
+    assert stop_reason(lost) == f"input yaw is not finite at {run.record.time[-1]:.2f} s"

@@ -32,7 +32,7 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "unknown state": (lambda: plant(lambda x, f, d, p: {**GOOD, "rat": 0}), r"body\.ode\.rat: is returned and no port"),
     "wrong size": (lambda: plant(lambda x, f, d, p: ca.vertcat(1, 2, 3)), r"body\.ode: returns 3 numbers, expected 2"),
     "wrong part": (lambda: plant(lambda x, f, d, p: {**GOOD, "rate": ca.SX(2, 1)}), r"body\.ode\.rate: has 2 entries"),
-    "text": (lambda: plant(lambda x, f, d, p: {**GOOD, "rate": "fast"}), r"body\.ode\.rate: is a str"),
+    "text": (lambda: plant(lambda x, f, d, p: {**GOOD, "rate": "fast"}), r"body\.ode\.rate: is of type str"),
     "raises": (lambda: plant(lambda x, f, d, p: 1 / 0), r"body\.ode: fails on CasADi symbols \(ZeroDivisionError"),
     "branches": (
         lambda: plant(lambda x, f, d, p: {**GOOD, "rate": 1 if x["angle"] > 0 else 2}),
@@ -74,6 +74,26 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "figure": (lambda: replace(pendulum(), costs={"f": Cost(lambda s: s.x["angel"], "max", "rad")}), r"costs\.f"),
     "how": (lambda: replace(pendulum(), costs={"f": Cost(lambda s: 0, "sum", "1")}), r"costs\.f\.how = 'sum'"),  # type: ignore[arg-type]
+    "figure in C": (
+        lambda: replace(level(), costs={"f": Cost(lambda s: ca.exp(s.x["height"]), "max", "1")}),
+        r"^costs\.f: operation 'exp' is not supported by the instruction list; approximate it",
+    ),
+    "stop in C": (
+        lambda: replace(level(), stops={"s": lambda s: ca.log(s.x["height"])}),
+        r"^stops\.s: operation 'log'",
+    ),
+    "reference in C": (
+        lambda: replace(level(), reference=lambda t, r: {"target": ca.exp(t)}),
+        r"^reference: operation 'exp'",
+    ),
+    "disturbance in C": (
+        lambda: replace(level(), disturbance=lambda t, d: {"rain": ca.tan(t)}),
+        r"^disturbance: operation 'tan' .*; write sin",
+    ),
+    "figure of a free symbol": (
+        lambda: replace(level(), costs={"f": Cost(lambda s: ca.SX.sym("q"), "max", "1")}),
+        r"^costs\.f: cannot be lowered",
+    ),
     "figure size": (
         lambda: replace(level(), costs={"f": Cost(lambda s: ca.SX(2, 1), "max", "1")}),
         r"costs\.f: returns 2",

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import control
 import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.system import find_equilibrium, linearise, run_system
-from tests.system.examples import level, pendulum
+from surctl.ir import Layout, Port
+from surctl.system import Controller, Plant, System, find_equilibrium, linearise, linearise_plant, run_system
+from tests.system.examples import level, pendulum, pendulum_plant
 
 
 def test_an_equilibrium_is_where_a_long_run_ends() -> None:
@@ -24,6 +26,37 @@ def test_an_equilibrium_is_where_a_long_run_ends() -> None:
 def test_where_nothing_rests_the_moving_state_is_named() -> None:
     with pytest.raises(InputError, match=r"pendulum: no equilibrium is found: `(angle|rate)` still moves"):
         find_equilibrium(pendulum(), {"disturbance.gust": 40.0})
+
+
+def test_the_search_leaves_a_saturated_start() -> None:
+    place, speed, force = Port("x", (1,), "m", "", 10.0), Port("v", (1,), "m/s", ""), Port("f", (1,), "m/s^2", "")
+    cart = Plant("cart", Layout((place, speed)), Layout((force,)), lambda x, f, d, p: {"x": x["v"], "v": f["f"]})
+
+    def loop(goal: float) -> System:
+        law = Controller(
+            "pd", 0.05, Layout((place, speed)), Layout((force,)),
+            lambda x, u, p: ca.fmax(-1, ca.fmin(1, 2 * (goal - u["x"]) - 3 * u["v"])),
+        )  # fmt: skip
+        return System(cart, law)
+
+    assert find_equilibrium(loop(50.0)).x == pytest.approx([50.0, 0.0])
+    with pytest.raises(InputError, match=r"`v` still moves, and command `f` does not depend on the state there"):
+        find_equilibrium(loop(1e7))
+
+
+def test_a_plant_alone_is_linearised_about_a_point() -> None:
+    plant, linear = pendulum_plant(), linearise(pendulum(), {"plant.drag": 0.3})
+    alone = linearise_plant(plant, linear.at.x, {"torque": linear.at.f}, p={"drag": 0.3})
+    inside = linear.plant_system()
+    assert alone.input_labels == inside.input_labels == ["torque", "gust"]
+    assert alone.output_labels == ["measured angle", "measured rate"] and alone.state_labels == ["angle", "rate"]
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(alone, name), getattr(inside, name))
+    assert linearise_plant(plant).A[1, 0] == pytest.approx(9.81 * np.cos(0.4))  # at the defaults of the ports
+    with pytest.raises(InputError, match="x: has 3 numbers; give 2"):
+        linearise_plant(plant, [1, 2, 3])
+    with pytest.raises(InputError, match="has no finite derivatives at this point"):
+        linearise_plant(plant, {"angle": np.inf})
 
 
 def test_the_matrices_are_those_of_differences() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,11 +12,11 @@ from scipy.integrate import solve_ivp
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Plant, System, run_system, simulate_system
+from surctl.system import Controller, Plant, System, every_combination, run_system, simulate_system
 from tests.system.examples import COSTS, LIMIT, level, pendulum
 from tests.tools import need_compiler
 
-VALUES = ({"start.angle": 0.4}, {"start.angle": 0.2, "disturbance.gust": 0.3}, {"start.angle": 1.6}, {"k_rate": 1.0})
+VALUES = ({"start.angle": 0.4}, {"start.angle": 0.2, "disturbance.gust": 0.3}, {"start.angle": 1.3}, {"k_rate": 1.0})
 
 
 def test_the_batch_gives_the_figures_of_the_recorded_runs() -> None:
@@ -71,6 +72,48 @@ def test_what_is_no_longer_finite_ends_the_run_where_it_happens() -> None:
     assert record.stopped == runs.stopped[0] == "not finite"
     assert 0.3 < runs.time[0] < 2.0 and runs.time[0] == pytest.approx(record.time[-1])
     assert np.isnan(runs["low"][0]) and np.isnan(record.figures["low"]) and np.isfinite(runs.state).all()
+    assert record.lost == f"state x at {record.time[-1] + 0.1:.6g} s" and run_system(system, 0.1).lost == ""
+
+
+@pytest.mark.parametrize(
+    ("law", "at", "lost"),
+    [
+        (lambda u: [u["q"][0], ca.sqrt(0.35 - u["t"])], lambda t: t, "command u[1] at 0.4 s"),
+        (lambda u: [0, 0], lambda t: ca.sqrt(0.35 - t), "input t at 0.4 s"),
+        (lambda u: [1e300, 1e300], lambda t: 1.0, "cost square at 0.1 s"),
+    ],
+)
+def test_the_number_that_is_not_finite_is_named(law: Any, at: Any, lost: str) -> None:
+    pair, push, clock = Port("q", (2,), "m", ""), Port("u", (2,), "m/s", ""), Port("t", (1,), "s", "")
+    plant = Plant("pair", Layout((pair,)), Layout((push,)), lambda x, f, d, p: {"q": f["u"]})
+    control = Controller("push", 0.1, Layout((pair, clock)), Layout((push,)), lambda x, u, p: ca.vertcat(*law(u)))
+    cost = replace(COSTS["end"], of=lambda s: s.x["q"][1] ** 2)
+    system = System(plant, control, costs={"square": cost}, reference=lambda t, r: {"t": at(t)})
+    assert run_system(system, 1.0).lost == lost
+
+
+def test_a_run_that_is_stopped_counts_no_period_after_the_stop() -> None:
+    need_compiler()
+    system = replace(pendulum(), stops={"late": lambda s: s.t > 0.025, "tilted": lambda s: s.x["angle"] > 1})
+    angles = {"start.angle": [0.4, 1.1]}
+    runs = simulate_system(system, 4.0, angles)
+    records = [run_system(system, 4.0, {"start.angle": angle}) for angle in angles["start.angle"]]
+    assert runs.stopped.tolist() == ["late", "tilted"] and runs.time.tolist() == [0.03, 0.0]
+    torque = np.asarray(records[0]["torque"])
+    assert records[0].figures["energy"] == pytest.approx(0.01 * np.sum(torque[:3] ** 2), rel=1e-12)
+    assert runs["energy"][0] == pytest.approx(records[0].figures["energy"], rel=1e-12)
+    for name in COSTS:
+        assert np.isnan(runs[name][1]) and np.isnan(records[1].figures[name]) and not np.isnan(runs[name][0])
+
+
+def test_every_combination_is_one_run() -> None:
+    runs = every_combination({"k": [1, 2], "q": [[5, 6]]}, {"start.x": [0.1, 0.2, 0.3], "plant.m": 3.0})
+    assert runs["k"].tolist() == [1, 1, 1, 2, 2, 2] and runs["start.x"].tolist() == [0.1, 0.2, 0.3] * 2
+    assert runs["q"].tolist() == [[5, 6]] * 6 and runs["plant.m"].shape == ()
+    with pytest.raises(InputError, match="q: is in two groups"):
+        every_combination({"q": 1}, {"q": 2})
+    with pytest.raises(InputError, match="q: has 2 rows, others 3"):
+        every_combination({"q": [1, 2], "k": [1, 2, 3]})
 
 
 def test_twelve_states_with_twelve_inputs() -> None:

@@ -1,6 +1,7 @@
 """Random expressions of the claim grammar, and what they are worth to sixty digits."""
 
 from collections.abc import Mapping
+from fractions import Fraction
 
 from hypothesis import strategies as st
 from mpmath import mp, mpf
@@ -8,6 +9,10 @@ from mpmath import mp, mpf
 from surctl.verification.formula import Node, number, ordered, variable
 
 NAMES = ("x", "y", "z")
+ONE_ARGUMENT = (
+    "neg", "sqrt", "sin", "cos", "atan", "acos", "asin", "tan", "exp", "log", "sinh", "cosh", "tanh",
+)  # fmt: skip
+FRACTIONS = (Fraction("0.5"), Fraction("1.5"), Fraction("-1.5"), Fraction(1, 3), Fraction("-0.1"), Fraction("2.7"))
 
 
 class NoValue(Exception):
@@ -28,12 +33,12 @@ def expressions(*, branching: bool = True) -> st.SearchStrategy[Node]:
 
     def grown(inner: st.SearchStrategy[Node]) -> st.SearchStrategy[Node]:
         two = st.tuples(st.sampled_from(["add", "sub", "mul", "div", "atan2"]), inner, inner)
-        one = st.tuples(st.sampled_from(["neg", "sqrt", "sin", "cos", "atan", "acos"]), inner)
-        powers = st.tuples(inner, st.integers(-3, 4))
+        one = st.tuples(st.sampled_from(ONE_ARGUMENT), inner)
+        powers = st.tuples(inner, st.one_of(st.integers(-3, 4), st.sampled_from(FRACTIONS)))
         made = [
             two.map(lambda t: Node(t[0], t[1:])),
             one.map(lambda t: Node(t[0], t[1:])),
-            powers.map(lambda t: Node("pow", (t[0],), number(t[1]).value)),
+            powers.map(lambda t: Node("pow" if t[1] == int(t[1]) else "powr", (t[0],), Fraction(t[1]))),
         ]
         if branching:
             made.append(st.tuples(st.sampled_from(["min", "max"]), inner, inner).map(lambda t: Node(t[0], t[1:])))
@@ -45,8 +50,6 @@ def expressions(*, branching: bool = True) -> st.SearchStrategy[Node]:
 
 
 def number_of(text: str) -> Node:
-    from fractions import Fraction
-
     return number(Fraction(text))
 
 
@@ -87,12 +90,28 @@ def _one(node, args, at):
             if args[0] < 0:
                 raise NoValue
             return mp.sqrt(args[0])
-        case "sin" | "cos" | "atan":
+        case "sin" | "cos" | "atan" | "tanh":
             return getattr(mp, node.op)(args[0])
-        case "acos":
+        case "tan":
+            if abs(mp.cos(args[0])) < mpf(10) ** -40:
+                raise TooClose
+            return mp.tan(args[0])
+        case "exp" | "sinh" | "cosh":
+            if abs(args[0]) > 1e5:  # the prover refuses larger arguments
+                raise TooClose
+            return getattr(mp, node.op)(args[0])
+        case "log":
+            if args[0] <= 0:
+                raise NoValue
+            return mp.log(args[0])
+        case "powr":
+            if args[0] < 0 or (args[0] == 0 and node.value < 0):
+                raise NoValue
+            return args[0] ** (mpf(node.value.numerator) / node.value.denominator)
+        case "acos" | "asin":
             if abs(args[0]) > 1:
                 raise NoValue
-            return mp.acos(args[0])
+            return getattr(mp, node.op)(args[0])
         case "atan2":
             if args[0] == 0 and args[1] == 0:
                 raise NoValue

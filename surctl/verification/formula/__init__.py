@@ -2,8 +2,9 @@
 
 from surctl.verification.formula.derivative import derivative, substitute
 from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
-from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse
-from surctl.verification.formula.symbolic import from_casadi, to_casadi
+from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse, parse_relation
+from surctl.verification.formula.reader import from_casadi
+from surctl.verification.formula.symbolic import to_casadi
 from surctl.verification.formula.text import text_of
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "number",
     "ordered",
     "parse",
+    "parse_relation",
     "power",
     "rebuilt",
     "substitute",

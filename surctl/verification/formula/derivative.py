@@ -20,6 +20,13 @@ _CHAIN: Mapping[str, Callable[[Node, Node], Node]] = MappingProxyType(
         "sqrt": lambda _, whole: _ONE / (number(2) * whole),
         "atan": lambda a, _: _ONE / (_ONE + power(a, 2)),
         "acos": lambda a, _: -(_ONE / Node("sqrt", (_ONE - power(a, 2),))),
+        "asin": lambda a, _: _ONE / Node("sqrt", (_ONE - power(a, 2),)),
+        "tan": lambda _, whole: _ONE + power(whole, 2),
+        "tanh": lambda _, whole: _ONE - power(whole, 2),
+        "exp": lambda _, whole: whole,
+        "log": lambda a, _: _ONE / a,
+        "sinh": lambda a, _: Node("cosh", (a,)),
+        "cosh": lambda a, _: Node("sinh", (a,)),
     }
 )
 """Derivative of each function of one argument, from the argument and the whole expression."""
@@ -69,7 +76,7 @@ def _slope(node: Node, slopes: list[Node], name: str) -> Node:
         case "div":
             over = _sum(_product(slopes[0], args[1]), _minus(_product(args[0], slopes[1])))
             return over / power(args[1], 2) if slopes[1] != _ZERO else slopes[0] / args[1]
-        case "pow":
+        case "pow" | "powr":
             return _product(_product(number(node.value), _power(args[0], node.value - 1)), slopes[0])
         case "atan2":
             y, x = args
@@ -105,4 +112,4 @@ def _product(a: Node, b: Node) -> Node:
 
 
 def _power(base: Node, exponent: Fraction) -> Node:
-    return _ONE if exponent == 0 else power(base, exponent.numerator)
+    return _ONE if exponent == 0 else power(base, exponent)

@@ -12,9 +12,14 @@ __all__ = ["ARITY", "BRANCHING", "DEEPEST", "PI", "Node", "number", "ordered", "
 
 ARITY: Mapping[str, int] = {
     "add": 2, "sub": 2, "mul": 2, "div": 2, "neg": 1, "pow": 1, "sqrt": 1, "sin": 1, "cos": 1, "atan": 1,
-    "atan2": 2, "acos": 1, "abs": 1, "min": 2, "max": 2, "select": 4,
+    "atan2": 2, "acos": 1, "asin": 1, "tan": 1, "exp": 1, "log": 1, "sinh": 1, "cosh": 1, "tanh": 1, "powr": 1,
+    "abs": 1, "min": 2, "max": 2, "select": 4,
 }  # fmt: skip
-"""The number of operands of each operation; `select(a, b, x, y)` is x if a ≤ b, and y otherwise."""
+"""The number of operands of each operation; `select(a, b, x, y)` is x if a ≤ b, and y otherwise.
+
+`pow` is a power with an integer exponent. `powr` is a power with any other exponent; it is defined for positive bases,
+and for 0 if the exponent is positive.
+"""
 
 BRANCHING = frozenset({"abs", "min", "max", "select"})
 """The operations whose value is that of one of two expressions; a comparison of the operands selects the expression."""
@@ -30,7 +35,7 @@ class Node:
     Attributes:
         op: kind of the node: `num`, `pi`, `var`, or an operation, which is a key of `ARITY`.
         args: the operands.
-        value: the exact number of a `num` node, or the integer exponent of a `pow` node.
+        value: the exact number of a `num` node, or the exponent of a `pow` or `powr` node.
         name: the name of the variable of a `var` node.
         depth: depth of the tree below and including this node.
     """
@@ -91,9 +96,10 @@ def variable(name: str) -> Node:
     return Node("var", name=name)
 
 
-def power(base: Node, exponent: int) -> Node:
-    """Return the node of an integer power."""
-    return base if exponent == 1 else Node("pow", (base,), Fraction(exponent))
+def power(base: Node, exponent: int | Fraction) -> Node:
+    """Return the node of a power with a constant exponent."""
+    value = Fraction(exponent)
+    return base if value == 1 else Node("pow" if value.denominator == 1 else "powr", (base,), value)
 
 
 def ordered(*roots: Node) -> Iterator[Node]:

@@ -5,10 +5,13 @@
     sum     = product { ("+" | "-") product }
     product = signed { ("*" | "/") signed }
     signed  = ("-" | "+") signed | power
-    power   = atom [ "^" ["-"] integer ]
+    power   = atom [ "^" exponent ]
+    exponent = ["-"] ( number | name ) | "(" sum ")"
     atom    = number | name | function "(" sum { "," sum } ")" | "(" sum ")"
 
-A number has exactly the value of its decimal notation; `pi` is π exactly.
+A number has exactly the value of its decimal notation; `pi` is π exactly. An exponent is a constant: it has numbers,
+names of constants, + - * / and parentheses. A power with a fractional exponent is defined for a positive base, and for
+the base 0 if the exponent is positive.
 """
 
 from __future__ import annotations
@@ -19,11 +22,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from surctl.errors import InputError, nearest
-from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number
+from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered
 
-__all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "parse"]
+__all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "parse", "parse_relation"]
 
-FUNCTIONS = ("abs", "acos", "atan", "atan2", "cos", "max", "min", "select", "sin", "sqrt")
+FUNCTIONS = (
+    "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "log", "max", "min", "select", "sin", "sinh", "sqrt",
+    "tan", "tanh",
+)  # fmt: skip
 """The functions of the grammar; `select(a, b, x, y)` is x if a ≤ b, and y otherwise."""
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
@@ -33,6 +39,7 @@ _TOKEN = re.compile(
     r"\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^(),])|(\S))"
 )
 _LARGEST_POWER, _LARGEST_EXPONENT, _MOST_DIGITS = 64, 320, 400
+_LONGEST = 30  # most digits of numerator and denominator of an exponent
 
 
 def parse(text: str, known: Mapping[str, Node], *, file: object = None, key: str | None = None) -> Node:
@@ -55,9 +62,45 @@ def parse(text: str, known: Mapping[str, Node], *, file: object = None, key: str
     return _Parser(text, known, file, key).whole()
 
 
+def parse_relation(text: str, known: Mapping[str, Node], *, file: object = None, key: str | None = None) -> Node:
+    """Parse an inequality with one <= or >= into an expression that is ≤ 0 where the inequality holds.
+
+    The arguments and errors are those of `parse`.
+    """
+    signs = [sign for sign in ("<=", ">=") if sign in text]
+    if len(signs) != 1 or text.count(signs[0]) != 1:
+        raise InputError("needs one <= or >=", file=file, key=key, value=text, remedy='write e.g. "x^2 <= 4"')
+    at = text.index(signs[0])
+    # pad with blanks, so that errors name the right column for the text after the sign
+    first = parse(text[:at], known, file=file, key=key)
+    second = parse(" " * (at + 2) + text[at + 2 :], known, file=file, key=key)
+    return first - second if signs[0] == "<=" else second - first
+
+
 def decimal(text: str) -> Fraction:
     """Return the exact value of a decimal number such as 1.5e-3."""
     return Fraction(text)
+
+
+def _constant(root: Node) -> Fraction | None:
+    """Return the value of an expression of numbers and + - * /; None if the expression is another."""
+    values: dict[Node, Fraction] = {}
+    for node in ordered(root):
+        args = [values[a] for a in node.args]
+        match node.op:
+            case "num":
+                values[node] = node.value
+            case "add" | "sub":
+                values[node] = args[0] + args[1] if node.op == "add" else args[0] - args[1]
+            case "mul":
+                values[node] = args[0] * args[1]
+            case "div" if args[1]:
+                values[node] = args[0] / args[1]
+            case "neg":
+                values[node] = -args[0]
+            case _:
+                return None
+    return values[root]
 
 
 @dataclass(frozen=True)
@@ -150,13 +193,20 @@ class _Parser:
         base = self._atom()
         if not self._takes("^"):
             return base
-        sign = -1 if self._takes("-") else 1
-        token = self._take()
-        if not (token.kind == "number" and token.text.isdigit() and int(token.text[:9]) <= _LARGEST_POWER):
-            raise self._mistake("is not an exponent", token, f"write an integer up to {_LARGEST_POWER}, or use sqrt")
+        token = self._next
+        tree = self._signed_constant()
+        value = _constant(tree)
+        if value is None or abs(value) > _LARGEST_POWER or max(map(len, map(str, value.as_integer_ratio()))) > _LONGEST:
+            remedy = f"write a constant of at most {_LARGEST_POWER}, such as 2, -1.5 or (3/2)"
+            raise self._mistake("is not an exponent", token, remedy)
         if self._next.text == "^":
             raise self._mistake("has no defined order here", self._next, "write parentheses")
-        return Node("pow", (base,), Fraction(sign * int(token.text)))
+        return Node("pow" if value.denominator == 1 else "powr", (base,), value)
+
+    def _signed_constant(self) -> Node:
+        negative = bool(self._takes("-"))
+        tree = self._atom()
+        return -tree if negative else tree
 
     def _atom(self) -> Node:
         token = self._take()

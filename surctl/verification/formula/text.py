@@ -10,8 +10,6 @@ from surctl.verification.formula.parser import LONGEST
 
 __all__ = ["decimal_text", "text_of"]
 
-_LEVEL = {"add": 1, "sub": 1, "mul": 2, "div": 2, "neg": 3, "pow": 4}
-
 
 def text_of(root: Node) -> str:
     """Return the text of an expression in the claim grammar.
@@ -53,8 +51,9 @@ def _one(node: Node, args: list[tuple[str, int]]) -> tuple[str, int]:
         return f"{_inside(args[0], 2)}{'*' if op == 'mul' else '/'}{_inside(args[1], 4)}", 2
     if op == "neg":
         return f"-{_inside(args[0], 4)}", 3
-    if op == "pow":
-        return f"{_inside(args[0], 5)}^{node.value.numerator}", 4
+    if op in ("pow", "powr"):
+        exponent = decimal_text(node.value)
+        return f"{_inside(args[0], 5)}^{f'({exponent})' if '/' in exponent else exponent}", 4
     return f"{op}({', '.join(text for text, _ in args)})", 5
 
 

@@ -2,8 +2,8 @@
 
 The ends of sums and differences are rounded outwards only if their exact rounding error requires it. The intervals of
 products, quotients and roots are widened by one unit in the last place, because IEEE 754 rounds these operations to the
-nearest number. The intervals of sin, cos, atan2 and acos are widened by `_LIBM_STEPS` units: the stated error is up to
-4 units for NumPy's vector routines, and 1 unit for the C libraries.
+nearest number. The intervals of sin, cos, atan2, acos and the functions of `proving.functions` are widened by
+`LIBM_STEPS` units: the stated error is up to 4 units for NumPy's vector routines, and 1 unit for the C libraries.
 """
 
 from __future__ import annotations
@@ -12,15 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "Ends", "acos", "add", "atan2", "divide", "hull_max", "hull_min", "magnitude", "multiply", "negate", "point",
-    "sine_cosine", "square", "squared_root", "subtract", "to_power", "widened",
+    "LIBM_STEPS", "Ends", "acos", "add", "atan2", "divide", "hull_max", "hull_min", "magnitude", "multiply", "negate",
+    "point", "sine_cosine", "square", "squared_root", "subtract", "to_power", "widened",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
 Ends = tuple[Array, Array]
 """Intervals (lower, upper) as two arrays of equal shape; the whole real line is (−inf, inf)."""
 
-_LIBM_STEPS = 8  # twice the 4 units in the last place that NumPy allows its vector routines
+LIBM_STEPS = 8
+"""Units in the last place by which results of NumPy's vector routines are widened: twice the 4 that NumPy allows."""
+
 _LARGEST_ANGLE = 1e5  # [rad] for larger angles the error of the argument reduction is not bounded here
 _TINY = 5e-324
 
@@ -38,7 +40,7 @@ def _up(x: Array) -> Array:
     return np.nextafter(x, np.inf)
 
 
-def widened(a: Ends, steps: int = _LIBM_STEPS) -> Ends:
+def widened(a: Ends, steps: float | Array = LIBM_STEPS) -> Ends:
     """Return the intervals with both ends moved outwards by `steps` units in the last place."""
     lower, upper = a
     # one unit is at most 2^-52 of the magnitude; the tiny term covers subnormal results
@@ -148,7 +150,7 @@ def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
     at_low, at_high = function(low), function(high)
     bottom, top = widened((np.minimum(at_low, at_high), np.maximum(at_low, at_high)))
     # beyond 1 rad the argument reduction leaves an absolute error, which also affects small results
-    reduced = np.where(np.maximum(np.abs(low), np.abs(high)) > 1.0, _LIBM_STEPS * 2.0**-52, 0.0)
+    reduced = np.where(np.maximum(np.abs(low), np.abs(high)) > 1.0, LIBM_STEPS * 2.0**-52, 0.0)
     bottom, top = bottom - reduced, top + reduced
     # in turns, widened for the rounding of the division: an extra maximum only widens the interval
     rounding = 1e-15 * (1.0 + np.abs(low) + np.abs(high))

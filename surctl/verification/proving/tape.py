@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.verification.formula import Node, ordered, text_of
 from surctl.verification.proving import intervals as iv
+from surctl.verification.proving.functions import LARGEST_EXPONENT, defined
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.jets import Jet, choose
 
@@ -107,6 +109,10 @@ class Tape:
                 return args[0].cosine()
             case "acos":
                 return args[0].arccosine()
+            case "powr":
+                return args[0].real_power(node.value)
+            case _ if node.op in _UNARY:
+                return _UNARY[node.op](args[0])
             case "atan":
                 one = iv.point(np.ones(count))
                 return args[0].angle(_jet(one, iv.point(np.zeros((n, count))), n, order))
@@ -130,12 +136,21 @@ def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
     return Tape(tuple(names), steps, tuple(at[r] for r in roots))
 
 
+_UNARY: Mapping[str, Callable[[Jet], Jet]] = MappingProxyType(
+    {"asin": Jet.arcsine, "tan": Jet.tangent, "exp": Jet.exponential, "log": Jet.logarithm,
+     "sinh": Jet.hyperbolic_sine, "cosh": Jet.hyperbolic_cosine, "tanh": Jet.hyperbolic_tangent}
+)  # fmt: skip
 _TROUBLES = {
     "div": "division by an interval that contains 0:",
     "pow": "division by an interval that contains 0:",
     "sqrt": "square root of an interval that is partly negative:",
     "acos": "arccos of an interval beyond [-1, 1]:",
     "atan2": "atan2 of a box that contains (0, 0): x in",
+    "asin": "arcsin of an interval beyond [-1, 1]:",
+    "tan": "tangent of an interval that may contain a pole:",
+    "log": "logarithm of an interval that is partly 0 or negative:",
+    "powr": "fractional power of an interval that contains 0 or negative numbers:",
+    **{op: f"{op} of an interval beyond {LARGEST_EXPONENT:.0f}:" for op in ("exp", "sinh", "cosh")},
 }
 
 
@@ -154,6 +169,8 @@ def _undefined(node: Node, args: list[Jet], count: int) -> NDArray[np.bool_]:
         for low, high in (a.value for a in args):
             away = away | (low > 0) | (high < 0)
         return ~away
+    if node.op in _UNARY or node.op == "powr":
+        return ~defined(node.op, args[0].value, node.value)
     return np.zeros(count, dtype=bool)
 
 

@@ -84,9 +84,42 @@ def test_pi_is_itself() -> None:
 
 def test_what_the_grammar_does_not_have_is_named() -> None:
     x = ca.SX.sym("x")
-    for expression in (ca.floor(x), ca.if_else(ca.logic_and(x > 0, x < 1), 1, 2), x > 0):
-        with pytest.raises(UnsupportedOperation, match="grammar"):
+    inside = ca.if_else(ca.logic_and(x > 0, x < 1), 1, 2)
+    for expression in (ca.floor(x), inside, x > 0, ca.asinh(x), ca.constpow(x, 99.5), x + ca.inf):
+        with pytest.raises(UnsupportedOperation, match=r"grammar|constant inf"):
             from_casadi(x, ["x"], [expression])
+
+
+def test_functions_and_powers_of_casadi_come_back() -> None:
+    x = ca.SX.sym("x", 2)
+    a, b = x[0], x[1]
+    told = {
+        "exp(a) - log(b)": ca.exp(a) - ca.log(b), "tanh(a)*tan(b)": ca.tanh(a) * ca.tan(b),
+        "asin(a) + atan(b)": ca.asin(a) + ca.atan(b), "sinh(a)/cosh(b)": ca.sinh(a) / ca.cosh(b),
+        "a^1.5": ca.power(a, 1.5), "a^(1/3)": a ** (1 / 3), "b^-0.5": ca.constpow(b, -0.5), "sqrt(b)": b**0.5,
+        "a*a^2": a**3, "exp(b*log(a))": ca.power(a, b), "exp(a*log(2))": ca.power(2, a),
+        "log(1 + a) - (exp(b) - 1)": ca.log1p(a) - ca.expm1(b),
+        "select(a, b, exp(a), 0)": ca.if_else(a <= b, ca.exp(a), 0),
+        "select(a, b, 0, tan(b))": ca.if_else(a <= b, 0, ca.tan(b)),
+    }  # fmt: skip
+    assert [text_of(n) for n in from_casadi(x, ["a", "b"], list(told.values()))] == list(told)
+
+
+@pytest.mark.parametrize(
+    ("text", "again"),
+    [("x^0.5", "x^0.5"), ("x^(3/2)", "x^1.5"), ("x^-1.5", "x^-1.5"), ("x^(-2/6)", "x^(-1/3)"),
+     ("-x^(1 - 0.5)", "-x^0.5"), ("x^n", "x^0.7"), ("x^-(n/7)", "x^-0.1"), ("x^(4/2)", "x^2"), ("x^2.0", "x^2")],
+)  # fmt: skip
+def test_an_exponent_is_any_constant(text: str, again: str) -> None:
+    root = parse(text, KNOWN | {"n": number(Fraction("0.7"))})
+    assert text_of(root) == again and parse(again, KNOWN) == root
+
+
+@pytest.mark.parametrize("text", ["x^y", "x^(1/0)", "x^65", "x^(y - y)", "x^pi", "x^0." + "1" * 31, "x^0.5^2", "x^"])
+def test_what_is_no_exponent_is_told_in_one_line(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse(text, KNOWN)
+    assert "column" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_very_long_sum_is_an_error_and_no_crash() -> None:

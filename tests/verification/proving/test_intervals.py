@@ -9,6 +9,7 @@ from mpmath import mp, mpf
 from surctl.certcheck.enclosure import enclose, exact, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.verification.formula import parse, variable
+from surctl.verification.proving import functions as fn
 from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.rules import apply_rules
 from surctl.verification.proving.tape import build_tape
@@ -155,7 +156,12 @@ def test_what_a_library_computes_holds_the_value_of_sixty_digits() -> None:
     sine, cosine = iv.sine_cosine(iv.point(x))
     told = (
         (sine, mp.sin, (x,)), (cosine, mp.cos, (x,)), (iv.acos(iv.point(share)), mp.acos, (share,)),
-        (iv.atan2(iv.point(y), iv.point(x)), mp.atan2, (y, x)),
+        (iv.atan2(iv.point(y), iv.point(x)), mp.atan2, (y, x)), (fn.arcsine(iv.point(share)), mp.asin, (share,)),
+        (fn.tanh(iv.point(y)), mp.tanh, (y,)), (fn.exp(iv.point(share)), mp.exp, (share,)),
+        (fn.sinh(iv.point(share)), mp.sinh, (share,)), (fn.cosh(iv.point(share)), mp.cosh, (share,)),
+        (fn.tan(iv.point(share)), mp.tan, (share,)), (fn.log(iv.point(abs(y))), mp.log, (abs(y),)),
+        *((fn.powr(iv.point(abs(x)), e), lambda b, e=e: mp.mpf(b) ** (mpf(e.numerator) / e.denominator), (abs(x),))
+          for e in (Fraction(1, 2), Fraction(3, 2), Fraction(-1, 10), Fraction(2, 3))),
     )  # fmt: skip
     with mp.workdps(60):
         for (low, high), function, given in told:
@@ -179,6 +185,8 @@ def test_nothing_times_the_whole_line_is_nothing() -> None:
 TEXTS = (
     "x^3", "x^-2", "1/x", "sqrt(x)", "sin(x)", "cos(x)", "acos(x/3)", "atan(x)", "atan2(x, y)", "atan2(y, x)*y",
     "x*y", "x*x", "(x + y)^2/x", "abs(-x)*y", "max(x, -y)*x", "min(x, 9)*sin(y)", "select(x, 9, x*y, y)",
+    "exp(x - y)", "log(x + y)", "tan(x)*y", "asin(x - y/2)", "sinh(x)",
+    "cosh(x*y)", "tanh(2*x)", "x^0.5", "x^(3/2)*y", "(x + y)^-1.5", "y^(1/3)",
 )  # fmt: skip
 
 

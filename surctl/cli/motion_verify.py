@@ -1,0 +1,123 @@
+"""`surctl verify FILE.toml` for files of kind `lyapunov` and `barrier`: claims about the solutions of any dynamics."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surctl.cli.output import finish, progress, stoppable
+
+if TYPE_CHECKING:
+    from surctl.lyapunov import Decision, Problem
+
+__all__ = ["are_problems", "verify_motion"]
+
+
+def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
+    """Return whether the words are files about dynamics.
+
+    Args:
+        words: positional arguments of the command.
+        only: names of the parameters of the command that apply to such files.
+
+    Raises:
+        InputError: only some of the words are such files, or an option does not apply to them.
+    """
+    files = [word for word in words if word.endswith(".toml") and Path(word).is_file()]
+    if not files:
+        return False
+    import click
+    from click.core import ParameterSource
+
+    from surctl.errors import InputError
+    from surctl.lyapunov import is_problem
+
+    about = [word for word in files if is_problem(Path(word))]
+    if not about:
+        return False
+    other = next((word for word in words if word not in about), None)
+    if other is not None:
+        remedy = "check it by a command of its own"
+        raise InputError("is no claim about dynamics, other words are", key="claim", value=other, remedy=remedy)
+    context = click.get_current_context()
+    for option in context.command.params:
+        typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
+        if isinstance(option, click.Option) and typed and option.name not in only:
+            raise InputError("does not apply to a claim about dynamics", key=option.opts[0], remedy="drop it")
+    return True
+
+
+def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
+    """Prove or refute the claims; exit with status 1 if a verdict is not the expected one."""
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder
+    from surctl.lyapunov import load_problem, solve
+
+    problems = {word: load_problem(Path(word)) for word in words}
+    names = [problem.dynamics.name for problem in problems.values()]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError("is given twice", key="claim", value=twice, remedy="rename or drop one of them")
+    if out is not None:
+        prepare_folder(out)
+    lines: list[str] = []
+    claims: list[dict[str, Any]] = []
+    failures: list[str] = []
+    files: list[Path] = []
+    for word, problem in problems.items():
+        progress(problem.dynamics.name)
+        with stoppable("the finished claims are above", lines, as_json=as_json):
+            try:
+                decision = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+            except InputError as error:
+                raise (error if error.file else error.inside(Path(word))) from None
+        lines += _lines(decision)
+        data = decision.to_dict() | {"expected": problem.expected}
+        if out is not None:
+            written = _write(decision, problem, out)
+            files += written[:1] if decision.document else []
+            data["files"] = [str(path) for path in written]
+            lines += [f"  {path}" for path in written]
+        claims.append(data)
+        if decision.verdict != problem.expected:
+            failures.append(f"{problem.dynamics.name} is {decision.verdict}, not {problem.expected}")
+    if failures:
+        lines.append(f"exit status 1, because {'; '.join(failures)}")
+    then = [shlex.join(["surctl", "check", str(file)]) for file in files[:1]]
+    if out is None and any(claim["verdict"] == "proved" for claim in claims):
+        then = [shlex.join(["surctl", "verify", *words, "--out", "proofs"])]
+    result = {"claims": claims} | ({"failures": failures} if failures else {})
+    finish(result, lines, as_json=as_json, passed=not failures, then=then)
+
+
+def _lines(decision: Decision) -> list[str]:
+    from surctl.verification.formula import text_of
+
+    claim = decision.claim
+    name = "B" if claim.kind == "barrier" else "V"
+    lines = [
+        f"{decision.verdict:<8} {claim.dynamics.name}: {claim.statement} ({decision.seconds:.1f} s)",
+        f"  {name} = {text_of(claim.function)}",
+    ]
+    return [*lines, f"  {decision.reason}"] if decision.reason else lines
+
+
+def _write(decision: Decision, problem: Problem, out: Path) -> list[Path]:
+    """Write the certificate, if there is one, and the picture of a region; return the files."""
+    from surctl.files import write_file
+    from surctl.lyapunov import Bound, Stability
+    from surctl.report import plot_motion
+    from surctl.report.files import save_figure
+
+    claim, files = decision.claim, []
+    name = claim.dynamics.name
+    if decision.document:
+        text = json.dumps(decision.document, ensure_ascii=False, separators=(",", ":"))
+        files.append(write_file(out / f"{name}.json", text + "\n"))
+    if isinstance(claim, Stability | Bound) and decision.verdict == "proved":
+        figure = plot_motion(claim.dynamics, claim.function, level=claim.level)
+        files.append(save_figure(figure, out, (name,)))
+    return files

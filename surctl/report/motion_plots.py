@@ -1,0 +1,152 @@
+"""Plots of a region of attraction in planes of two states: level sets, vector field and solutions from the boundary."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from surctl.lyapunov import Dynamics
+from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, new_figure
+from surctl.verification.formula import Node
+
+__all__ = ["plot_motion"]
+
+Array = NDArray[np.float64]
+
+_MOST_PLANES = 6
+_GRID = 121
+_STARTS = 16  # solutions drawn from the boundary
+_STEPS = 600
+_TURN = 0.02  # step of a drawn solution, as a share of the box over the largest rate
+
+
+def plot_motion(dynamics: Dynamics, function: Node, *, level: float, falsified: float | None = None) -> Figure:
+    """Plot the region V < level in every plane of two states, with all other states at the equilibrium.
+
+    The planes are those of the first states, at most six. Arrows show the vector field in the plane (continuous time).
+    Grey lines are solutions that start on the boundary of the region in the plane; with more than two states, they
+    leave the plane, and the plot shows their projection.
+
+    Args:
+        dynamics: the dynamics; parameters have the middle of their ranges.
+        function: V, an expression of the states.
+        level: level of the region.
+        falsified: least level at which V is known not to decrease; drawn as a dashed line.
+
+    Example:
+        >>> from surctl.lyapunov import Dynamics, State
+        >>> from surctl.report import plot_motion
+        >>> from surctl.verification.formula import parse, variable
+        >>> k = {name: variable(name) for name in ("x", "y")}
+        >>> rates = tuple(parse(text, k) for text in ("-y", "x - (1 - x^2)*y"))
+        >>> states = (State("x", -3.0, 3.0, "m"), State("y", -3.0, 3.0, "m/s"))
+        >>> van_der_pol = Dynamics("van-der-pol", "continuous", states, rates)
+        >>> figure = plot_motion(van_der_pol, parse("1.5*x^2 - x*y + y^2", k), level=2.2, falsified=2.3)
+        >>> [ax.get_xlabel() for ax in figure.axes]
+        ['x [m]']
+    """
+    planes = list(combinations(range(len(dynamics.states)), 2))[:_MOST_PLANES] or [(0, 0)]
+    columns = min(len(planes), 3)
+    rows = -(-len(planes) // columns)
+    figure = new_figure(0.6 + 4.2 * columns, 0.9 + 3.9 * rows)
+    axes = figure.subplots(rows, columns, squeeze=False).reshape(-1)
+    for ax, plane in zip(axes, planes, strict=False):
+        if plane == (0, 0):
+            _line(ax, dynamics, function, level, falsified)
+        else:
+            _plane(ax, dynamics, function, plane, level, falsified)
+    for ax in axes[len(planes) :]:
+        ax.set_visible(False)
+    handles = [
+        Line2D([], [], color=GOOD, lw=1.8, label=f"V = {level:.4g}, certified"),
+        Line2D([], [], color=MUTED, lw=0.8, label="solutions from the boundary"),
+    ]
+    if falsified is not None:
+        handles.insert(1, Line2D([], [], color=AVOIDING, lw=1.4, ls="--", label=f"V = {falsified:.4g}, falsified"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(columns + 1, 3), fontsize=8.5, frameon=False)
+    return figure
+
+
+def _plane(
+    ax: Axes, dynamics: Dynamics, function: Node, plane: tuple[int, int], level: float, falsified: float | None
+) -> None:
+    i, j = plane
+    low, high = dynamics.box
+    a, b = np.linspace(low[i], high[i], _GRID), np.linspace(low[j], high[j], _GRID)
+    points = np.repeat(dynamics.equilibrium[:, None], _GRID * _GRID, axis=1)
+    points[i], points[j] = (mesh.reshape(-1) for mesh in np.meshgrid(a, b))
+    values = _values(dynamics, function, points).reshape(_GRID, _GRID)
+    dress(ax, x=_label(dynamics, i), y=_label(dynamics, j))
+    ax.grid(visible=False)
+    if not dynamics.discrete:
+        rates = dynamics.evaluate(points)
+        ax.streamplot(
+            a, b, rates[i].reshape(_GRID, _GRID), rates[j].reshape(_GRID, _GRID),
+            color=ROBOT, linewidth=0.5, arrowsize=0.7, density=0.9,
+        )  # fmt: skip
+    ax.contourf(a, b, values, levels=[-np.inf, level], colors=[GOOD], alpha=0.12)
+    boundary = ax.contour(a, b, values, levels=[level], colors=[GOOD], linewidths=1.8)
+    if falsified is not None:
+        ax.contour(a, b, values, levels=[falsified], colors=[AVOIDING], linewidths=1.4, linestyles="--")
+    around = np.vstack([np.zeros((0, 2)), *[np.asarray(path.vertices) for path in boundary.get_paths()]])
+    if around.size:
+        around = around[:: max(1, len(around) // _STARTS)]
+        start = np.repeat(dynamics.equilibrium[:, None], len(around), axis=1)
+        start[i], start[j] = around.T
+        paths = _solutions(dynamics, start)
+        for path in paths.transpose(2, 0, 1):
+            ax.plot(path[:, i], path[:, j], color=MUTED, lw=0.8, marker="." if dynamics.discrete else "", ms=3.0)
+    ax.plot(*dynamics.equilibrium[[i, j]], "o", color=INK, ms=3.5)
+    ax.set_xlim(low[i], high[i])
+    ax.set_ylim(low[j], high[j])
+
+
+def _line(ax: Axes, dynamics: Dynamics, function: Node, level: float, falsified: float | None) -> None:
+    """Plot V over the only state."""
+    a = np.linspace(float(dynamics.box[0, 0]), float(dynamics.box[1, 0]), _GRID)
+    ax.plot(a, _values(dynamics, function, a[None]), color=INK, lw=1.4)
+    ax.axhline(level, color=GOOD, lw=1.8)
+    if falsified is not None:
+        ax.axhline(falsified, color=AVOIDING, lw=1.4, ls="--")
+    dress(ax, x=_label(dynamics, 0), y="V")
+
+
+def _values(dynamics: Dynamics, function: Node, points: Array) -> Array:
+    nominal = np.repeat(dynamics.ranges.mean(axis=0)[:, None], points.shape[1], axis=1)
+    return np.asarray(dynamics.compiled(function)(points, nominal)).reshape(-1)
+
+
+def _solutions(dynamics: Dynamics, start: Array) -> Array:
+    """Return solutions (steps, n, N) from the states (n, N); a solution ends where it leaves the box by far."""
+    low, high = dynamics.box
+    if dynamics.discrete:
+        path = [start]
+        for _ in range(_STEPS // 10):
+            path.append(_inside(dynamics.evaluate(path[-1]), low, high))
+        return np.array(path)
+    rates = np.abs(dynamics.evaluate(start)) / (high - low)[:, None]
+    step = _TURN / max(float(rates[np.isfinite(rates)].max(initial=1e-9)), 1e-9)
+    path = [start]
+    for _ in range(_STEPS):
+        x = path[-1]
+        k1 = dynamics.evaluate(x)
+        k2 = dynamics.evaluate(x + step / 2 * k1)
+        k3 = dynamics.evaluate(x + step / 2 * k2)
+        path.append(_inside(x + step / 6 * (k1 + 2 * k2 + 2 * k3 + dynamics.evaluate(x + step * k3)), low, high))
+    return np.array(path)
+
+
+def _inside(x: Array, low: Array, high: Array) -> Array:
+    width = (high - low)[:, None]
+    far = np.any(~np.isfinite(x) | (x < low[:, None] - width) | (x > high[:, None] + width), axis=0)
+    return np.where(far, np.nan, x)
+
+
+def _label(dynamics: Dynamics, k: int) -> str:
+    state = dynamics.states[k]
+    return f"{state.name} [{state.unit}]"

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from surctl.certcheck import check_document
+from surctl.lyapunov import Bound, decide_motion, load_problem, solve
+from surctl.verification.formula import parse, variable
+from tests.lyapunov.problems import DECAY, MAP, VAN_DER_POL, written
+
+TRUE_AND_FALSE = [
+    # the least V at which V' = 0 is 2.32 (checked by an optimisation over the angle)
+    (VAN_DER_POL, ("level = 2.0", "level = 2.0"), "proved"),
+    (VAN_DER_POL, ("level = 2.0", "level = 2.4"), "refuted"),
+    (VAN_DER_POL, ("level = 2.0", "level = 0.5\nrate = 0.3"), "proved"),
+    (VAN_DER_POL, ("level = 2.0", "level = 0.5\nrate = 1.0"), "refuted"),
+    # V is not positive
+    (VAN_DER_POL, ("1.5*x^2 - x*y + y^2", "x^2 - 2*x*y + 0.9*y^2"), "refuted"),
+    # the level set leaves the box
+    (VAN_DER_POL, ("lower = -3, upper = 3, unit = \"m\"", "lower = -1, upper = 1, unit = \"m\""), "refuted"),
+    (DECAY, ("x - 1.5", "x - 1.5"), "proved"),
+    (DECAY, ("x - 1.5", "x - 0.9"), "refuted"),  # B > 0 in the initial set
+    (DECAY, ("x - 1.5", "x - 2.5"), "refuted"),  # B < 0 in the unsafe set
+    (DECAY, ("multiplier = \"-1\"", "multiplier = \"-2\""), "refuted"),  # -k x > -2 (x - 1.5) at x = 3, k = 0.8
+    (MAP, ("rate = 0.2", "rate = 0.2"), "proved"),
+    (MAP, ("rate = 0.2", "rate = 0.9"), "refuted"),
+    (MAP, ("0.5*x + 0.2*y^2", "3*x"), "refuted"),  # the successor leaves the box
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "change", "verdict"), TRUE_AND_FALSE)
+def test_true_claims_are_proved_and_false_ones_refuted(
+    tmp_path: Path, text: str, change: tuple[str, str], verdict: str
+) -> None:
+    decision = solve(load_problem(written(tmp_path, text, change)))
+    assert decision.verdict == verdict, decision.reason
+    assert bool(decision.document) == (verdict == "proved")
+    assert bool(decision.counterexample) == (verdict == "refuted")
+    if decision.document:
+        assert check_document(decision.document).accepted
+
+
+def test_an_ultimate_bound_is_proved_with_its_gain(tmp_path: Path) -> None:
+    # x' = -x + w with V = x²: V' + V = -x² + 2xw <= 1.5 w²
+    text = """
+kind = "lyapunov"
+name = "driven"
+[states]
+x = { rate = "-x + w", lower = -2, upper = 2 }
+[parameters]
+w = { lower = -0.5, upper = 0.5 }
+"""
+    d = load_problem(written(tmp_path, text)).dynamics
+    square = parse("x^2", {"x": variable("x")})
+    bound = Bound(d, square, level=1.0, rate=1.0, gains={"w": 1.5})
+    assert bound.ultimate == 0.375
+    assert decide_motion(bound).verdict == "proved"
+    assert decide_motion(Bound(d, square, level=1.0, rate=1.0, gains={"w": 0.9})).verdict == "refuted"
+    # a level below the bound is not invariant
+    low = decide_motion(Bound(d, square, level=0.2, rate=1.0, gains={"w": 1.5}))
+    assert low.verdict == "unknown"
+    assert "exceeds the level" in low.reason
