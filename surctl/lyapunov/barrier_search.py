@@ -1,0 +1,272 @@
+"""Find a barrier function by linear programs over samples and counterexamples, and prove it."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.lyapunov.claims import Safety
+from surctl.lyapunov.decide import Decision, decide_motion
+from surctl.lyapunov.dynamics import Dynamics, exact
+from surctl.verification.formula import Node, number, power, to_casadi, variable
+
+__all__ = ["FoundBarrier", "find_barrier"]
+
+Array = NDArray[np.float64]
+
+_MULTIPLIERS = (0.0, -1.0, -0.1, 1.0)
+_FACTORS = (1.0, 0.5, 0.9, 0.0)  # in discrete time, B(x⁺) ≤ factor · B
+_SAMPLES, _DENSE, _ROUNDS, _WORST = 400, 8192, 12, 30
+_SPEED = 0.02  # share of the speed of the scaled states by which the change of B keeps clear of its bound
+_LEAST = 1e-4  # least margin of a barrier whose scaled coefficients are at most 1
+_MARGIN = 0.02  # margin to which a barrier is scaled
+
+
+@dataclass(frozen=True, eq=False)
+class FoundBarrier:
+    """The result of the search for a barrier function.
+
+    Attributes:
+        decision: the decision on the last claim that was tried; None if no function fits the samples.
+        tried: the degrees and multipliers that were tried, in words.
+        seconds: duration [s].
+    """
+
+    decision: Decision | None
+    tried: tuple[str, ...]
+    seconds: float
+
+    @property
+    def verdict(self) -> str:
+        """`proved`, or `unknown`: a search does not show that no barrier exists."""
+        return "proved" if self.decision is not None and self.decision.verdict == "proved" else "unknown"
+
+
+def find_barrier(
+    dynamics: Dynamics,
+    initial: Sequence[Node],
+    unsafe: Sequence[Node],
+    *,
+    multiplier: float | None = None,
+    degree: int = 4,
+    time_limit: float = 60.0,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> FoundBarrier:
+    """Find a polynomial B that proves that no solution from the initial set reaches the unsafe set in the box.
+
+    Args:
+        dynamics: the dynamics.
+        initial: expressions that are ≤ 0 in the initial set.
+        unsafe: expressions that are ≤ 0 in the unsafe set.
+        multiplier: number λ of B' ≤ λ B; by default several are tried.
+        degree: largest degree of B.
+        time_limit: limit of the processor time [s].
+        seed: seed of the samples.
+        progress: function that receives a line of progress from time to time.
+
+    Raises:
+        InputError: no sample lies in the initial or the unsafe set.
+
+    Example:
+        >>> from surctl.lyapunov import Dynamics, State, find_barrier
+        >>> from surctl.verification.formula import parse, variable
+        >>> x = {n: variable(n) for n in "xy"}
+        >>> states = State("x", -2.0, 2.0), State("y", -2.0, 2.0)
+        >>> spiral = Dynamics("spiral", "continuous", states, (parse("-x + y", x), parse("-x - y", x)))
+        >>> start, bad = parse("x^2 + y^2 - 0.25", x), parse("1.5 - x", x)
+        >>> find_barrier(spiral, [start], [bad], degree=2).verdict
+        'proved'
+    """
+    began, until = time.perf_counter(), time.process_time() + time_limit
+    samples = _Samples(dynamics, tuple(initial), tuple(unsafe), seed)
+    options = (_FACTORS if dynamics.discrete else _MULTIPLIERS) if multiplier is None else (multiplier,)
+    decision, tried = None, []
+    for k in range(1, degree + 1):
+        template = _Template(dynamics, k)
+        fits = [(template.fitted(samples, option, until), option) for option in options]
+        good = sorted(((fit, o) for fit, o in fits if fit is not None), key=lambda pair: -pair[0][1])
+        for (coefficients, margin), option in good:
+            left = until - time.process_time()
+            if left <= 0:
+                break
+            label = f"degree {k}, {'factor' if dynamics.discrete else 'multiplier'} {option:g}"
+            function = template.function(coefficients * (_MARGIN / margin))
+            factor = None if dynamics.discrete else exact(option)
+            claim = Safety(dynamics, function, tuple(initial), tuple(unsafe), factor)
+            decision = decide_motion(claim, time_limit=0.5 * left, seed=seed)
+            tried.append(f"{label}: {decision.verdict}")
+            if progress:
+                progress(f"{label}: margin {margin:.3g}, {decision.verdict} {decision.reason}")
+            if decision.verdict == "proved":
+                return FoundBarrier(decision, tuple(tried), time.perf_counter() - began)
+        if time.process_time() > until:
+            break
+    return FoundBarrier(decision, tuple(tried), time.perf_counter() - began)
+
+
+class _Samples:
+    # samples of the initial set, the unsafe set and the box, as columns
+    def __init__(self, d: Dynamics, initial: tuple[Node, ...], unsafe: tuple[Node, ...], seed: int) -> None:
+        from scipy.stats import qmc
+
+        self.dynamics = d
+        self.random = np.random.default_rng(seed)
+        self._sets = [self._compiled(initial), self._compiled(unsafe)]
+        low, high = d.box
+        unit = qmc.Sobol(len(low), seed=seed).random(_DENSE).T
+        wide = low[:, None] + (high - low)[:, None] * unit
+        self.initial = self._inside(0, wide, "initial")
+        self.unsafe = self._inside(1, wide, "unsafe")
+        self.box = np.hstack([wide, self._on_faces(wide)])
+
+    def _compiled(self, constraints: tuple[Node, ...]) -> ca.Function:
+        d = self.dynamics
+        x = ca.vertcat(*[d.symbols[name] for name in d.names])
+        rows = [to_casadi(g, d.symbols) for g in constraints] or [ca.SX(-1)]
+        return ca.Function("inside", [x], [ca.mmax(ca.vertcat(*rows))])
+
+    def _inside(self, which: int, wide: Array, name: str) -> Array:
+        """Return points of a set; a small set is found by steps that shrink towards it."""
+        d = self.dynamics
+        low, high = (end[:, None] for end in d.box)
+        best, values = wide, np.asarray(self._sets[which](wide)).reshape(-1)
+        radius = 0.3
+        for _ in range(25):
+            if (values <= 0).sum() >= _SAMPLES:
+                break
+            order = np.argsort(values)[:200]
+            centre = best[:, order][:, self.random.integers(0, len(order), 4000)]
+            fresh = np.clip(centre + radius * (high - low) * self.random.standard_normal(centre.shape), low, high)
+            best = np.hstack([best[:, order], best[:, values <= 0], fresh])
+            values = np.asarray(self._sets[which](best)).reshape(-1)
+            radius *= 0.7
+        inside = best[:, values <= 0]
+        if not inside.size:
+            raise InputError(
+                "holds no sample in the box",
+                key=f"{d.name}.{name}",
+                remedy="widen the set, or the bounds of the states",
+            )
+        return inside
+
+    def _on_faces(self, wide: Array) -> Array:
+        d = self.dynamics
+        part = wide[:, :: max(1, _DENSE // 1024)].copy()
+        columns = np.arange(part.shape[1])
+        which = self.random.integers(0, len(d.states), part.shape[1])
+        part[which, columns] = d.box[self.random.integers(0, 2, part.shape[1]), which]
+        return part
+
+
+class _Template:
+    # all monomials up to a degree in the scaled states z ∈ [−1, 1]
+    def __init__(self, d: Dynamics, degree: int) -> None:
+        self.dynamics = d
+        count = len(d.states)
+        self.powers = [
+            tuple(picked.count(k) for k in range(count))
+            for total in range(degree + 1)
+            for picked in itertools.combinations_with_replacement(range(count), total)
+        ]
+        low, high = d.box
+        self.sizes = np.maximum(np.abs(low), np.abs(high))
+        x = ca.vertcat(*[d.symbols[name] for name in d.names])
+        w = ca.vertcat(ca.SX(0, 1), *[d.symbols[p.name] for p in d.parameters])
+        z = x / ca.DM(self.sizes)
+        values = ca.vertcat(*[_product(z, p) for p in self.powers])
+        rates = ca.vertcat(*[to_casadi(node, d.symbols) for node in d.rates])
+        if d.discrete:
+            change, speed = ca.substitute(values, x, rates), ca.fabs((rates - x) / ca.DM(self.sizes))
+        else:
+            change, speed = ca.jacobian(values, x) @ rates, ca.fabs(rates / ca.DM(self.sizes))
+        rows = ca.vertcat(values, change, ca.mmax(speed))
+        self._function = ca.Function("features", [x, w], [ca.densify(rows)], {"cse": True})
+
+    def _read(self, x: Array, w: Array) -> tuple[Array, Array, Array]:
+        rows = np.asarray(self._function(x, np.repeat(w[:, None], x.shape[1], axis=1)))
+        return rows[: len(self.powers)], rows[len(self.powers) : -1], rows[-1]
+
+    def fitted(self, samples: _Samples, option: float, until: float) -> tuple[Array, float] | None:
+        """Return coefficients and their margin on all samples; None if the margin is too small."""
+        corners = self.dynamics.corners()
+        none = corners[:, 0]
+        start, bad = self._read(samples.initial, none)[0], self._read(samples.unsafe, none)[0]
+        flow = []
+        for corner in corners.T:
+            values, change, speed = self._read(samples.box, corner)
+            flow.append((change - option * values, _SPEED * speed))
+        g = np.hstack([part[0] for part in flow])
+        clear = np.concatenate([part[1] for part in flow])
+        # each row a·c + b·margin ≤ 0
+        rows = np.hstack([start, -bad, g]).T
+        weights = np.concatenate([np.ones(start.shape[1] + bad.shape[1]), clear])
+        active = self._first(samples.random, start.shape[1], bad.shape[1], g.shape[1])
+        for _ in range(_ROUNDS):
+            if time.process_time() > until:
+                return None
+            found = _solve(rows[active], weights[active])
+            if found is None or found[1] < _LEAST:
+                return None
+            coefficients, margin = found
+            excess = rows @ coefficients + weights * margin * 0.5
+            broken = np.flatnonzero(excess > 1e-9)
+            if not broken.size:
+                return coefficients, margin
+            worst = broken[np.argsort(-excess[broken])][: 4 * _WORST]
+            spread = samples.random.choice(broken, min(len(broken), _WORST), replace=False)
+            active = np.unique(np.concatenate([active, worst[:: 4 if len(worst) > _WORST else 1], spread]))
+        return None
+
+    def _first(self, random: np.random.Generator, *counts: int) -> NDArray[np.int_]:
+        picked, begin = [], 0
+        for count in counts:
+            picked.append(begin + random.choice(count, min(count, _SAMPLES), replace=False))
+            begin += count
+        return np.concatenate(picked)
+
+    def function(self, coefficients: Array, digits: int = 4) -> Node:
+        """Return B with coefficients (K,) of the scaled monomials, rounded in the states' units."""
+        total: Node | None = None
+        for c, powers in zip(coefficients, self.powers, strict=True):
+            if abs(c) < 1e-4 * np.abs(coefficients).max():
+                continue
+            raw = c / float(np.prod(self.sizes ** np.array(powers)))
+            value = number(Fraction(f"{abs(raw):.{digits - 1}e}"))
+            names = zip(self.dynamics.names, powers, strict=True)
+            term = value
+            for name, exponent in names:
+                term = term * power(variable(name), exponent) if exponent else term
+            total = (term if raw > 0 else -term) if total is None else total + term if raw > 0 else total - term
+        return number(0) if total is None else total
+
+
+def _solve(rows: Array, weights: Array) -> tuple[Array, float] | None:
+    """Return c with |c| ≤ 1 and the largest margin with rows·c + weights · margin ≤ 0."""
+    from scipy.optimize import linprog
+
+    count = rows.shape[1]
+    run = linprog(
+        np.append(np.zeros(count), -1.0),
+        A_ub=np.column_stack([rows, weights]),
+        b_ub=np.zeros(len(rows)),
+        bounds=[(-1, 1)] * count + [(0, 1)],
+        method="highs",
+    )
+    return (np.asarray(run.x[:-1]), float(run.x[-1])) if run.status == 0 else None
+
+
+def _product(z: ca.SX, powers: Sequence[int]) -> ca.SX:
+    total = ca.SX(1)
+    for k, exponent in enumerate(powers):
+        for _ in range(exponent):
+            total = total * z[k]
+    return total

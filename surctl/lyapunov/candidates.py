@@ -1,0 +1,190 @@
+"""Candidates for Lyapunov functions: quadratic ones of the linearisation, shaped for a large region, and polynomials."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.lyapunov.dynamics import Dynamics
+from surctl.lyapunov.equilibrium import Linear, common_quadratic
+from surctl.lyapunov.rays import Grid, directions, grid
+from surctl.lyapunov.shape import enlarge
+from surctl.lyapunov.template import Template, polynomials, quadratic
+from surctl.verification.formula import Node
+
+__all__ = ["Candidate", "candidates"]
+
+Array = NDArray[np.float64]
+
+_MOST_CORNERS = 8
+_MOST_TERMS = 130  # polynomials with more terms are not searched
+_SPARE = 0.02  # least decay rate of a candidate, as a share of that of the linearisation
+_MARGIN = 1.25  # radius of the grid relative to that of the region
+_ROUNDS = 5
+_GROWTH = 1.01  # relative growth of the volume below which the rounds end
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A candidate for a Lyapunov function.
+
+    Attributes:
+        label: description, such as "polynomial of degree 4".
+        function: V, with rounded coefficients; the region is about V < 1.
+        volume: estimated volume of the region, relative to the box.
+    """
+
+    label: str
+    function: Node
+    volume: float
+
+
+def candidates(
+    dynamics: Dynamics, linear: Linear, *, degree: int, seconds: float, rate: float = 0.0, seed: int = 0
+) -> Iterator[Candidate]:
+    """Yield candidates of increasing degree, each shaped for a large region.
+
+    Args:
+        dynamics: the dynamics, with a stable linearisation.
+        linear: the linearisation at the corners of the parameters.
+        degree: largest degree of a polynomial.
+        seconds: limit of the processor time [s].
+        rate: decay rate that V must have in the region.
+        seed: seed of the random numbers.
+    """
+    d = dynamics
+    until = time.process_time() + seconds
+    scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+    rate = max(rate, _least_rate(d, linear))
+    shift = np.eye(len(scales)) * rate / 2
+    shifted = linear.matrices / np.sqrt(1 - min(rate, 0.999)) if d.discrete else linear.matrices + shift
+    matrix = common_quadratic(shifted, scales, discrete=d.discrete)
+    if matrix is None:
+        return
+    shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
+    template = polynomials(d, 2, scales)
+    start = quadratic(d, matrix)
+    part = 0.3 * seconds / max(1, degree - 1)
+    coefficients, volume = shaper.shaped(template, start, part)
+    if volume > 0:
+        yield Candidate("quadratic", template.function(coefficients), volume)
+    else:
+        yield Candidate("quadratic", template.function(start / np.abs(start).max()), 0.0)
+        return
+    for higher in range(4, degree + 1, 2):
+        wider = polynomials(d, higher, scales, even=shaper.half)
+        if len(wider.basis) > _MOST_TERMS:
+            return
+        at = {node: k for k, node in enumerate(wider.basis)}
+        start = np.zeros(len(wider.basis))
+        for node, c in zip(template.basis, coefficients, strict=True):
+            start[at[node]] = c
+        share = (until - time.process_time()) / (1 + (degree - higher) // 2)
+        template = wider
+        coefficients, volume = shaper.shaped(template, start, share)
+        yield Candidate(f"polynomial of degree {higher}", template.function(coefficients), volume)
+
+
+def _least_rate(d: Dynamics, linear: Linear) -> float:
+    """Return a small part of the slowest decay rate of a quadratic function close to the equilibrium."""
+    eigenvalues = np.linalg.eigvals(linear.matrices)
+    slowest = 1 - float(np.abs(eigenvalues).max()) ** 2 if d.discrete else -2 * float(eigenvalues.real.max())
+    return _SPARE * slowest
+
+
+@dataclass(eq=False)
+class _Shaper:
+    dynamics: Dynamics
+    scales: Array
+    rate: float
+    seed: int
+    half: bool
+
+    def __post_init__(self) -> None:
+        d = self.dynamics
+        n = len(d.states)
+        corners = d.corners(most=10)
+        few = np.random.default_rng(0).permutation(corners.shape[1])[:_MOST_CORNERS]
+        self.corners = corners[:, np.sort(few)]
+        self.rays = {1: 2, 2: 64 if self.half else 128}.get(n, min(256 * (n - 1), 1024))
+        self.extent: Array | None = None
+        self.directions = directions(n, self.rays, half=self.half)
+
+    def shaped(self, template: Template, start: Array, seconds: float) -> tuple[Array, float]:
+        """Return coefficients with a large region V < 1, and the volume of the region relative to the box."""
+        until = time.process_time() + seconds
+        best, volume = start, 0.0
+        for k in range(_ROUNDS):
+            trial = self._grid(template)
+            level = trial.sizes(best[None], self.rate).level[0]
+            if not level > 0 and k > 0:
+                break
+            found, size = enlarge(
+                trial, best, seconds=(until - time.process_time()) / 2, rate=self.rate, seed=self.seed + k
+            )
+            if not size > 0:
+                return best, volume
+            best = found
+            radii = trial.extent(found, 1.0)
+            self.extent = radii
+            grown = self._volume(radii)
+            done = grown < volume * _GROWTH
+            volume = max(volume, grown)
+            if done or time.process_time() > until:
+                break
+        return self._polished(template, start, best, max(until - time.process_time(), seconds / 4)), volume
+
+    def _polished(self, template: Template, start: Array, best: Array, seconds: float) -> Array:
+        """Return coefficients near `best` that are also good between the points of the coarse grid."""
+        fine = self._grid(template, finer=2)
+        first = start / max(float(fine.sizes(start[None], self.rate).level[0]), 1e-300)
+        for share in (0.0, 0.01, 0.03, 0.1, 0.3):
+            trial = (1 - share) * best + share * first
+            if fine.sizes(trial[None], self.rate).level[0] > 0:
+                return enlarge(fine, trial, seconds=seconds, rate=self.rate, seed=self.seed, step=1e-3)[0]
+        return start
+
+    def _grid(self, template: Template, finer: int = 1) -> Grid:
+        n = len(self.scales)
+        outer = None if self.extent is None else _MARGIN * self.extent
+        if outer is not None and finer > 1:
+            # each direction takes the radius of the nearest coarse one
+            near = np.argmax(directions(n, finer * self.rays, half=self.half).T @ self.directions, axis=1)
+            outer = outer[near]
+        points = 48 if outer is None else 24 if n < 4 else 16
+        return grid(
+            template,
+            self.scales,
+            rays=finer * self.rays,
+            points=points,
+            corners=self.corners,
+            outer=outer,
+            half=self.half,
+        )
+
+    def _volume(self, radii: Array) -> float:
+        from scipy.special import gamma
+
+        n = len(self.scales)
+        ball = np.pi ** (n / 2) / gamma(n / 2 + 1)
+        box = np.prod((self.dynamics.box[1] - self.dynamics.box[0]) / self.scales)
+        return float(ball * (radii**n).mean() / box)
+
+
+def _odd(d: Dynamics) -> bool:
+    """Return whether the dynamics are symmetric to the equilibrium: f(x* + z) = −f(x* − z) for all parameters."""
+    low, high = d.box - d.equilibrium
+    if not np.allclose(low, -high):
+        return False
+    random = np.random.default_rng(0)
+    z = high[:, None] * random.uniform(-1, 1, (len(high), 64))
+    w = d.ranges[0][:, None] + (d.ranges[1] - d.ranges[0])[:, None] * random.uniform(0, 1, (d.ranges.shape[1], 64))
+    x = d.equilibrium[:, None]
+    ahead, back = d.evaluate(x + z, w), d.evaluate(x - z, w)
+    if d.discrete:
+        ahead, back = ahead - x, back - x
+    return bool(np.allclose(ahead, -back, rtol=1e-9, atol=1e-12 * np.abs(ahead).max()))

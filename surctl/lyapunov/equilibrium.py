@@ -1,0 +1,171 @@
+"""Equilibria of dynamics, their linearisation, and quadratic Lyapunov functions of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.lyapunov.dynamics import Dynamics
+
+__all__ = ["Linear", "at_equilibrium", "common_quadratic", "equilibria", "linearisation"]
+
+Array = NDArray[np.float64]
+
+_REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
+_MARGIN = 1e-7  # real parts within this share of the largest modulus of an eigenvalue count as 0
+_STARTS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The linearisation at the equilibrium.
+
+    Attributes:
+        matrices: Jacobians (C, n, n) at the corners of the parameters.
+        verdict: "stable", "unstable", or "marginal": an eigenvalue on the border of stability decides nothing.
+        reason: the eigenvalue that is not stable, in words; empty if all are.
+    """
+
+    matrices: Array
+    verdict: str
+    reason: str
+
+
+def equilibria(dynamics: Dynamics, *, seed: int = 0) -> list[Array]:
+    """Return the equilibria (n,) in the box, at the middle of the parameters, that a root search finds."""
+    from scipy.optimize import fsolve
+    from scipy.stats import qmc
+
+    d = dynamics
+    low, high = d.box
+    size = max(float(np.abs(d.evaluate(np.column_stack([(low + high) / 2, low, high]))).max()), 1.0)
+
+    def rest(z: Array) -> Array:
+        x = low + (high - low) * z
+        return d.evaluate(x[:, None])[:, 0] - (x if d.discrete else 0.0)
+
+    found: list[Array] = []
+    for start in qmc.Sobol(len(low), seed=seed).random(_STARTS):
+        z, _, flag, _ = fsolve(rest, start, full_output=True)
+        if flag != 1 or np.any(z < 0) or np.any(z > 1) or np.abs(rest(z)).max() > _REST * size:
+            continue
+        if all(np.abs(z - other).max() > 1e-6 for other in found):
+            found.append(z)
+    return [_short(d, low + (high - low) * z) for z in sorted(found, key=lambda z: tuple(np.round(z, 6)))]
+
+
+def _short(d: Dynamics, x: Array) -> Array:
+    """Return the equilibrium with the fewest decimals that is as exact, if there is one."""
+
+    def rest(at: Array) -> float:
+        return float(np.abs(d.evaluate(at[:, None])[:, 0] - (at if d.discrete else 0.0)).max())
+
+    for decimals in range(10):
+        rounded = np.round(x, decimals) + 0.0
+        if rest(rounded) <= max(rest(x), 1e-13):
+            return rounded
+    return x
+
+
+def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
+    """Return the dynamics with their equilibrium: the stated one, or else the only one that a root search finds.
+
+    Raises:
+        InputError: the stated equilibrium is not one, and none or several are found.
+    """
+    d = dynamics
+    size = float(np.abs(d.evaluate(np.column_stack([d.box.mean(axis=0), *d.box]))).max())
+    if d.residual() <= _REST * max(size, 1.0):
+        return d
+    found = equilibria(d, seed=seed)
+    texts = "; ".join(", ".join(f"{name} = {v:.9g}" for name, v in zip(d.names, x, strict=True)) for x in found)
+    if len(found) != 1:
+        many = (
+            f"is not one, and the box contains several: {texts}" if found else "is not one, and the search finds none"
+        )
+        raise InputError(
+            many, key=f"{d.name}.equilibrium", remedy="give the equilibrium, or other bounds of the states"
+        )
+    states = tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, found[0], strict=True))
+    moved = replace(d, states=states)
+    if not moved.residual() <= _REST * max(size, 1.0):
+        raise InputError(
+            f"moves with the parameters (at their middle: {texts})", key=f"{d.name}.equilibrium",
+            remedy="fix the parameters, or claim a bound instead of stability",
+        )  # fmt: skip
+    return moved
+
+
+def linearisation(dynamics: Dynamics) -> Linear:
+    """Return the linearisation at the equilibrium for all corners of the parameters, and whether it is stable."""
+    d = dynamics
+    corners = d.corners()
+    matrices = np.array([d.linear(corner) for corner in corners.T])
+    eigenvalues = np.linalg.eigvals(matrices)
+    grown = np.abs(eigenvalues) - 1 if d.discrete else eigenvalues.real
+    i, j = np.unravel_index(np.argmax(grown), grown.shape)
+    worst, size = float(grown[i, j]), max(float(np.abs(eigenvalues[i]).max()), 1e-12)
+    if worst < -_MARGIN * size:
+        return Linear(matrices, "stable", "")
+    value = complex(eigenvalues[i, j])
+    text = f"{value.real:.6g}" + (f" ± {abs(value.imag):.6g}i" if abs(value.imag) > 1e-9 * size else "")
+    values = zip(d.parameters, corners[:, i], strict=True)
+    where = ", ".join(f"{p.name} = {v:.6g}" for p, v in values if p.lower < p.upper)
+    reason = f"the linearisation has the eigenvalue {text}" + (f" at {where}" if where else "")
+    # roots of multiplicity k move by the k-th root of the rounding error
+    fragile = np.abs(value) < 1e-3 * size or abs(grown[i, j]) < 1e-5 * size
+    return Linear(matrices, "marginal" if worst <= _MARGIN * size or (fragile and worst < 1e-6) else "unstable", reason)
+
+
+def common_quadratic(matrices: Array, scales: Sequence[float], *, discrete: bool) -> Array | None:
+    """Return P (n, n) ≻ 0 with A'P + PA ≺ 0, or A'PA − P ≺ 0, for all matrices A (C, n, n); None if none is found.
+
+    Args:
+        matrices: stable matrices.
+        scales: lengths (n,) of the states in which the decrease is measured.
+        discrete: whether the matrices are those of x⁺ = A x.
+    """
+    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
+    weight = np.diag(1 / np.asarray(scales) ** 2)
+    nominal = matrices.mean(axis=0) if len(matrices) > 1 else matrices[0]
+    solve = solve_discrete_lyapunov if discrete else lambda a, q: solve_continuous_lyapunov(a, -q)
+    trials = [np.asarray(solve(nominal.T, weight))]
+    if all(_decreases(trials[0], a, weight, discrete) for a in matrices):
+        return trials[0]
+    return _by_inequalities(matrices, np.asarray(scales), discrete=discrete)
+
+
+def _decreases(p: Array, a: Array, weight: Array, discrete: bool) -> bool:
+    loss = p - a.T @ p @ a if discrete else -(a.T @ p + p @ a)
+    size = np.diag(1 / np.sqrt(np.diag(weight)))
+    return bool(np.linalg.eigvalsh(size @ loss @ size).min() > 1e-6 and np.linalg.eigvalsh(size @ p @ size).min() > 0)
+
+
+def _by_inequalities(matrices: Array, scales: Array, *, discrete: bool) -> Array | None:
+    from surctl.verification.region.conic import minimise, symmetric_basis
+
+    n = len(scales)
+    size = np.diag(scales)
+    scaled = np.linalg.inv(size) @ matrices @ size
+    basis = symmetric_basis(n)
+    zero = np.zeros((1, n, n))
+    if discrete:
+        loss = basis[None] - scaled[:, None].transpose(0, 1, 3, 2) @ basis[None] @ scaled[:, None]
+    else:
+        loss = -(scaled[:, None].transpose(0, 1, 3, 2) @ basis[None] + basis[None] @ scaled[:, None])
+    rows = [
+        (zero - np.eye(n) * 1e-6, basis[None]),
+        (np.repeat(zero - np.eye(n), len(matrices), axis=0), loss),
+    ]
+    cost = np.trace(basis, axis1=1, axis2=2)
+    x = minimise(cost, rows)
+    if x is None:
+        return None
+    p = np.tensordot(x, basis, axes=1)
+    inverse = np.linalg.inv(size)
+    return np.asarray(inverse @ p @ inverse)

@@ -1,0 +1,245 @@
+"""Find a Lyapunov function and a large region of attraction, and prove them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from surctl.errors import InputError
+from surctl.lyapunov.candidates import Candidate, candidates
+from surctl.lyapunov.claims import Stability
+from surctl.lyapunov.decide import Decision, decide_motion
+from surctl.lyapunov.dynamics import Dynamics
+from surctl.lyapunov.equilibrium import at_equilibrium, linearisation
+from surctl.lyapunov.falsified import Falsified, least_level
+from surctl.verification.formula import Node, text_of
+
+__all__ = ["Found", "find_stability"]
+
+_SHARES = (0.99, 0.97, 0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1)
+_SEARCH = 0.3  # share of the time for the search of functions
+_LARGEST = 0.25  # share of the time for the largest rate
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The result of the search for a Lyapunov function.
+
+    Attributes:
+        verdict: `proved`, `refuted` (the equilibrium is not stable for all parameters) or `unknown`.
+        reason: why the verdict is not `proved`, in one sentence; empty if it is.
+        decision: the decision on the claim with the largest proved region, or on the last claim that was tried; None if
+            there is none.
+        falsified: the least level of the function for which a counterexample was found; None without a function.
+        label: how the function was found.
+        volume: estimated volume of the region relative to the box.
+        seconds: duration [s].
+    """
+
+    verdict: Literal["proved", "refuted", "unknown"]
+    reason: str
+    decision: Decision | None
+    falsified: Falsified | None
+    label: str
+    volume: float
+    seconds: float
+
+    @property
+    def claim(self) -> Stability | None:
+        """The claim: function, level and rate."""
+        claim = None if self.decision is None else self.decision.claim
+        return claim if isinstance(claim, Stability) else None
+
+    @property
+    def ratio(self) -> float:
+        """The proved level relative to the least level with a counterexample; 0 if no level is proved."""
+        if self.verdict != "proved" or self.claim is None or self.falsified is None:
+            return 0.0
+        return self.claim.level / self.falsified.level
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain data for JSON."""
+        known = self.claim is not None
+        return {
+            "verdict": self.verdict, "reason": self.reason or None, "found": self.label or None,
+            "function": text_of(self.claim.function) if self.claim else None,
+            "level": self.claim.level if self.claim and self.verdict == "proved" else None,
+            "rate": self.claim.rate if self.claim else None,
+            "falsified_level": self.falsified.level if self.falsified and known else None,
+            "counterexample": dict(self.falsified.values) if self.falsified and known else None,
+            "ratio": self.ratio, "volume": self.volume,
+            "certificate": dict(self.decision.document) if self.decision and self.decision.document else None,
+            "seconds": self.seconds,
+        }  # fmt: skip
+
+
+def find_stability(
+    dynamics: Dynamics,
+    *,
+    function: Node | None = None,
+    level: float | None = None,
+    rate: float | Literal["largest"] | None = None,
+    degree: int = 6,
+    time_limit: float = 60.0,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Found:
+    """Find and prove a region of attraction: a Lyapunov function, its largest provable level, and optionally its rate.
+
+    The least level for which a counterexample exists is searched first; the proof is then tried at levels just below.
+
+    Args:
+        dynamics: the dynamics; if the stated equilibrium is not one, the only one in the box is taken.
+        function: V, an expression of the states; by default it is searched.
+        level: level of the region; by default it is searched.
+        rate: with a number, V' ≤ −rate · V is demanded; "largest" proves a large rate for the region that was found;
+            None means any strict decrease.
+        degree: largest degree of V.
+        time_limit: limit of the processor time [s].
+        seed: seed of the random numbers.
+        progress: function that receives a line of progress from time to time.
+
+    Raises:
+        InputError: the equilibrium is not one, and none or several are in the box.
+
+    Example:
+        >>> from surctl.lyapunov import Dynamics, State, find_stability
+        >>> from surctl.verification.formula import parse, variable
+        >>> x = {"x": variable("x")}
+        >>> cubic = Dynamics("cubic", "continuous", (State("x", -2.0, 2.0),), (parse("-x + x^3", x),))
+        >>> found = find_stability(cubic, degree=2)
+        >>> found.verdict, found.ratio >= 0.9
+        ('proved', True)
+    """
+    began = time.perf_counter()
+    until = time.process_time() + time_limit
+    d = at_equilibrium(dynamics, seed=seed)
+    linear = linearisation(d)
+    if linear.verdict == "unstable":
+        return _none("refuted", linear.reason, began)
+    wanted = None if rate == "largest" else rate
+    if function is not None:
+        offered: Iterator[Candidate] = iter([Candidate("given", function, 0.0)])
+    elif linear.verdict == "marginal":
+        return _none("unknown", f"{linear.reason}, which decides nothing; give a function", began)
+    else:
+        offered = candidates(d, linear, degree=degree, seconds=_SEARCH * time_limit, rate=wanted or 0.0, seed=seed)
+    trials = []
+    for candidate in offered:
+        bound = least_level(d, candidate.function, wanted, seed=seed)
+        _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}, volume {candidate.volume:.3g}")
+        trials.append((candidate, bound))
+    if not trials:
+        return _none("unknown", "no quadratic function decreases for all corners of the parameters", began)
+    trials.sort(key=lambda trial: -trial[0].volume * (trial[1].level > 0))
+    best = None
+    for k, (candidate, bound) in enumerate(trials):
+        rest = until - time.process_time()
+        share = rest if k == len(trials) - 1 else 0.6 * rest
+        result = _proved(d, candidate, bound, wanted, level, share, began, seed, progress)
+        best = result if best is None or result.verdict == "proved" else best
+        if result.verdict == "proved" or until < time.process_time():
+            break
+    assert best is not None
+    if rate == "largest" and best.verdict == "proved":
+        best = _with_rate(best, max(until - time.process_time(), _LARGEST * time_limit), seed, progress)
+    return replace(best, seconds=time.perf_counter() - began)
+
+
+def _proved(
+    d: Dynamics,
+    candidate: Candidate,
+    bound: Falsified,
+    rate: float | None,
+    level: float | None,
+    seconds: float,
+    began: float,
+    seed: int,
+    progress: Callable[[str], None] | None,
+) -> Found:
+    """Return the largest level that is proved, of some shares of the least level with a counterexample."""
+    until = time.process_time() + seconds
+    if not bound.level > 0:
+        reason = "V is not positive in the box" if bound.level < 0 else _flat(d, candidate.function)
+        return replace(_none("unknown", reason, began), label=candidate.label, falsified=bound)
+    levels = [level] if level is not None else [_short(share * bound.level) for share in _SHARES]
+    decision = None
+    for k, value in enumerate(levels):
+        left = until - time.process_time()
+        if left <= 0:
+            break
+        # higher levels come first, but each leaves time for the lower ones
+        share = left if k == len(levels) - 1 else 0.4 * left
+        decision = decide_motion(Stability(d, candidate.function, value, rate), time_limit=share, seed=seed)
+        _say(progress, f"{candidate.label}: level {value:.4g} {decision.verdict} {decision.reason}")
+        if decision.verdict == "proved":
+            volume = candidate.volume * (value / bound.level) ** (len(d.states) / 2)
+            return Found("proved", "", decision, bound, candidate.label, volume, 0.0)
+    verdict: Literal["refuted", "unknown"] = "unknown"
+    reason = "the time limit was reached" if decision is None else decision.reason
+    if level is not None and decision is not None and decision.verdict == "refuted":
+        verdict = "refuted"
+    return Found(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)
+
+
+def _flat(d: Dynamics, function: Node) -> str:
+    """Return why no level is possible: V' is positive somewhere close to the equilibrium, or only semidefinite."""
+    random = np.random.default_rng(0)
+    change = d.compiled(function, d.change(function))
+    z = (d.box - d.equilibrium)[1][:, None] * random.standard_normal((len(d.states), 2000)) * 0.05
+    worst = 0.0
+    for corner in d.corners().T:
+        v, moved = np.asarray(change(d.equilibrium[:, None] + z, np.repeat(corner[:, None], z.shape[1], axis=1)))
+        worst = max(worst, float(((moved - v if d.discrete else moved) / v).max()))
+    return "V' is only semidefinite" if worst <= 1e-9 else "V does not decrease close to the equilibrium"
+
+
+def _with_rate(found: Found, seconds: float, seed: int, progress: Callable[[str], None] | None) -> Found:
+    """Return the result with the largest rate that is proved in the region."""
+    claim = found.claim
+    assert claim is not None
+    until = time.process_time() + seconds
+    most = _sampled_rate(claim)
+    for share in (0.95, 0.9, 0.8, 0.6, 0.4, 0.2, 0.05):
+        left = until - time.process_time()
+        if left <= 0:
+            break
+        trial = decide_motion(replace(claim, rate=_short(share * most)), time_limit=0.5 * left, seed=seed)
+        _say(progress, f"rate {share * most:.3g}: {trial.verdict} {trial.reason}")
+        if trial.verdict == "proved":
+            return replace(found, decision=trial)
+    return found
+
+
+def _sampled_rate(claim: Stability) -> float:
+    d = claim.dynamics
+    random = np.random.default_rng(0)
+    low, high = d.box
+    wide = low[:, None] + (high - low)[:, None] * random.uniform(0, 1, (len(low), 20000))
+    x = np.hstack([d.equilibrium[:, None] + (wide - d.equilibrium[:, None]) * near for near in (1.0, 0.3, 0.03)])
+    both = d.compiled(claim.function, d.change(claim.function))
+    least = np.inf
+    for corner in d.corners().T:
+        v, moved = np.asarray(both(x, np.repeat(corner[:, None], x.shape[1], axis=1)))
+        inside = v < claim.level
+        least = min(least, float((((v - moved) if d.discrete else -moved)[inside] / v[inside]).min()))
+    return least
+
+
+def _none(verdict: Literal["refuted", "unknown"], reason: str, began: float) -> Found:
+    return Found(verdict, reason, None, None, "", 0.0, time.perf_counter() - began)
+
+
+def _short(value: float) -> float:
+    """Return a number of four digits that is not above a positive value."""
+    size = 10.0 ** (np.floor(np.log10(value)) - 3)
+    return float(f"{np.floor(value / size) * size:.6g}")
+
+
+def _say(progress: Callable[[str], None] | None, text: str) -> None:
+    if progress:
+        progress(text)

@@ -1,0 +1,107 @@
+"""Templates of Lyapunov functions: linear combinations Σ c_k φ_k of basis functions with a double zero at x*."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.lyapunov.dynamics import Dynamics, exact
+from surctl.verification.formula import Node, number, power, to_casadi, variable
+
+__all__ = ["Template", "polynomials", "quadratic"]
+
+Array = NDArray[np.float64]
+Powers = tuple[int, ...]
+
+_NEGLIGIBLE = 3e-5  # coefficients below this share of the largest one, in scaled states, are left out
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """Basis functions of the states that vanish to second order at the equilibrium.
+
+    Attributes:
+        dynamics: the dynamics.
+        basis: the K basis functions.
+        sizes: typical size (K,) of each basis function, by which coefficients are compared.
+    """
+
+    dynamics: Dynamics
+    basis: tuple[Node, ...]
+    sizes: Array
+
+    @cached_property
+    def _function(self) -> ca.Function:
+        d = self.dynamics
+        x = ca.vertcat(*[d.symbols[s.name] for s in d.states])
+        w = ca.vertcat(ca.SX(0, 1), *[d.symbols[p.name] for p in d.parameters])
+        values = ca.vertcat(*[to_casadi(node, d.symbols) for node in self.basis])
+        rates = ca.vertcat(*[to_casadi(node, d.symbols) for node in d.rates])
+        if d.discrete:
+            change = ca.substitute(values, x, rates) - values
+        else:
+            change = ca.jacobian(values, x) @ rates
+        return ca.Function("features", [x, w], [ca.densify(values), ca.densify(change)], {"cse": True})
+
+    def features(self, x: Array, w: Array) -> tuple[Array, Array]:
+        """Return φ (K, N), and φ' or φ(x⁺) − φ(x) (K, N), at states x (n, N) for parameters w (m,)."""
+        values, change = self._function(x, np.repeat(w[:, None], x.shape[1], axis=1))
+        return np.asarray(values), np.asarray(change)
+
+    def function(self, coefficients: Array, digits: int = 4) -> Node:
+        """Return Σ c_k φ_k with coefficients (K,) rounded to `digits` digits; negligible terms are left out."""
+        share = np.abs(coefficients) * self.sizes
+        total: Node | None = None
+        for c, size, node in zip(coefficients, share, self.basis, strict=True):
+            if not size > _NEGLIGIBLE * share.max():
+                continue
+            value = Fraction(f"{abs(c):.{digits - 1}e}")
+            term = node if value == 1 else number(value) * node
+            total = (term if c > 0 else -term) if total is None else total + term if c > 0 else total - term
+        assert total is not None
+        return total
+
+
+def polynomials(dynamics: Dynamics, degree: int, scales: Array, *, even: bool = False) -> Template:
+    """Return the template of all polynomials of degree 2 to `degree` in x − x*.
+
+    Args:
+        dynamics: the dynamics.
+        degree: largest degree.
+        scales: typical deviation (n,) of each state from the equilibrium.
+        even: whether to leave out the terms of odd degree.
+    """
+    count = len(dynamics.states)
+    powers: list[Powers] = []
+    for total in range(2, degree + 1):
+        if even and total % 2:
+            continue
+        for picked in itertools.combinations_with_replacement(range(count), total):
+            powers.append(tuple(picked.count(k) for k in range(count)))
+    sizes = np.array([np.prod(scales ** np.array(p)) for p in powers])
+    return Template(dynamics, tuple(_monomial(dynamics, p) for p in powers), sizes)
+
+
+def quadratic(dynamics: Dynamics, matrix: Array) -> Array:
+    """Return the coefficients of (x − x*)' P (x − x*) in the template of polynomials of degree 2."""
+    count = len(dynamics.states)
+    rows, columns = np.triu_indices(count)
+    return np.asarray(np.where(rows == columns, 1.0, 2.0) * matrix[rows, columns])
+
+
+def _monomial(dynamics: Dynamics, powers: Sequence[int]) -> Node:
+    total: Node | None = None
+    for s, exponent in zip(dynamics.states, powers, strict=True):
+        if exponent:
+            away = variable(s.name) if s.equilibrium == 0 else variable(s.name) - exact(s.equilibrium)
+            factor = power(away, exponent)
+            total = factor if total is None else total * factor
+    assert total is not None
+    return total
