@@ -18,7 +18,7 @@ Number = Fraction | float
 class Polynomial:
     """A polynomial: the coefficient of each monomial; no coefficient is 0.
 
-    Sums, differences, products and powers use the operators + − * **, and quotients by numbers /; numbers count as constant polynomials.
+    Use the operators + − * **, and / for a quotient by a number; numbers count as constant polynomials.
 
     Attributes:
         terms: coefficient of each monomial.
