@@ -97,23 +97,22 @@ def verify(
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither was found), or not applicable (this vehicle or these gains violate an assumption). The paper's claims
     concern the kinematic loop at the cruise speed and the speed limit --cap. --scenario also prints the safety claim:
-    the guarantee of the law's barrier, its assumptions, and whether the margin suffices.
+    the law's barrier, its assumptions, and whether the margin suffices.
 
     The linear analysis about straight cruise gives margins, poles, the slowest mode, the largest stable speed and
-    sampling limits, for the nominal vehicle and for the worst of --uncertainty or of the vehicle's ranges. Region and
-    braking claims are checked only if they are named (see surctl list). A file holds an inequality of your own (kind
+    sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and braking claims are checked only if they are named (see surctl list). A file holds an inequality of your own (kind
     claim; --show prints examples), a region claim with other numbers (kind region), or a region of attraction or a
     barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent
     or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable,
     the linear loop is unstable, or the safety claim fails.
 
-    For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop.
+    For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop; with
+    within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
 
-    Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml;
-    surctl verify my_system.py:build plant.mass=2; surctl verify pendulum.toml
+    Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
-    if is_system(claims, "as_json"):
-        verify_system(claims, as_json=as_json)
+    if is_system(claims, "seed", "time_limit", "out", "as_json"):
+        verify_system(claims, seed=seed, time_limit=time_limit, out=out, as_json=as_json)
     if are_problems(claims, only=("seed", "time_limit", "out", "as_json")):
         verify_motion(claims, seed=seed, time_limit=time_limit, out=out, as_json=as_json)
     from surctl.cli.braking import is_braking, prove_all
