@@ -185,6 +185,21 @@ def test_a_hostile_proof_is_rejected_in_one_line(originals, name: str) -> None:
     assert time.thread_time() - began < PATIENCE
 
 
+def test_a_negative_multiple_of_a_bound_proves_nothing() -> None:
+    """-(1 - x^2) = -1 (x + 1)(1 - x): the matrix of a block with factors counts as well."""
+    document = certificate(claim_from("below", {"x": (-1.0, 1.0)}, "x^2 - 1", "0"))
+    squares = {"symbols": ["x"], "facts": [], "relations": []}
+    block = {"factors": ["l0", "h0"], "monomials": [[0]], "over": 1}
+    for left, entry, accepted in (("x^2 - 1", 1, True), ("1 - x^2", -1, False)):
+        case = document["cases"][0] | {"numerator": left, "squares": squares | {"blocks": [block | {"gram": [entry]}]}}
+        forged = document | {"claim": document["claim"] | {"left": left}, "cases": [case]}
+        assert check_document(sealed(forged)).accepted == accepted
+
+
+def test_a_monomial_that_occurs_twice_is_named(originals) -> None:
+    assert altered(originals[0], _repeat).reason == "a monomial occurs twice"
+
+
 def test_many_different_denominators_do_not_fill_the_memory(originals) -> None:
     size = 60
     entries = [[1, 2**5000 + 2 * k + 1] for k in range(size * (size + 1) // 2)]
