@@ -112,12 +112,16 @@ def continuous_dynamics(
     if ca.depends_on(rates, t):
         raise InputError("depends on time", key=f"{name}.reference", remedy="use a constant reference and disturbance")
     states = tuple(
-        State(_name(label), *map(float, bounds[label]), unit, equilibrium=float(starts.get(label, 0.0)))
+        _state(label, bounds[label], unit, starts.get(label, 0.0))
         for label, unit in zip(labels, entry_units(plant.state), strict=True)
     )
     names = [s.name for s in states] + [w.name for w in ranges]
     nodes = from_casadi(ca.vertcat(x, *free), names, ca.vertsplit(rates))
     return Dynamics(name, "continuous", states, tuple(nodes), tuple(ranges), source=NOT_COVERED)
+
+
+def _state(label: str, bounds: Bounds, unit: str, equilibrium: float) -> State:
+    return State(_name(label), float(bounds[0]), float(bounds[1]), unit, equilibrium=float(equilibrium))
 
 
 def _name(label: str) -> str:

@@ -172,9 +172,9 @@ def grid(
     edge = np.zeros(radii.shape, dtype=bool)
     if not d.discrete or outer is not None:
         edge[:, points - 1 :] = True
-    edge = edge.reshape(-1)
+    last = edge.reshape(-1)
     if d.discrete:
         for corner in corners.T:
             after = d.evaluate(x, np.repeat(corner[:, None], x.shape[1], axis=1))
-            edge |= np.any((after < bounds[0][:, None]) | (after > bounds[1][:, None]), axis=0)
-    return Grid(x, radii, read[0][0], np.array([change for _, change in read]), edge, square)
+            last |= np.any((after < bounds[0][:, None]) | (after > bounds[1][:, None]), axis=0)
+    return Grid(x, radii, read[0][0], np.array([change for _, change in read]), last, square)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from surctl.errors import InputError
-from surctl.lyapunov.candidates import Candidate, candidates
+from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
@@ -133,6 +132,13 @@ def find_stability(
         bound = least_level(d, candidate.function, wanted, seed=seed)
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}, volume {candidate.volume:.3g}")
         trials.append((candidate, bound))
+    if function is not None and linear.verdict == "stable" and not trials[0][1].level > 0:
+        for candidate in strict_variants(d, linear, function):
+            bound = least_level(d, candidate.function, wanted, seed=seed)
+            _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
+            if bound.level > 0:
+                trials = [(candidate, bound)]
+                break
     if not trials:
         return _none("unknown", "no quadratic function decreases for all corners of the parameters", began)
     trials.sort(key=lambda trial: -trial[0].volume * (trial[1].level > 0))
