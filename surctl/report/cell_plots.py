@@ -19,7 +19,7 @@ __all__ = ["plot_cells", "plot_open_boxes"]
 
 _RULES = {
     "i": "outside the domain", "j": "outside the domain, mean value", "n": "interval value", "m": "mean value",
-    "c": "concave, by a tangent",
+    "c": "concave, by a tangent", "s": "sums of squares",
 }  # fmt: skip
 _BESIDE = 0.507  # section as a share of the domain: not exactly the middle, where boxes meet
 _COLOURS = ("#0072B2", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#5F6368")

@@ -20,7 +20,7 @@ from surctl.sos.basis import monomials, parity_classes
 from surctl.sos.definite import is_semidefinite
 from surctl.sos.polynomial import Monomial, Polynomial, joined
 from surctl.sos.program import Affine, Program, Solution, Squares
-from surctl.sos.pruning import Gram, pruned
+from surctl.sos.pruning import Gram, pruned, restricted
 from surctl.sos.rounding import Column, corrected
 
 __all__ = ["Certificate", "GramBlock", "certify"]
@@ -69,6 +69,7 @@ def certify(
     weights: Sequence[Polynomial] = (),
     *,
     relations: Sequence[Polynomial] = (),
+    zeros: Sequence[Sequence[Fraction]] = (),
     degree: int | None = None,
     largest: int = 120,
     seconds: float = 60.0,
@@ -82,6 +83,7 @@ def certify(
         target: the polynomial, with exact coefficients.
         weights: polynomials with exact coefficients; products of weights must be listed as weights.
         relations: polynomials with exact coefficients that are 0.
+        zeros: points of the set, other than 0, at which the target is 0; a proof then needs all of them.
         degree: largest degree of the products in the identity; by default the largest of the given degrees.
         largest: largest size of a Gram matrix.
         seconds: limit of the processor time [s]; the solver stops after four times as much wall-clock time.
@@ -105,6 +107,8 @@ def certify(
     highest += highest % 2
     grams, free = _candidates(target, weights, relations, highest)
     grams = pruned(target, grams, [(relations[j], f) for j, f in enumerate(free)])
+    grams = [gram for gram in (restricted(g, zeros) for g in grams) if gram.basis]
+    grams.sort(key=lambda gram: bool(gram.forms))  # a remainder goes to the first block that can take it
     if not grams or max(len(g.basis) for g in grams) > largest or _expected(grams) > seconds:
         return None
     size = Fraction(2) ** round(log2(max(abs(float(c)) for c in target.terms.values())))
@@ -113,7 +117,7 @@ def certify(
     least = program.scalar()
     program.nonnegative(1 - least)
     total = Affine({})
-    squares = [program.squares(g.basis, above=least) for g in grams]
+    squares = [program.squares(g.roots, above=least) for g in grams]
     for gram, sigma in zip(grams, squares, strict=True):
         total = total + (sigma * gram.weight if gram.at >= 0 else sigma)
     multipliers = [program.polynomial(f) for f in free]
@@ -176,12 +180,12 @@ def _rounded(
     room: int,
 ) -> tuple[list[GramBlock], list[Polynomial]] | None:
     """Return the rounded blocks and multipliers; None if a matrix is not positive semidefinite."""
-    most = max(len(g.basis) for g in grams)
+    most = max(len(g.roots) for g in grams)
     grid = 2 ** min(max(ceil(log2(most / least)) + room, 8), 60)
     values: list[list[Fraction]] = []
     for gram, unknown in zip(grams, squares, strict=True):
         matrix = solution.gram(unknown)
-        lower = matrix[np.tril_indices(len(gram.basis))]
+        lower = matrix[np.tril_indices(len(gram.roots))]
         values.append([Fraction(round(x * grid), grid) for x in lower.tolist()])
     polynomials = [
         {m: Fraction(round(float(c) * grid), grid) for m, c in solution.polynomial(p).terms.items()}
@@ -214,9 +218,9 @@ def _rounded(
     for m, c in rest.terms.items():
         block, place, weight = pairs[m][0]
         full[block][place] += Fraction(c) / weight
-    if not all(_semidefinite(len(g.basis), v) for g, v in zip(grams, full, strict=True)):
+    if not all(_semidefinite(len(g.roots), v) for g, v in zip(grams, full, strict=True)):
         return None
-    blocks = [GramBlock(g.at, g.basis, tuple(v)) for g, v in zip(grams, values, strict=True)]
+    blocks = [GramBlock(g.at, g.basis, _expanded(g, v)) for g, v in zip(grams, values, strict=True)]
     return blocks, [Polynomial({m: c for m, c in p.items() if c}) for p in polynomials]
 
 
@@ -224,7 +228,7 @@ def _pairs(grams: Sequence[Gram]) -> dict[Monomial, list[tuple[int, int, int]]]:
     """Return, by monomial, the entries of the blocks with the weight 1: block, place, and 1 or 2 for off-diagonal."""
     pairs: dict[Monomial, list[tuple[int, int, int]]] = {}
     for block, gram in enumerate(grams):
-        if gram.at < 0:
+        if gram.at < 0 and not gram.forms:
             place = 0
             for i, m in enumerate(gram.basis):
                 for j, n in enumerate(gram.basis[: i + 1]):
@@ -243,21 +247,40 @@ def _remainder(
     """Return target − Σ σ_k · weight_k − Σ h_j · relation_j."""
     rest = target
     for gram, entries in zip(grams, values, strict=True):
-        rest = rest - _square(gram.basis, entries) * gram.weight
+        rest = rest - _square(gram, _expanded(gram, entries)) * gram.weight
     for relation, terms in zip(relations, polynomials, strict=True):
         rest = rest - Polynomial({m: c for m, c in terms.items() if c}) * relation
     return rest
 
 
-def _square(basis: Sequence[Monomial], entries: Sequence[Fraction]) -> Polynomial:
+def _square(gram: Gram, entries: Sequence[Fraction]) -> Polynomial:
     total: dict[Monomial, Fraction] = {}
+    basis = gram.basis
     place = 0
     for i, m in enumerate(basis):
-        for j, n in enumerate(basis[: i + 1]):
+        for n in basis[: i + 1]:
             product = joined(m, n)
-            total[product] = total.get(product, Fraction(0)) + entries[place] * (1 if i == j else 2)
+            total[product] = total.get(product, Fraction(0)) + entries[place] * (1 if m == n else 2)
             place += 1
     return Polynomial({m: c for m, c in total.items() if c})
+
+
+def _expanded(gram: Gram, entries: Sequence[Fraction]) -> tuple[Fraction, ...]:
+    """Return the lower triangle of the Gram matrix of the monomials, from that of the forms."""
+    if not gram.forms:
+        return tuple(entries)
+    rows = [[Fraction(f.terms.get(m, 0)) for m in gram.basis] for f in gram.forms]
+    size = len(rows)
+    full = [[Fraction(0)] * size for _ in range(size)]
+    for at, (i, j) in enumerate(zip(*np.tril_indices(size), strict=True)):
+        full[i][j] = full[j][i] = entries[at]
+    columns = [[row[k] for row in rows] for k in range(len(gram.basis))]
+    half = [[_dot(row, column) for row in full] for column in columns]
+    return tuple(_dot(columns[i], half[j]) for i in range(len(columns)) for j in range(i + 1))
+
+
+def _dot(a: Sequence[Fraction], b: Sequence[Fraction]) -> Fraction:
+    return sum((x * y for x, y in zip(a, b, strict=True) if x and y), Fraction(0))
 
 
 def _columns(
@@ -274,10 +297,11 @@ def _columns(
             columns.append(Column((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
     for at, gram in enumerate(grams):
         place = 0
-        for i, m in enumerate(gram.basis if gram.at >= 0 else ()):
-            for j, n in enumerate(gram.basis[: i + 1]):
-                product, factor = joined(m, n), 1 if i == j else 2
-                row = {joined(product, w): Fraction(c) * factor for w, c in gram.weight.terms.items()}
+        roots = gram.roots if gram.at >= 0 or gram.forms else ()
+        for i, p in enumerate(roots):
+            for j, q in enumerate(roots[: i + 1]):
+                product = p * q * gram.weight * (1 if i == j else 2)
+                row = {m: Fraction(c) for m, c in product.terms.items()}
                 columns.append(
                     Column((at, place), {m: c for m, c in row.items() if m not in inside}, 2 if i == j else 1)
                 )

@@ -18,8 +18,7 @@ Number = Fraction | float
 class Polynomial:
     """A polynomial: the coefficient of each monomial; no coefficient is 0.
 
-    The operators + − * ** give sums, differences, products and powers, and / divides by a number. Numbers count as
-    constant polynomials.
+    Use the operators + − * **, and / for a quotient by a number; numbers count as constant polynomials.
 
     Attributes:
         terms: coefficient of each monomial.

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 from surctl.sos.polynomial import Monomial, Polynomial, joined
 
-__all__ = ["Gram", "pruned"]
+__all__ = ["Gram", "pruned", "restricted"]
 
 
 @dataclass(frozen=True)
@@ -18,11 +19,48 @@ class Gram:
         at: index of the weight; −1 for the weight 1.
         weight: the weight.
         basis: monomials of the Gram matrix.
+        forms: polynomials in these monomials that replace them; empty for the monomials themselves.
     """
 
     at: int
     weight: Polynomial
     basis: tuple[Monomial, ...]
+    forms: tuple[Polynomial, ...] = ()
+
+    @property
+    def roots(self) -> tuple[Polynomial, ...]:
+        """The polynomials b of the sum of squares b' H b."""
+        return self.forms or tuple(map(Polynomial.monomial, self.basis))
+
+
+def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction]]) -> Gram:
+    """Return the block with forms that are 0 at each zero of the target where the block's weight is positive.
+
+    A target that is 0 at a point of the set has only squares that are 0 there.
+    """
+    values = [
+        [Fraction(Polynomial.monomial(m).value(zero)) for m in gram.basis]
+        for zero in zeros
+        if gram.weight.value(zero) > 0
+    ]
+    pivots: dict[int, list[Fraction]] = {}
+    for row in values:
+        for at, other in pivots.items():
+            row = [x - row[at] * y for x, y in zip(row, other, strict=True)]
+        first = next((k for k, x in enumerate(row) if x), None)
+        if first is not None:
+            row = [x / row[first] for x in row]
+            for at, other in pivots.items():
+                pivots[at] = [x - other[first] * y for x, y in zip(other, row, strict=True)]
+            pivots[first] = row
+    if not pivots:
+        return gram
+    forms = []
+    for k, m in enumerate(gram.basis):
+        if k not in pivots:
+            terms = {gram.basis[at]: -row[k] for at, row in pivots.items() if row[k]}
+            forms.append(Polynomial({m: Fraction(1), **terms}))
+    return replace(gram, forms=tuple(forms), basis=gram.basis if forms else ())
 
 
 def pruned(

@@ -25,7 +25,7 @@ class Cells:
     Attributes:
         names: names of the n variables.
         lower, upper: (n, k) bounds of the k boxes.
-        rules: for each box, the letter of the rule that proves it.
+        rules: for each box, the letter of the rule that proves it; "s" if sums of squares prove the whole case.
         choice: the branches that the case takes, one for each min, max, abs and select; empty if the claim has only one
             case.
     """
@@ -58,7 +58,7 @@ def cells_of(certificate: Mapping[str, Any]) -> tuple[Cells, ...]:
 
 def _cells(names: tuple[str, ...], root: tuple[Array, Array], case: Mapping[str, Any]) -> Cells:
     stack, low, high, rules = [root], [], [], []
-    for letter in case["tree"]:
+    for letter in case.get("tree", "s"):
         lower, upper = stack.pop()
         if letter not in DIMENSIONS:
             low.append(lower)

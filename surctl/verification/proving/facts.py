@@ -12,7 +12,10 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["VALUES", "facts_about"]
+from surctl.sos.polynomial import Polynomial
+from surctl.verification.formula import Node, ordered, parse, variable
+
+__all__ = ["VALUES", "fact_polynomial", "facts_about"]
 
 Array = NDArray[np.float64]
 Fact = tuple[str, ...]
@@ -49,6 +52,35 @@ def facts_about(op: str, low: float, high: float, *, touching: bool) -> list[Fac
         return _even(low, high) if op == "cos" else _odd(op, low, high)
     with np.errstate(all="ignore"):
         return _around(op, function, low, high)
+
+
+def fact_polynomial(text: str, op: str, argument: Polynomial, atom: Polynomial) -> Polynomial:
+    """Return a text in t with a polynomial for t, and another one for the function `op` of t."""
+    values: dict[Node, Polynomial] = {}
+    root = parse(text, {"t": variable("t")})
+    for node in ordered(root):
+        args = [values[a] for a in node.args]
+        match node.op:
+            case "num":
+                values[node] = Polynomial.constant(node.value)
+            case "var":
+                values[node] = argument
+            case "add":
+                values[node] = args[0] + args[1]
+            case "sub":
+                values[node] = args[0] - args[1]
+            case "neg":
+                values[node] = -args[0]
+            case "mul":
+                values[node] = args[0] * args[1]
+            case "div":
+                values[node] = args[0] * (1 / Fraction(args[1].terms[()]))
+            case "pow":
+                values[node] = args[0] ** node.value.numerator
+            case _:
+                assert node.op == op
+                values[node] = atom
+    return values[root]
 
 
 def _odd(op: str, low: float, high: float) -> list[Fact]:
@@ -90,10 +122,11 @@ def _around(op: str, function: Callable[[Array], Array], low: float, high: float
     values = function(t)
     if not np.all(np.isfinite(values)):
         return []
-    fitted = [round(float(c), 6) for c in np.polynomial.polynomial.polyfit(t, values, 2)]
+    degree = 2 if half > 1e-4 else 0
+    fitted = [round(float(c), 9) for c in np.polynomial.polynomial.polyfit(t, values, degree)]
     rest = values - np.polynomial.polynomial.polyval(t, fitted)
     below, above = float(rest.min()), float(rest.max())
-    margin = 0.05 * (above - below) + 1e-6
+    margin = 0.05 * (above - below) + 1e-8
     curve = " + ".join(f"({c!r})" + ("" if k == 0 else f"*t^{k}") for k, c in enumerate(fitted))
     return [
         (f"{op}(t) - ({curve} + ({_under(below - margin)}))",),

@@ -26,7 +26,7 @@ _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.
 """The rounds of the search: for each round, the largest number of boxes and the share of the slack that it may use. The
 first round tries an exact proof; all forms are tried in short rounds before the last round uses the remaining time."""
 
-_SHORT, _SHARE = 3, 0.6
+_SHORT, _SHARE = 3, 0.4
 """Number of rounds before sums of squares are tried, and the largest share of the remaining time for them."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
@@ -187,7 +187,7 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
             )  # fmt: skip
             rest = max(seconds - (time.process_time() - began), 0.0)
             # the last round divides the remaining time among the forms
-            share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / (12 if number < _SHORT else 4)
+            share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / (8 if number < _SHORT else 4)
             report = _reporter(attempt.label, attempt.progress)
             result = search(task, deadline=time.process_time() + share, most=most, progress=report)
             looked += result.boxes

@@ -16,20 +16,22 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.sos.exact import Certificate, certify
 from surctl.sos.polynomial import Polynomial
-from surctl.verification.formula import Node, number, ordered, parse, text_of, variable
+from surctl.verification.formula import Node, number, text_of
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge
-from surctl.verification.proving.facts import VALUES, facts_about
+from surctl.verification.proving.facts import VALUES, fact_polynomial, facts_about
 from surctl.verification.proving.forms import Form, signed, signs_of
 from surctl.verification.proving.horner import Written
 from surctl.verification.proving.polynomial import Monomial, Poly, constant, single
 from surctl.verification.proving.statement import Case
 from surctl.verification.proving.tape import build_tape
+from surctl.verification.proving.turns import MOST_TERMS, SplitAngles
+from surctl.verification.proving.zeros import zeros_of
 
 __all__ = ["SquaresProof", "prove_by_squares"]
 
 Array = NDArray[np.float64]
 
-_MOST_ATOMS, _MOST_TERMS, _HIGHEST = 16, 1500, 10
+_MOST_ATOMS, _HIGHEST = 16, 10
 _LEVELS = 3  # the degrees of the identity: that of the polynomial, and 2 and 4 more
 
 
@@ -46,38 +48,6 @@ class SquaresProof:
     form: Form | None
     squares: dict[str, Any]
     tried: str
-
-
-class _SplitAngles(Algebra):
-    # as in the checker, the sine and cosine of a sum are those of its terms, and large products are allowed
-
-    def product(self, a: Poly, b: Poly) -> Poly:
-        if len(a) * len(b) > 8 * _MOST_TERMS:
-            raise TooLarge
-        total = self._reduced({m: Fraction(c) for m, c in (Polynomial(a) * Polynomial(b)).terms.items()})
-        if len(total) > _MOST_TERMS:
-            raise TooLarge
-        return total
-
-    def _turned(self, angle: Ratio) -> tuple[Ratio, Ratio]:
-        if angle.under:
-            return self._leaf_angle(angle)
-        total = (Ratio(constant(1)), Ratio({}))
-        for monomial, coefficient in angle.over.items():
-            total = self._sum_of_turns(total, self._one_turn(monomial, coefficient))
-        return total
-
-    def _one_turn(self, monomial: Monomial, coefficient: Fraction) -> tuple[Ratio, Ratio]:
-        known = self._known_turn(monomial, coefficient)
-        if known is not None:
-            return known
-        times, size = abs(coefficient.numerator), Fraction(1, coefficient.denominator)
-        if times >= 9:
-            times, size = 1, abs(coefficient)
-        one = total = self._leaf_angle(Ratio({monomial: size}))
-        for _ in range(times - 1):
-            total = self._sum_of_turns(total, one)
-        return total if coefficient > 0 else (total[0], Ratio({m: -c for m, c in total[1].over.items()}))
 
 
 def prove_by_squares(case: Case, names: tuple[str, ...], box: tuple[Array, Array], *, seconds: float) -> SquaresProof:
@@ -105,6 +75,7 @@ def prove_by_squares(case: Case, names: tuple[str, ...], box: tuple[Array, Array
             problem.target,
             [problem.weight(names_) for names_ in factors],
             relations=[r for _, r in problem.relations],
+            zeros=problem.zeros,
             degree=degree,
             seconds=left,
         )
@@ -119,14 +90,14 @@ class _Problem:
 
     def __init__(self, case: Case, names: tuple[str, ...], box: tuple[Array, Array]) -> None:
         self._names, self._box = names, box
-        self._algebra = algebra = _SplitAngles()
+        self._algebra = algebra = SplitAngles()
         margin = algebra.of(case.margin)
         guards = [_guard(algebra, c) for c in case.constraints]
         written = Written(algebra)
         ends = box[0][:, None], box[1][:, None]
         signs = signs_of(algebra, written, names, ends)
         self.usable = False
-        if signs is None or not margin.over or len(margin.over) > _MOST_TERMS:
+        if signs is None or not margin.over or len(margin.over) > MOST_TERMS:
             return
         over = signed(margin, signs)
         factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
@@ -152,6 +123,14 @@ class _Problem:
         self._facts: list[dict[str, Any]] = []
         self._add_facts()
         self.relations = self._relations()
+        self.zeros: list[tuple[Fraction, ...]] = []
+        if all(algebra.atoms[at][0] == "var" for at in self._atoms):
+            hull = [
+                ((Fraction(low) - o) / s, (Fraction(high) - o) / s)
+                for (low, high), o, s in zip(self._ranges, self._origins, self._scales, strict=True)
+            ]
+            sides = [p for name, p in self._factors.items() if name[0] == "c"]
+            self.zeros = zeros_of(self.target, hull, sides, scales=self._scales)
         self.usable = True
 
     def _closed(self, atoms: set[int]) -> list[int]:
@@ -256,7 +235,7 @@ class _Problem:
             for factors in facts_about(op, low, high, touching=self._touching):
                 total = Polynomial.constant(1)
                 for text in factors:
-                    total = total * _read(text, op, argument, atom)
+                    total = total * fact_polynomial(text, op, argument, atom)
                 self._factors[f"f{len(self._facts)}"] = total
                 self._facts.append({"of": text_of(node), "factors": list(factors)})
 
@@ -348,35 +327,6 @@ def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
         return algebra.of(constraint)
     except TooLarge:
         return None
-
-
-def _read(text: str, op: str, argument: Polynomial, atom: Polynomial) -> Polynomial:
-    """Return a text in t with a polynomial for t, and another one for the function `op` of t."""
-    values: dict[Node, Polynomial] = {}
-    root = parse(text, {"t": variable("t")})
-    for node in ordered(root):
-        args = [values[a] for a in node.args]
-        match node.op:
-            case "num":
-                values[node] = Polynomial.constant(node.value)
-            case "var":
-                values[node] = argument
-            case "add":
-                values[node] = args[0] + args[1]
-            case "sub":
-                values[node] = args[0] - args[1]
-            case "neg":
-                values[node] = -args[0]
-            case "mul":
-                values[node] = args[0] * args[1]
-            case "div":
-                values[node] = args[0] * (1 / Fraction(args[1].terms[()]))
-            case "pow":
-                values[node] = args[0] ** node.value.numerator
-            case _:
-                assert node.op == op
-                values[node] = atom
-    return values[root]
 
 
 def _size(p: Polynomial) -> Fraction:

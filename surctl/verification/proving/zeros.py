@@ -1,0 +1,61 @@
+"""Search for points at which a polynomial that is not negative is 0: a sum of squares is 0 at all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from surctl.sos.polynomial import Polynomial
+
+__all__ = ["zeros_of"]
+
+_STARTS, _MOST_VARIABLES = 40, 4
+_SMALL, _DENOMINATOR = 1e-7, 24
+
+
+def zeros_of(
+    target: Polynomial,
+    box: Sequence[tuple[Fraction, Fraction]],
+    sides: Sequence[Polynomial],
+    *,
+    scales: Sequence[Fraction],
+) -> list[tuple[Fraction, ...]]:
+    """Return exact rational zeros, other than 0, of a polynomial in a box where all `sides` are not negative.
+
+    Args:
+        target: the polynomial.
+        box: lower and upper end of each variable.
+        sides: polynomials of the constraints.
+        scales: unit of each variable; zeros are sought whose coordinates in these units have small denominators.
+    """
+    if len(box) > _MOST_VARIABLES:
+        return []
+    from scipy.optimize import minimize
+
+    ends = np.array([[float(low), float(high)] for low, high in box])
+    slopes = [target.derivative(k) for k in range(len(box))]
+    size = max(abs(float(c)) for c in target.terms.values())
+    rng = np.random.default_rng(0)
+    found: dict[tuple[Fraction, ...], None] = {}
+    for start in rng.uniform(ends[:, 0], ends[:, 1], size=(_STARTS, len(box))):
+        best = minimize(
+            lambda x: float(target.value(x.tolist())),
+            start,
+            jac=lambda x: np.array([float(s.value(x.tolist())) for s in slopes]),
+            method="L-BFGS-B",
+            bounds=ends,
+            options={"maxiter": 60},
+        )
+        if best.fun > _SMALL * size:
+            continue
+        # the zero itself has a smaller error than the square root of the value
+        point = tuple(
+            Fraction(float(x * float(s))).limit_denominator(_DENOMINATOR) / s
+            for x, s in zip(best.x, scales, strict=True)
+        )
+        inside = all(low <= x <= high for x, (low, high) in zip(point, box, strict=True))
+        if any(point) and inside and target.value(point) == 0 and all(side.value(point) >= 0 for side in sides):
+            found[point] = None
+    return list(found)
