@@ -49,7 +49,7 @@ def export_command(
         scenario: name or file of the scenario; None takes a built-in scenario that fits the hull.
         vehicle: name or file of the vehicle.
         gains: name or file of the gains.
-        certificates: certificate files; the command carries those that concern the exported law.
+        certificates: certificate files; the command carries those that concern the law `guarded`.
         law: the law to export, a name or FILE.py:FUNCTION.
         guidance: path guidance; None: the default of the command.
         sensing: "sonar" or "truth".
@@ -63,8 +63,10 @@ def export_command(
     chosen = fitting_scenario(robot, scenario)
     if chosen is None:
         return []
-    numbers = law_numbers(load_scenario(chosen), load_gains(gains), robot)
-    travel = fitting_certificates(certificates, build_law(), robot, numbers) if certificates else []
+    travel: Sequence[Path] = ()
+    if certificates:
+        numbers = law_numbers(load_scenario(chosen), load_gains(gains), robot)
+        travel = fitting_certificates(certificates, build_law(), robot, numbers)
     words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", gains]
     words += [*law_words(law), *(() if guidance is None else ("--guidance", guidance)), "--sensing", sensing]
     return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]

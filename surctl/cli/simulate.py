@@ -45,7 +45,7 @@ __all__ = ["simulate"]
 )
 @click.option("--explain", "explained", is_flag=True, help="Print which limits override which tasks.")
 @animate_option
-@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat or nc (systems: default csv).")
+@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat or nc.")
 @click.option("--frame", metavar="NAME", help="Frame of --save: enu (default) or ned.")
 @campaign_options
 @trust_option

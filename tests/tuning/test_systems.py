@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -94,11 +95,12 @@ def test_a_run_that_ends_early_is_no_cheap_run() -> None:
         ({"k[0]": (2.0, 1.0)}, {}, r"k\[0\] = \(2\.0, 1\.0\): is not a range"),
         ({"k[0]": (1.0, float("nan"))}, {}, "is not a range"),
         ({"plant.mass": (1.0, 2.0)}, {}, r"plant\.mass: is not a gain"),
+        ({"k[0]": (1.0, 2.0)}, {"cases": {"k[0]": 3.0}}, r"^k\[0\]: is tuned and in the cases"),
         ({"k": (1.0, 2.0)}, {}, r"^k: has 2 entries; name one: k\[0\], k\[1\]$"),
         ({"q": (1.0, 2.0)}, {}, "q: no such number of the system"),
         ({"k[0]": (1.0, 2.0)}, {"objective": "lat"}, "no such cost; did you mean 'late'"),
     ],
 )
-def test_mistakes_are_named(ranges: dict[str, tuple[float, float]], options: dict[str, str], problem: str) -> None:
+def test_mistakes_are_named(ranges: dict[str, tuple[float, float]], options: dict[str, Any], problem: str) -> None:
     with pytest.raises(InputError, match=problem):
         tune_system(cart(), 2.0, ranges, trials=20, **options)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from surctl.certcheck import check_document
@@ -10,7 +11,9 @@ from surctl.errors import InputError
 from surctl.verification import Claim, decide, load_claim
 from surctl.verification.claim import Variable
 from surctl.verification.falsifier import falsify
+from surctl.verification.formula import parse, variable
 from surctl.verification.proving import prove
+from surctl.verification.proving.tape import build_tape
 
 TRUE = [
     ("1 + x", "exp(x)", (-1.0, 1.0), 0.0), ("log(1 + x)", "x", (-0.9, 5.0), 0.0), ("x", "tan(x)", (0.0, 1.5), 0.0),
@@ -60,16 +63,18 @@ def test_an_exponent_may_be_a_constant_of_the_file(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("left", "box", "told"),
     [("-log(x)", (0.0, 1.0), "logarithm of an interval"), ("-tan(x)^2", (0.0, 3.0), "tangent of an interval"),
-     ("-exp(x)", (0.0, 2e5), "exp of an interval beyond 100000"), ("-x^0.5", (-1e-9, 1.0), "root of an interval"),
-     ("-x^0.7", (-1e-9, 1.0), "fractional power of an interval")],
+     ("-exp(x)", (0.0, 2e5), "exp of an interval beyond 100000"),
+     ("-x^0.5", (-1e-9, 1.0), "fractional power of an interval"),
+     ("exp(exp(exp(x)))", (0.0, 9.0), "exp of an interval beyond 100000")],
 )  # fmt: skip
-def test_where_a_function_is_not_defined_is_told_in_one_line(left, box, told, tmp_path) -> None:
-    proof = prove(claim(tmp_path, left, "9", box), time_limit=0.3)
-    assert proof.certificate is None and told in proof.remaining and "\n" not in proof.remaining
+def test_where_a_function_is_not_defined_is_told_in_one_line(left, box, told) -> None:
+    tape = build_tape(("x",), [parse(left, {"x": variable("x")})])
+    trouble = tape.trouble((np.array([[box[0]]]), np.array([[box[1]]])))
+    assert told in trouble and "\n" not in trouble
 
 
 def test_a_tower_of_exponentials_is_answered_in_one_line(tmp_path) -> None:
     with pytest.raises(InputError, match="not finite inside its domain"):
         falsify(claim(tmp_path, "exp(exp(exp(x)))", "1", (0.0, 9.0)), samples=64, starts=2)
     proof = prove(claim(tmp_path, "-exp(exp(exp(x)))", "0", (0.0, 9.0)), time_limit=0.3)
-    assert proof.certificate is None and "exp of an interval beyond 100000" in proof.remaining
+    assert proof.certificate is None and proof.remaining and "\n" not in proof.remaining
