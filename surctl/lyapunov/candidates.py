@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, common_quadratic
 from surctl.lyapunov.rays import Grid, directions, grid
+from surctl.lyapunov.seeds import sampled_function
 from surctl.lyapunov.shape import enlarge
 from surctl.lyapunov.template import Template, polynomials, quadratic, with_cosines
 from surctl.verification.formula import Node
@@ -49,7 +50,7 @@ def candidates(
     """Yield candidates of increasing degree, each shaped for a large region.
 
     Args:
-        dynamics: the dynamics, with a stable linearisation.
+        dynamics: the dynamics.
         linear: the linearisation at the corners of the parameters.
         degree: largest degree of a polynomial.
         seconds: limit of the processor time [s].
@@ -60,26 +61,32 @@ def candidates(
     until = time.process_time() + seconds
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     rate = max(rate, _least_rate(d, linear))
-    shift = np.eye(len(scales)) * rate / 2
-    shifted = linear.matrices / np.sqrt(1 - min(rate, 0.999)) if d.discrete else linear.matrices + shift
-    matrix = common_quadratic(shifted, scales, discrete=d.discrete)
-    if matrix is None:
-        return
     shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
-    template = polynomials(d, 2, scales)
-    start = quadratic(d, matrix)
     part = 0.3 * seconds / max(1, degree - 1)
+    template = polynomials(d, 2, scales)
+    matrix = (
+        None
+        if linear.verdict == "marginal"
+        else common_quadratic(_shifted(d, linear, rate), scales, discrete=d.discrete)
+    )
+    start = (
+        sampled_function(template, scales, shaper.corners, half=shaper.half) if matrix is None else quadratic(d, matrix)
+    )
+    if start is None and degree >= 4:
+        template = polynomials(d, 4, scales, even=shaper.half)
+        start = sampled_function(template, scales, shaper.corners, half=shaper.half)
+    if start is None:
+        return
     coefficients, volume = shaper.shaped(template, start, part)
-    if volume > 0:
-        yield Candidate("quadratic", template.function(coefficients), volume)
-    else:
-        yield Candidate("quadratic", template.function(start / np.abs(start).max()), 0.0)
+    label = "quadratic" if len(template.basis) == len(polynomials(d, 2, scales).basis) else "polynomial of degree 4"
+    yield Candidate(label, template.function(coefficients), volume)
+    if not volume > 0:
         return
     energy = with_cosines(template, scales)
     if len(energy.basis) > len(template.basis):
         found, volume = shaper.shaped(energy, _embedded(template, coefficients, energy), part)
         yield Candidate("quadratic with the potential energy of angles", energy.function(found), volume)
-    for higher in range(4, degree + 1, 2):
+    for higher in range(4 if label == "quadratic" else 6, degree + 1, 2):
         wider = polynomials(d, higher, scales, even=shaper.half)
         if len(wider.basis) > _MOST_TERMS:
             return
@@ -88,6 +95,13 @@ def candidates(
         template = wider
         coefficients, volume = shaper.shaped(template, start, share)
         yield Candidate(f"polynomial of degree {higher}", template.function(coefficients), volume)
+
+
+def _shifted(d: Dynamics, linear: Linear, rate: float) -> Array:
+    """Return matrices whose quadratic functions decrease at least at a rate along the linearisation."""
+    if d.discrete:
+        return np.asarray(linear.matrices / np.sqrt(1 - min(rate, 0.999)))
+    return linear.matrices + np.eye(len(d.states)) * rate / 2
 
 
 def _embedded(template: Template, coefficients: Array, wider: Template) -> Array:
@@ -118,6 +132,8 @@ def strict_variants(dynamics: Dynamics, linear: Linear, function: Node) -> Itera
 
 def _least_rate(d: Dynamics, linear: Linear) -> float:
     """Return a small part of the slowest decay rate of a quadratic function close to the equilibrium."""
+    if linear.verdict == "marginal":
+        return 0.0
     eigenvalues = np.linalg.eigvals(linear.matrices)
     slowest = 1 - float(np.abs(eigenvalues).max()) ** 2 if d.discrete else -2 * float(eigenvalues.real.max())
     return _SPARE * slowest

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -20,17 +22,18 @@ TRUE_AREA = 13.722
 
 
 def _dynamics(
-    states: dict[str, tuple[float, ...]],
+    states: Mapping[str, tuple[float, ...]],
     rates: list[str],
-    parameters: dict[str, tuple[float, float]] | None = None,
+    parameters: Mapping[str, tuple[float, float]] | None = None,
     *,
     discrete: bool = False,
 ) -> Dynamics:
     ranges = tuple(Range(name, *ends) for name, ends in (parameters or {}).items())
     known = {name: variable(name) for name in (*states, *(r.name for r in ranges))}
     axes = tuple(State(k, v[0], v[1], equilibrium=v[2] if len(v) > 2 else 0.0) for k, v in states.items())
-    time = "discrete" if discrete else "continuous"
-    return Dynamics("example", time, axes, tuple(parse(rate, known) for rate in rates), ranges)
+    return Dynamics(
+        "example", "discrete" if discrete else "continuous", axes, tuple(parse(rate, known) for rate in rates), ranges
+    )
 
 
 def _van_der_pol(parameters: dict[str, tuple[float, float]] | None = None) -> Dynamics:
@@ -86,11 +89,11 @@ def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed()
     x = {"x": variable("x"), "y": variable("y")}
     function = parse("1.5*x^2 - x*y + y^2", x)
     bound = least_level(d, function)
-    grid = np.linspace(-3, 3, 1501)
+    grid = np.linspace(-1.5, 1.5, 401)
     points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
-    points = points[:, np.abs(points).max(axis=0) > 1e-3]
+    points = points[:, np.abs(points).max(axis=0) > 1e-3]  # without the equilibrium
     v, change = np.asarray(d.compiled(function, d.change(function))(points, np.zeros((0, points.shape[1]))))
-    assert bound.level == pytest.approx(v[change >= 0].min(), rel=5e-3)
+    assert bound.level == pytest.approx(v[change >= 0].min(), rel=1e-2)
     assert bound.confirmed
     assert bound.cause == "decrease"
     faces = least_level(d.on({"x": (-0.5, 0.5)}), function)
@@ -102,11 +105,18 @@ def test_unstable_and_marginal_equilibria_are_told_apart() -> None:
     unstable = find_stability(_dynamics({"x": (-1.0, 1.0)}, ["k*x - x^3"], {"k": (-1.0, 0.2)}))
     assert unstable.verdict == "refuted"
     assert unstable.reason == "the linearisation has the eigenvalue 0.2 at k = 0.2"
-    marginal = find_stability(_dynamics({"x": (-1.0, 1.0)}, ["-x^3"]))
-    assert marginal.verdict == "unknown"
-    assert "decides nothing" in marginal.reason
+    centre = find_stability(_dynamics({"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, ["y", "-x"]), time_limit=5.0)
+    assert centre.verdict == "unknown"
+    assert "decides nothing" in centre.reason
     grows = _dynamics({"x": (-1.0, 1.0)}, ["1.1*x - x^3"], discrete=True)
     assert "eigenvalue 1.1" in find_stability(grows).reason
+
+
+def test_where_the_linearisation_decides_nothing_samples_give_a_function() -> None:
+    d = _dynamics({"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, ["-x^3 + y", "-x - y^3"])
+    found = find_stability(d, degree=4, time_limit=20.0)
+    assert found.verdict == "proved"
+    assert found.ratio >= 0.9
 
 
 def test_the_equilibrium_is_found_and_several_are_named() -> None:
@@ -205,7 +215,7 @@ def test_dynamics_of_a_closed_loop_are_exact_and_say_what_they_leave_out() -> No
     assert [w.name for w in d.parameters] == ["gravity"]
     rates = d.evaluate([[0.3], [0.1]], [[9.5]])[:, 0]
     assert rates == pytest.approx([0.1, 9.5 * np.sin(0.3) - 25 * 0.3 - 6 * 0.1])
-    with pytest.raises(InputError, match="bounds.rate"):
+    with pytest.raises(InputError, match=r"bounds\.rate"):
         continuous_dynamics(_loop(integral=False), {"angle": (-1.0, 1.0)})
-    with pytest.raises(InputError, match="values.grvity"):
+    with pytest.raises(InputError, match=r"values\.grvity"):
         continuous_dynamics(_loop(integral=False), bounds, values={"grvity": 9.0})
