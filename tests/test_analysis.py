@@ -50,6 +50,14 @@ def test_the_study_of_the_prover() -> None:
     assert len(rows) >= 10 and all(row[2] != "**not proved**" for row in rows)
 
 
+def test_the_study_of_sums_of_squares() -> None:
+    done = run(ANALYSIS / "14_claim_prover" / "squares.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = {row[0]: row[1] for row in table(done.stdout) if len(row) == 5}
+    assert rows["Motzkin"] == rows["Robinson"] == "sums of squares"
+    assert sum(word == "not proved" for word in rows.values()) == 3
+
+
 def test_the_study_of_fitted_vehicles() -> None:
     done = run(ANALYSIS / "20_identification" / "run.py", "--quick", "--workers", "1")
     assert done.returncode == 0, done.stdout + done.stderr

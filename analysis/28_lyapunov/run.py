@@ -18,7 +18,6 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -26,7 +25,6 @@ from typing import Any
 from surctl.certcheck import check_document
 from surctl.errors import InputError
 from surctl.lyapunov import Problem, load_problem, solve
-from surctl.verification.formula import parse, variable
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.jsonl"
@@ -61,14 +59,9 @@ def of_system(path: str, limit: float) -> dict[str, Any]:
 
 def of_statement(entry: dict[str, Any], limit: float) -> dict[str, Any]:
     """Decide a statement about a problem file."""
-    problem = load_problem(HERE / "systems" / f"{entry['system']}.toml")
-    known = {v.name: variable(v.name) for v in problem.dynamics.variables}
-    parts = {key: parse(entry[key], known) for key in ("function", "multiplier") if key in entry}
-    if "barrier" in entry:
-        parts["function"] = parse(entry["barrier"], known)
-    elif problem.kind == "lyapunov":
-        problem = replace(problem, level=entry.get("level", problem.level), rate=entry.get("rate"))
-    problem = replace(problem, **parts, expected="proved" if entry["truth"] else "refuted")
+    kind = ("barrier", "multiplier") if "barrier" in entry else ("function", "level", "rate")
+    changes = {key: entry.get(key) for key in kind} | {"expected": "proved" if entry["truth"] else "refuted"}
+    problem = load_problem(HERE / "systems" / f"{entry['system']}.toml", changes=changes)
     return decided("statement", entry["id"], problem, limit) | {"truth": entry["truth"]}
 
 

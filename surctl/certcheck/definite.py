@@ -20,8 +20,8 @@ _EXACT, _BITS = 40, 60_000  # largest matrix that is decomposed in integers, and
 
 def is_semidefinite(matrix: list[list[int]]) -> bool:
     """Return whether a symmetric matrix (n, n) is shown to be positive semidefinite."""
-    kept = [k for k, row in enumerate(matrix) if any(row)]
-    a = [[matrix[i][j] for j in kept] for i in kept]
+    nonzero = [k for k, row in enumerate(matrix) if any(row)]
+    a = [[matrix[i][j] for j in nonzero] for i in nonzero]
     if any(row[k] <= 0 for k, row in enumerate(a)):
         return False
     if not a or _by_factor(a):

@@ -93,6 +93,7 @@ def _sign(table: ExpressionTable, root: int, low: float, high: float) -> int:
 def _series(table: ExpressionTable, root: int, point: Interval) -> Series:
     known: dict[int, Series] = {}
     for at in table.needed([root]):
+        go_on()
         entry = table.entries[at]
         known[at] = _step(entry.op, entry.value, [known[a] for a in entry.args], point)
     return known[root]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from surctl.cli.output import finish, progress, stoppable
 
 if TYPE_CHECKING:
-    from surctl.lyapunov import Decision, Problem
+    from surctl.lyapunov import Solution
 
 __all__ = ["are_problems", "verify_motion"]
 
@@ -71,19 +71,19 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         progress(problem.dynamics.name)
         with stoppable("the finished claims are above", lines, as_json=as_json):
             try:
-                decision = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+                solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
             except InputError as error:
                 raise (error if error.file else error.inside(Path(word))) from None
-        lines += _lines(decision)
-        data = decision.to_dict() | {"expected": problem.expected}
+        lines += _lines(solution)
+        data = solution.to_dict() | {"expected": problem.expected}
         if out is not None:
-            written = _write(decision, problem, out)
-            files += written[:1] if decision.document else []
+            written = _write(solution, out)
+            files += written[:1]
             data["files"] = [str(path) for path in written]
             lines += [f"  {path}" for path in written]
         claims.append(data)
-        if decision.verdict != problem.expected:
-            failures.append(f"{problem.dynamics.name} is {decision.verdict}, not {problem.expected}")
+        if solution.verdict != problem.expected:
+            failures.append(f"{problem.dynamics.name} is {solution.verdict}, not {problem.expected}")
     if failures:
         lines.append(f"exit status 1, because {'; '.join(failures)}")
     then = [shlex.join(["surctl", "check", str(file)]) for file in files[:1]]
@@ -93,31 +93,39 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
 
 
-def _lines(decision: Decision) -> list[str]:
+def _lines(solution: Solution) -> list[str]:
     from surctl.verification.formula import text_of
 
+    name, decision = solution.problem.dynamics.name, solution.decision
+    if decision is None:
+        return [f"{solution.verdict:<8} {name}: {solution.reason} ({solution.seconds:.1f} s)"]
     claim = decision.claim
-    name = "B" if claim.kind == "barrier" else "V"
+    letter = "B" if claim.kind == "barrier" else "V"
     lines = [
-        f"{decision.verdict:<8} {claim.dynamics.name}: {claim.statement} ({decision.seconds:.1f} s)",
-        f"  {name} = {text_of(claim.function)}",
+        f"{solution.verdict:<8} {name}: {claim.statement} ({solution.seconds:.1f} s)",
+        f"  {letter} = {text_of(claim.function)}{f', from: {solution.origin}' if solution.origin else ''}",
     ]
-    return [*lines, f"  {decision.reason}"] if decision.reason else lines
+    level = claim.plain().get("level")
+    if solution.falsified is not None and solution.verdict == "proved" and level is not None:
+        share = level / solution.falsified
+        lines.append(f"  level {level:g} is {100 * share:.1f} % of the least level with a counterexample")
+    return [*lines, f"  {solution.reason}"] if solution.reason else lines
 
 
-def _write(decision: Decision, problem: Problem, out: Path) -> list[Path]:
+def _write(solution: Solution, out: Path) -> list[Path]:
     """Write the certificate, if there is one, and the picture of a region; return the files."""
     from surctl.files import write_file
-    from surctl.lyapunov import Bound, Stability
+    from surctl.lyapunov import Safety
     from surctl.report import plot_motion
     from surctl.report.files import save_figure
 
-    claim, files = decision.claim, []
+    if solution.decision is None or not solution.document:
+        return []
+    claim = solution.decision.claim
     name = claim.dynamics.name
-    if decision.document:
-        text = json.dumps(decision.document, ensure_ascii=False, separators=(",", ":"))
-        files.append(write_file(out / f"{name}.json", text + "\n"))
-    if isinstance(claim, Stability | Bound) and decision.verdict == "proved":
-        figure = plot_motion(claim.dynamics, claim.function, level=claim.level)
+    text = json.dumps(solution.document, ensure_ascii=False, separators=(",", ":"))
+    files = [write_file(out / f"{name}.json", text + "\n")]
+    if not isinstance(claim, Safety):
+        figure = plot_motion(claim.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
         files.append(save_figure(figure, out, (name,)))
     return files

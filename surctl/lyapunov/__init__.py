@@ -8,7 +8,7 @@ from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.lyapunov.from_system import continuous_dynamics
 from surctl.lyapunov.problem import Problem, is_problem, load_problem
 from surctl.lyapunov.search import Found, find_stability
-from surctl.lyapunov.solve import solve
+from surctl.lyapunov.solve import Solution, solve
 
 __all__ = [
     "Bound",
@@ -22,6 +22,7 @@ __all__ = [
     "Problem",
     "Range",
     "Safety",
+    "Solution",
     "Stability",
     "State",
     "continuous_dynamics",

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, StrictFloat, StrictStr
 
 from surctl.errors import InputError
-from surctl.files import Strict, load_model, read_toml
+from surctl.files import Strict, read_toml, validate
 from surctl.lyapunov.claims import DynamicClaim, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics, Range, State
 from surctl.verification.formula import FUNCTIONS, IDENTIFIER, Node, number, ordered, parse, parse_relation, variable
@@ -108,7 +108,7 @@ def is_problem(path: Path) -> bool:
     return read_toml(path).get("kind") in KINDS
 
 
-def load_problem(path: Path) -> Problem:
+def load_problem(path: Path, *, changes: Mapping[str, Any] | None = None) -> Problem:
     """Load dynamics, and a claim about their solutions, from a TOML file.
 
     ::
@@ -135,6 +135,10 @@ def load_problem(path: Path) -> Problem:
     continuous time, `multiplier` (the expression λ of B' <= λ B). Numbers have exactly the value of their notation.
     Units are printed but not converted: use SI units.
 
+    Args:
+        path: the file.
+        changes: values that take the place of entries of the file, by key; None removes an entry.
+
     Raises:
         InputError: the file is not valid; the error names file, key, token and column, and the remedy.
 
@@ -152,7 +156,9 @@ def load_problem(path: Path) -> Problem:
         >>> decide_motion(load_problem(Path("cubic.toml")).claim).verdict
         'proved'
     """
-    table = load_model(path, _ProblemTable)
+    entries = {**read_toml(path), **(changes or {})}
+    entries = {key: value for key, value in entries.items() if value is not None}
+    table = validate(entries, _ProblemTable, file=path)
     try:
         return _problem(table, path)
     except InputError as error:

@@ -1,47 +1,134 @@
-"""Decide a problem file: prove or refute its claim, and find what the file leaves open."""
+"""Decide a problem: prove or refute its claim, after finding the function, level or barrier that it leaves open."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
-from surctl.errors import InputError
+from surctl.lyapunov.barrier_search import find_barrier
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.problem import Problem
+from surctl.lyapunov.search import find_stability
+from surctl.verification.formula import parse
 
-__all__ = ["solve"]
+__all__ = ["Solution", "solve"]
+
+_MULTIPLIERS = ("0", "-1", "-0.1", "1", "-10")
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The answer to a problem.
+
+    Attributes:
+        problem: the problem.
+        verdict: `proved`, `refuted` or `unknown`.
+        reason: why the verdict is not `proved`, in one sentence; empty if it is.
+        decision: the decision on the claim that was stated or found; None if no function was found.
+        falsified: least level of the function at which a counterexample is known; None if it was not searched.
+        origin: how the function was found; empty if the problem states it.
+        seconds: duration [s].
+    """
+
+    problem: Problem
+    verdict: Literal["proved", "refuted", "unknown"]
+    reason: str
+    decision: Decision | None
+    falsified: float | None
+    origin: str
+    seconds: float
+
+    @property
+    def document(self) -> Mapping[str, Any]:
+        """The certificate; empty unless the verdict is `proved`."""
+        return self.decision.document if self.decision is not None and self.verdict == "proved" else {}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the solution as plain data for JSON."""
+        decided = {} if self.decision is None else self.decision.to_dict()
+        claim = {} if self.decision is None else self.decision.claim.plain()
+        return {
+            **decided,
+            "claim": self.problem.dynamics.name,
+            "verdict": self.verdict,
+            "reason": self.reason or None,
+            "level": claim.get("level"),
+            "rate": claim.get("rate"),
+            "falsified_level": self.falsified,
+            "search": self.origin or None,
+            "seconds": self.seconds,
+        }
 
 
 def solve(
     problem: Problem, *, time_limit: float = 60.0, seed: int = 0, progress: Callable[[str], None] | None = None
-) -> Decision:
-    """Prove or refute the claim of a problem.
+) -> Solution:
+    """Prove or refute the claim of a problem, and find what the problem leaves open.
 
     Args:
-        problem: the problem.
-        time_limit: limit of the time [s].
-        seed: seed of the falsifier.
+        problem: the problem. Without `function`, a function is searched; without `level`, the largest level that can be
+            proved; without `multiplier` of a stated barrier, several numbers are tried.
+        time_limit: limit of the processor time [s].
+        seed: seed of the random numbers.
         progress: function that receives a line of progress from time to time.
 
     Raises:
-        InputError: the problem is not a claim, or its claim cannot be checked; see `decide_motion`.
+        InputError: the claim cannot be checked; see `decide_motion` and `find_stability`.
 
     Example:
         >>> from pathlib import Path
         >>> from surctl.lyapunov import load_problem, solve
-        >>> _ = Path("jump.toml").write_text('''
-        ... kind = "barrier"
-        ... name = "decay"
-        ... barrier = "x - 1.5"
-        ... multiplier = "-1"
-        ... initial = ["x^2 <= 1"]
-        ... unsafe = ["x >= 2"]
+        >>> _ = Path("cubic.toml").write_text('''
+        ... kind = "lyapunov"
+        ... name = "cubic"
+        ... function = "x^2"
         ... [states]
-        ... x = { rate = "-x", lower = -3, upper = 3 }
+        ... x = { rate = "-x + x^3", lower = -2, upper = 2 }
         ... ''')
-        >>> solve(load_problem(Path("jump.toml"))).verdict
-        'proved'
+        >>> solution = solve(load_problem(Path("cubic.toml")))
+        >>> solution.verdict, round(solution.falsified, 3), solution.decision.claim.level >= 0.9
+        ('proved', 1.0, True)
     """
+    began = time.perf_counter()
     claim = problem.claim
-    if claim is None:
-        raise InputError("is missing", key=f"{problem.dynamics.name}.function", remedy="give function and level")
-    return decide_motion(claim, time_limit=time_limit, seed=seed, progress=progress)
+    if claim is not None:
+        decision = decide_motion(claim, time_limit=time_limit, seed=seed, progress=progress)
+        return Solution(problem, decision.verdict, decision.reason, decision, None, "", decision.seconds)
+    if problem.kind == "lyapunov":
+        result = find_stability(
+            problem.dynamics, function=problem.function, rate=problem.rate, time_limit=time_limit, seed=seed,
+            progress=progress,
+        )  # fmt: skip
+        falsified = None if result.falsified is None else result.falsified.level
+        origin = result.label if problem.function is None else ""
+        return Solution(problem, result.verdict, result.reason, result.decision, falsified, origin, result.seconds)
+    if problem.function is not None:
+        return _with_multiplier(problem, time_limit, seed, progress)
+    barrier = find_barrier(
+        problem.dynamics, problem.initial, problem.unsafe, time_limit=time_limit, seed=seed, progress=progress
+    )
+    verdict: Literal["proved", "unknown"] = "proved" if barrier.verdict == "proved" else "unknown"
+    reason = "" if verdict == "proved" else f"no barrier was found ({', '.join(barrier.tried)})"
+    seconds = time.perf_counter() - began
+    return Solution(problem, verdict, reason, barrier.decision, None, "linear program over samples", seconds)
+
+
+def _with_multiplier(
+    problem: Problem, time_limit: float, seed: int, progress: Callable[[str], None] | None
+) -> Solution:
+    """Try several multipliers of a stated barrier; B' ≤ λ B fails for all of them only if the last one is refuted."""
+    began = time.perf_counter()
+    decision = None
+    for text in _MULTIPLIERS:
+        claim = replace(problem, multiplier=parse(text, {})).claim
+        assert claim is not None
+        decision = decide_motion(claim, time_limit=time_limit / len(_MULTIPLIERS), seed=seed, progress=progress)
+        if decision.verdict == "proved":
+            return Solution(problem, "proved", "", decision, None, "", time.perf_counter() - began)
+        if decision.verdict == "refuted" and "change of B" not in decision.reason:
+            return Solution(problem, "refuted", decision.reason, decision, None, "", time.perf_counter() - began)
+    assert decision is not None
+    reason = f"no multiplier of {', '.join(_MULTIPLIERS)} proves the claim; {decision.reason}"
+    return Solution(problem, "unknown", reason, decision, None, "", time.perf_counter() - began)

@@ -46,15 +46,15 @@ def gram_basis(polynomial: Polynomial, candidates: Sequence[Monomial] | None = N
         candidates = monomials(among, polynomial.degree // 2, lowest=(polynomial.order + 1) // 2)
         highest = {k: max(dict(m).get(k, 0) for m in support) for k in among}
         candidates = [m for m in candidates if all(2 * e <= highest[k] for k, e in m)]
-    keep = list(candidates)
+    basis = list(candidates)
     while True:
         sums = set(support)
-        for a, b in itertools.combinations(keep, 2):
+        for a, b in itertools.combinations(basis, 2):
             sums.add(joined(a, b))
-        fewer = [m for m in keep if joined(m, m) in sums]
-        if len(fewer) == len(keep):
-            return keep
-        keep = fewer
+        fewer = [m for m in basis if joined(m, m) in sums]
+        if len(fewer) == len(basis):
+            return basis
+        basis = fewer
 
 
 def parity_classes(basis: Sequence[Monomial], polynomials: Iterable[Polynomial]) -> list[list[Monomial]]:

@@ -25,9 +25,9 @@ from surctl.sos.rounding import Column, corrected
 
 __all__ = ["Certificate", "GramBlock", "certify"]
 
-_LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no room for rounding
-_PER_ENTRY = 1e-9  # [s] per cube of a number of entries: a block of size 65 takes about 10 s
-_ROOM = (3, 10, 18)  # bits of the rounding beyond the size of the least eigenvalue, by attempt
+_LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no spare for rounding
+_PER_ENTRY = 5e-10  # [s] per cube of a number of entries: a block of size 65 takes about 5 s
+_SPARE = (3, 10, 18)  # bits of the rounding beyond the size of the least eigenvalue, by attempt
 
 
 @dataclass(frozen=True)
@@ -130,10 +130,10 @@ def certify(
     solution = program.solve(seconds=max(4 * (seconds - (time.process_time() - began)), 1.0))
     if solution is None or solution.number(least) < _LEAST:
         return None
-    for room in _ROOM:
+    for spare in _SPARE:
         if time.process_time() - began > seconds:
             return None
-        rounded = _rounded(scaled, grams, squares, multipliers, relations, solution, solution.number(least), room)
+        rounded = _rounded(scaled, grams, squares, multipliers, relations, solution, solution.number(least), spare)
         if rounded is not None:
             blocks, polynomials = rounded
             blocks = [GramBlock(b.weight, b.basis, tuple(x * size for x in b.entries)) for b in blocks]
@@ -177,11 +177,11 @@ def _rounded(
     relations: Sequence[Polynomial],
     solution: Solution,
     least: float,
-    room: int,
+    spare: int,
 ) -> tuple[list[GramBlock], list[Polynomial]] | None:
     """Return the rounded blocks and multipliers; None if a matrix is not positive semidefinite."""
     most = max(len(g.roots) for g in grams)
-    grid = 2 ** min(max(ceil(log2(most / least)) + room, 8), 60)
+    grid = 2 ** min(max(ceil(log2(most / least)) + spare, 8), 60)
     values: list[list[Fraction]] = []
     for gram, unknown in zip(grams, squares, strict=True):
         matrix = solution.gram(unknown)

@@ -231,10 +231,10 @@ class Program:
         shape = len(rows.sides), self._count
         matrix = sparse.csc_matrix((rows.values, (rows.rows, rows.columns)), shape=shape)
         quadratic = sparse.csc_matrix((self._count, self._count))
-        found = clarabel.DefaultSolver(quadratic, cost, matrix, np.array(rows.sides), cones, settings).solve()
-        if str(found.status) not in ("Solved", "AlmostSolved"):
+        solved = clarabel.DefaultSolver(quadratic, cost, matrix, np.array(rows.sides), cones, settings).solve()
+        if str(solved.status) not in ("Solved", "AlmostSolved"):
             return None
-        return Solution(np.asarray(found.x, dtype=float))
+        return Solution(np.asarray(solved.x, dtype=float))
 
 
 @dataclass(frozen=True, eq=False)

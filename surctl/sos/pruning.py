@@ -79,11 +79,11 @@ def pruned(
     fixed = set(target.terms)
     for relation, some in free:
         fixed |= {joined(m, n) for m in some for n in relation.terms}
-    kept = list(grams)
+    blocks = list(grams)
     while True:
         signed: dict[Monomial, set[tuple[int, Monomial, bool]]] = {}
         mixed = set(fixed)
-        for block, gram in enumerate(kept):
+        for block, gram in enumerate(blocks):
             for i, m in enumerate(gram.basis):
                 for n in gram.basis[:i]:
                     product = joined(m, n)
@@ -95,8 +95,8 @@ def pruned(
             if product not in mixed and len({sign for _, _, sign in entries}) == 1:
                 gone |= {(block, m) for block, m, _ in entries}
         if not gone:
-            return [gram for gram in kept if gram.basis]
-        kept = [
+            return [gram for gram in blocks if gram.basis]
+        blocks = [
             replace(gram, basis=tuple(m for m in gram.basis if (block, m) not in gone))
-            for block, gram in enumerate(kept)
+            for block, gram in enumerate(blocks)
         ]

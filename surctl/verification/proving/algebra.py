@@ -1,15 +1,15 @@
 """Exact normal forms of expressions, in which equal terms cancel as in a calculation by hand.
 
 The normal form of an expression is a fraction; its numerator and its denominators are polynomials in atoms. Atoms are
-variables, π, square roots, sines and cosines of arguments without inverse functions, and the inverse functions atan2
-and acos. The rewriting rules are sqrt(p)² = p, sin² = 1 − cos², the addition theorems, and the sine and cosine of atan2
+variables, π, square roots, sines and cosines of arguments without inverse functions, the inverse functions atan2 and
+acos, and all other functions. The rewriting rules are sqrt(p)² = p, sin² = 1 − cos², the addition theorems, and the sine and cosine of atan2
 and acos. A normal form may be defined on a larger domain than the original expression; whoever uses the normal form
 must prove separately that the original expression is defined.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import isqrt
@@ -100,12 +100,17 @@ class Algebra:
             case "sin" | "cos":
                 return self._turned(args[0])[node.op == "sin"]
             case "atan":
-                return self._inverse_angle(Node("atan2", (*node.args, number(1))), [*args, Ratio(constant(1))])
+                return self._unreduced(Node("atan2", (*node.args, number(1))), [*args, Ratio(constant(1))])
             case "atan2" | "acos":
-                return self._inverse_angle(node, args)
+                return self._unreduced(node, args)
+            case "exp" | "log" | "tan" | "tanh" | "asin" | "sinh" | "cosh":
+                return self._unreduced(node, args)
+            case "powr":
+                return self._unreduced(node, [*args, str(node.value)])
         raise TooLarge
 
-    def _inverse_angle(self, node: Node, args: list[Ratio]) -> Ratio:
+    def _unreduced(self, node: Node, args: Sequence[Ratio | str]) -> Ratio:
+        # an atom without rewriting rules of its own
         at = self._atom(node.op, *args)
         self.words.setdefault(at, node)
         return Ratio(single(at))

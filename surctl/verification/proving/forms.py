@@ -129,7 +129,10 @@ class _Sizes:
         low, high = 1.0, 1.0
         for at, exponent in monomial:
             a, b = self._ends[at]
-            ends = [a**exponent, b**exponent] + [0.0] * (a < 0 < b and exponent % 2 == 0)
+            try:
+                ends = [a**exponent, b**exponent] + [0.0] * (a < 0 < b and exponent % 2 == 0)
+            except OverflowError:
+                return -float("inf"), float("inf")
             products = [x * y for x in (low, high) for y in (min(ends), max(ends))]
             low, high = min(products), max(products)
         return low, high

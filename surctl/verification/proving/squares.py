@@ -241,16 +241,16 @@ class _Problem:
 
     def _relations(self) -> list[tuple[int, Polynomial]]:
         """Return sin² + cos² − 1 and root² − radicand, with the index of the sine or root among the symbols."""
-        found = []
+        relations = []
         for at in self._atoms:
             kind, args = self._algebra.atoms[at]
             inside = args[0] if args else None
             if kind == "sin" and isinstance(inside, Ratio):
                 cosine = self._algebra._atom("cos", inside)
-                found.append((self._place[at], self.moved(single(at)) ** 2 + self.moved(single(cosine)) ** 2 - 1))
+                relations.append((self._place[at], self.moved(single(at)) ** 2 + self.moved(single(cosine)) ** 2 - 1))
             elif kind == "sqrt" and isinstance(inside, Ratio) and not inside.under:
-                found.append((self._place[at], self.moved(single(at)) ** 2 - self.moved(inside.over)))
-        return found
+                relations.append((self._place[at], self.moved(single(at)) ** 2 - self.moved(inside.over)))
+        return relations
 
     def weight(self, factors: Sequence[str]) -> Polynomial:
         """Return the product of factors, scaled by a power of 2 to a largest coefficient of about 1."""
@@ -267,14 +267,14 @@ class _Problem:
         boxes = [(f"l{name[1:]}", name) for (name,) in ends if name[0] == "h"]
         constraints = [name for name in self._factors if name[0] == "c"]
         pairs = [*itertools.combinations(constraints, 2)]
-        found = []
+        levels = []
         for degree in range(first, min(first + 2 * _LEVELS, _HIGHEST + 1), 2):
             # with few factors, the matrices are smaller
             if known:
-                found.append((degree, [*known, *pairs]))
-            found.append((degree, [*known, *pairs, *ends]))
-            found.append((degree, [*known, *pairs, *ends, *boxes]))
-        return found
+                levels.append((degree, [*known, *pairs]))
+            levels.append((degree, [*known, *pairs, *ends]))
+            levels.append((degree, [*known, *pairs, *ends, *boxes]))
+        return levels
 
     def entry(self, proof: Certificate, factors: Sequence[tuple[str, ...]]) -> dict[str, Any]:
         """Return the entry `squares` of a case."""

@@ -38,7 +38,7 @@ def zeros_of(
     slopes = [target.derivative(k) for k in range(len(box))]
     size = max(abs(float(c)) for c in target.terms.values())
     rng = np.random.default_rng(0)
-    found: dict[tuple[Fraction, ...], None] = {}
+    zeros: dict[tuple[Fraction, ...], None] = {}
     for start in rng.uniform(ends[:, 0], ends[:, 1], size=(_STARTS, len(box))):
         best = minimize(
             lambda x: float(target.value(x.tolist())),
@@ -57,5 +57,5 @@ def zeros_of(
         )
         inside = all(low <= x <= high for x, (low, high) in zip(point, box, strict=True))
         if any(point) and inside and target.value(point) == 0 and all(side.value(point) >= 0 for side in sides):
-            found[point] = None
-    return list(found)
+            zeros[point] = None
+    return list(zeros)
