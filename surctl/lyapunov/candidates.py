@@ -1,4 +1,4 @@
-"""Candidates for Lyapunov functions: quadratic ones of the linearisation, shaped for a large region, and polynomials."""
+"""Candidates for Lyapunov functions: quadratic functions and polynomials that are shaped for a large region."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, common_quadratic
 from surctl.lyapunov.rays import Grid, directions, grid
+from surctl.lyapunov.seeds import sampled_function
 from surctl.lyapunov.shape import enlarge
-from surctl.lyapunov.template import Template, polynomials, quadratic
+from surctl.lyapunov.template import Template, polynomials, quadratic, with_cosines
 from surctl.verification.formula import Node
 
-__all__ = ["Candidate", "candidates"]
+__all__ = ["Candidate", "candidates", "strict_variants"]
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ def candidates(
     """Yield candidates of increasing degree, each shaped for a large region.
 
     Args:
-        dynamics: the dynamics, with a stable linearisation.
+        dynamics: the dynamics.
         linear: the linearisation at the corners of the parameters.
         degree: largest degree of a polynomial.
         seconds: limit of the processor time [s].
@@ -60,37 +61,79 @@ def candidates(
     until = time.process_time() + seconds
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     rate = max(rate, _least_rate(d, linear))
-    shift = np.eye(len(scales)) * rate / 2
-    shifted = linear.matrices / np.sqrt(1 - min(rate, 0.999)) if d.discrete else linear.matrices + shift
-    matrix = common_quadratic(shifted, scales, discrete=d.discrete)
-    if matrix is None:
-        return
     shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
-    template = polynomials(d, 2, scales)
-    start = quadratic(d, matrix)
     part = 0.3 * seconds / max(1, degree - 1)
-    coefficients, volume = shaper.shaped(template, start, part)
-    if volume > 0:
-        yield Candidate("quadratic", template.function(coefficients), volume)
-    else:
-        yield Candidate("quadratic", template.function(start / np.abs(start).max()), 0.0)
+    template = polynomials(d, 2, scales)
+    matrix = (
+        None
+        if linear.verdict == "marginal"
+        else common_quadratic(_shifted(d, linear, rate), scales, discrete=d.discrete)
+    )
+    start = (
+        sampled_function(template, scales, shaper.corners, half=shaper.half) if matrix is None else quadratic(d, matrix)
+    )
+    if start is None and degree >= 4:
+        template = polynomials(d, 4, scales, even=shaper.half)
+        start = sampled_function(template, scales, shaper.corners, half=shaper.half)
+    if start is None:
         return
-    for higher in range(4, degree + 1, 2):
+    coefficients, volume = shaper.shaped(template, start, part)
+    label = "quadratic" if len(template.basis) == len(polynomials(d, 2, scales).basis) else "polynomial of degree 4"
+    yield Candidate(label, template.function(coefficients), volume)
+    if not volume > 0:
+        return
+    energy = with_cosines(template, scales)
+    if len(energy.basis) > len(template.basis):
+        found, volume = shaper.shaped(energy, _embedded(template, coefficients, energy), part)
+        yield Candidate("quadratic with the potential energy of angles", energy.function(found), volume)
+    for higher in range(4 if label == "quadratic" else 6, degree + 1, 2):
         wider = polynomials(d, higher, scales, even=shaper.half)
         if len(wider.basis) > _MOST_TERMS:
             return
-        at = {node: k for k, node in enumerate(wider.basis)}
-        start = np.zeros(len(wider.basis))
-        for node, c in zip(template.basis, coefficients, strict=True):
-            start[at[node]] = c
+        start = _embedded(template, coefficients, wider)
         share = (until - time.process_time()) / (1 + (degree - higher) // 2)
         template = wider
         coefficients, volume = shaper.shaped(template, start, share)
         yield Candidate(f"polynomial of degree {higher}", template.function(coefficients), volume)
 
 
+def _shifted(d: Dynamics, linear: Linear, rate: float) -> Array:
+    """Return matrices whose quadratic functions decrease at least at a rate along the linearisation."""
+    if d.discrete:
+        return np.asarray(linear.matrices / np.sqrt(1 - min(rate, 0.999)))
+    return linear.matrices + np.eye(len(d.states)) * rate / 2
+
+
+def _embedded(template: Template, coefficients: Array, wider: Template) -> Array:
+    """Return the coefficients of the same function in a template that contains the basis of the other one."""
+    at = {node: k for k, node in enumerate(wider.basis)}
+    total = np.zeros(len(wider.basis))
+    for node, c in zip(template.basis, coefficients, strict=True):
+        total[at[node]] = c
+    return total
+
+
+def strict_variants(dynamics: Dynamics, linear: Linear, function: Node) -> Iterator[Candidate]:
+    """Yield a function plus small multiples of a quadratic function that decreases close to the equilibrium."""
+    d = dynamics
+    scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+    matrix = common_quadratic(linear.matrices, scales, discrete=d.discrete)
+    if matrix is None:
+        return
+    template = polynomials(d, 2, scales)
+    x = d.equilibrium[:, None] + scales[:, None] * directions(len(scales), 256) * 0.1
+    size = float(np.median(np.asarray(d.compiled(function)(x, np.repeat(d.corners()[:, :1], x.shape[1], axis=1)))))
+    coefficients = quadratic(d, matrix)
+    coefficients *= size / float(np.median(coefficients @ template.features(x, d.corners()[:, 0])[0]))
+    for share in (0.3, 0.1, 0.03, 0.01):
+        added = template.function(share * coefficients)
+        yield Candidate(f"given function plus {share:g} of a quadratic one", function + added, 0.0)
+
+
 def _least_rate(d: Dynamics, linear: Linear) -> float:
     """Return a small part of the slowest decay rate of a quadratic function close to the equilibrium."""
+    if linear.verdict == "marginal":
+        return 0.0
     eigenvalues = np.linalg.eigvals(linear.matrices)
     slowest = 1 - float(np.abs(eigenvalues).max()) ** 2 if d.discrete else -2 * float(eigenvalues.real.max())
     return _SPARE * slowest
@@ -110,7 +153,7 @@ class _Shaper:
         corners = d.corners(most=10)
         few = np.random.default_rng(0).permutation(corners.shape[1])[:_MOST_CORNERS]
         self.corners = corners[:, np.sort(few)]
-        self.rays = {1: 2, 2: 64 if self.half else 128}.get(n, min(256 * (n - 1), 1024))
+        self.rays = {1: 2, 2: 64 if self.half else 128}.get(n, 512 if n == 3 else 1024)
         self.extent: Array | None = None
         self.directions = directions(n, self.rays, half=self.half)
 
@@ -146,7 +189,7 @@ class _Shaper:
             trial = (1 - share) * best + share * first
             if fine.sizes(trial[None], self.rate).level[0] > 0:
                 return enlarge(fine, trial, seconds=seconds, rate=self.rate, seed=self.seed, step=1e-3)[0]
-        return start
+        return first
 
     def _grid(self, template: Template, finer: int = 1) -> Grid:
         n = len(self.scales)

@@ -105,7 +105,9 @@ def decide_motion(
             if left <= 0:
                 reason = "the time limit was reached"
                 break
-            proof = prove(inequality, time_limit=left / (len(attempt.inequalities) - k) + 1.0, progress=progress)
+            # the last inequality, about the change of the function, is the hardest
+            share = left if k == len(attempt.inequalities) - 1 else 0.3 * left
+            proof = prove(inequality, time_limit=share + 1.0, progress=progress)
             if proof.certificate is None:
                 reason = f"{inequality.name}: {proof.remaining}"
                 break

@@ -55,7 +55,7 @@ def equilibria(dynamics: Dynamics, *, seed: int = 0) -> list[Array]:
             continue
         if all(np.abs(z - other).max() > 1e-6 for other in found):
             found.append(z)
-    return [_short(d, low + (high - low) * z) for z in sorted(found, key=lambda z: tuple(np.round(z, 6)))]
+    return [_short(d, low + (high - low) * z) for z in sorted(found, key=lambda z: [round(float(v), 6) for v in z])]
 
 
 def _short(d: Dynamics, x: Array) -> Array:

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 _RAYS, _POINTS, _STARTS, _MOST_CORNERS = 1024, 48, 5, 16
 _NEAREST = 0.004  # least relative distance from the equilibrium
+_FLAT = 1e-8  # eigenvalues below this share of the largest one count as 0
+_SHORT = 0.05  # length of a step along directions without a decrease of second order
+_NEARLY = 0.1  # share of the median decrease below which a point is close to a counterexample
 _OUTWARDS = (0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3)
 
 
@@ -52,7 +55,7 @@ class _Search:
 
     @cached_property
     def symbolic(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-        # scaled states z, scaled parameters p in [0, 1], V, g = (V' + rate V)/r², successors
+        # scaled states z, scaled parameters p in [0, 1], V, V' + rate V, successors
         d = self.dynamics
         z, p = ca.SX.sym("z", len(d.states)), ca.SX.sym("p", len(d.parameters))
         x = ca.DM(d.equilibrium) + ca.DM(self.scales) * z
@@ -60,12 +63,12 @@ class _Search:
         w = ca.DM(low) + ca.DM(high - low) * p
         value, change, *after = ca.vertsplit(d.compiled(self.function, d.change(self.function), *d.rates)(x, w))
         loss = change - value if d.discrete else change
-        return z, p, value, (loss + self.rate * value) / ca.sumsqr(z), ca.vertcat(*after)
+        return z, p, value, loss + self.rate * value, ca.vertcat(*after)
 
     @cached_property
     def values(self) -> ca.Function:
-        z, p, value, g, after = self.symbolic
-        rows = [value, g]
+        z, p, value, rise, after = self.symbolic
+        rows = [value, rise / ca.sumsqr(z)]
         if self.dynamics.discrete:
             low, high = self.dynamics.box
             out = (after - (low + high) / 2) / ((high - low) / 2)
@@ -74,9 +77,29 @@ class _Search:
 
     @cached_property
     def slopes(self) -> ca.Function:
-        z, p, value, g, _ = self.symbolic
-        both = ca.vertcat(z, p)
+        z, p, value, rise, _ = self.symbolic
+        both, g = ca.vertcat(z, p), rise / ca.sumsqr(z)
         return ca.Function("slopes", [both], [value, ca.gradient(value, both), g, ca.gradient(g, both)], {"cse": True})
+
+    def flat(self, corners: Array) -> bool:
+        """Return whether V is positive definite to second order at the equilibrium, but its decrease is not."""
+        z, p, value, rise, _ = self.symbolic
+        hessians = ca.Function("hessians", [z, p], [ca.hessian(value, z)[0], ca.hessian(-rise, z)[0]])
+        for corner in corners.T:
+            of_value, of_loss = (np.asarray(h) for h in hessians(np.zeros(z.numel()), corner))
+            positive = np.linalg.eigvalsh(of_value)
+            if not positive.min() > _FLAT * np.abs(positive).max():
+                continue
+            loss, vectors = np.linalg.eigh(of_loss)
+            if loss.min() < -_FLAT * np.abs(loss).max():
+                return True
+            # where the second order vanishes, a higher one may decide
+            along = vectors[:, loss <= _FLAT * np.abs(loss).max()] * _SHORT
+            for at in (*along.T, *-along.T):
+                v, g = np.asarray(self.values(at, corner)).reshape(-1)[:2]
+                if g * _SHORT**2 > -_FLAT * v:
+                    return True
+        return False
 
 
 def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *, seed: int = 0) -> Falsified:
@@ -101,7 +124,7 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
     read = [np.asarray(search.values(flat, np.repeat(p[:, None], flat.shape[1], axis=1))) for p in corners.T]
     v = read[0][0].reshape(-1, _POINTS)
     g = np.array([r[1] for r in read]).reshape(len(read), -1, _POINTS)
-    if not np.all(np.isfinite(v)) or v.min() <= 0 or g[:, :, 0].max() >= 0:
+    if not np.all(np.isfinite(v)) or v.min() <= 0 or g[:, :, 0].max() >= 0 or search.flat(corners):
         at = np.unravel_index(np.argmin(v) if v.min() <= 0 else np.argmax(g[:, :, 0].max(axis=0)) * _POINTS, v.shape)
         return _at(search, z[:, at[0], at[1]], corners[:, 0], min(float(v.min()), 0.0), "decrease", confirmed=False)
     found: list[Falsified] = []
@@ -135,7 +158,8 @@ def _starts(g: Array, v: Array, z: Array, corners: Array) -> list[Array]:
     worst = g.max(axis=0)
     which = g.argmax(axis=0)
     size = np.median(np.abs(worst))
-    order = np.argsort(np.where(worst >= 0, v, v * (1 + 3 * np.minimum(-worst / size, 10))), axis=None)[:400]
+    close = worst >= -_NEARLY * size
+    order = np.argsort(np.where(worst >= 0, v, np.where(close, 1.5 * v, np.inf)), axis=None)[: min(400, close.sum())]
     chosen: list[Array] = []
     for at in order:
         i, j = np.unravel_index(at, v.shape)

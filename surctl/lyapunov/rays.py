@@ -143,6 +143,7 @@ def grid(
     box: Array | None = None,
     outer: Array | None = None,
     half: bool = False,
+    beyond: int = _BEYOND,
 ) -> Grid:
     """Return the features of a template on rays from the equilibrium to the border of the box.
 
@@ -156,6 +157,7 @@ def grid(
         outer: relative radius (rays,) up to which the region may extend on each ray; beyond it, a few points up to the
             border of the box are still part of the grid.
         half: whether half of the rays suffice, because dynamics and template are symmetric to x*.
+        beyond: number of points on each ray beyond `outer`.
     """
     d = template.dynamics
     u = directions(len(d.states), rays, half=half)
@@ -164,7 +166,7 @@ def grid(
     far = border if outer is None else np.minimum(border, outer)
     radii = far[:, None] * np.linspace(_NEAREST, 1.0, points)
     if outer is not None:
-        radii = np.hstack([radii, far[:, None] + (border - far)[:, None] * np.linspace(0, 1, _BEYOND + 1)[1:]])
+        radii = np.hstack([radii, far[:, None] + (border - far)[:, None] * np.linspace(0, 1, beyond + 1)[1:]])
     at = (u[:, :, None] * radii[None]).reshape(len(u), -1)
     x = d.equilibrium[:, None] + scales[:, None] * at
     square = (at**2).sum(axis=0)
@@ -172,9 +174,9 @@ def grid(
     edge = np.zeros(radii.shape, dtype=bool)
     if not d.discrete or outer is not None:
         edge[:, points - 1 :] = True
-    edge = edge.reshape(-1)
+    last = edge.reshape(-1)
     if d.discrete:
         for corner in corners.T:
             after = d.evaluate(x, np.repeat(corner[:, None], x.shape[1], axis=1))
-            edge |= np.any((after < bounds[0][:, None]) | (after > bounds[1][:, None]), axis=0)
-    return Grid(x, radii, read[0][0], np.array([change for _, change in read]), edge, square)
+            last |= np.any((after < bounds[0][:, None]) | (after > bounds[1][:, None]), axis=0)
+    return Grid(x, radii, read[0][0], np.array([change for _, change in read]), last, square)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from surctl.errors import InputError
-from surctl.lyapunov.candidates import Candidate, candidates
+from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
@@ -20,8 +19,9 @@ from surctl.verification.formula import Node, text_of
 
 __all__ = ["Found", "find_stability"]
 
-_SHARES = (0.99, 0.97, 0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1)
+_SHARES = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1)
 _SEARCH = 0.3  # share of the time for the search of functions
+_TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
 
 
@@ -124,8 +124,6 @@ def find_stability(
     wanted = None if rate == "largest" else rate
     if function is not None:
         offered: Iterator[Candidate] = iter([Candidate("given", function, 0.0)])
-    elif linear.verdict == "marginal":
-        return _none("unknown", f"{linear.reason}, which decides nothing; give a function", began)
     else:
         offered = candidates(d, linear, degree=degree, seconds=_SEARCH * time_limit, rate=wanted or 0.0, seed=seed)
     trials = []
@@ -133,13 +131,26 @@ def find_stability(
         bound = least_level(d, candidate.function, wanted, seed=seed)
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}, volume {candidate.volume:.3g}")
         trials.append((candidate, bound))
+    if function is not None and linear.verdict == "stable" and not trials[0][1].level > 0:
+        for candidate in strict_variants(d, linear, function):
+            bound = least_level(d, candidate.function, wanted, seed=seed)
+            _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
+            if bound.level > 0:
+                trials = [(candidate, bound)]
+                break
     if not trials:
-        return _none("unknown", "no quadratic function decreases for all corners of the parameters", began)
+        reason = "no polynomial decreases at all samples close to the equilibrium"
+        if linear.verdict == "marginal":
+            reason = f"{linear.reason}, which decides nothing, and {reason}"
+        return _none("unknown", reason, began)
+    simplest = trials[0]
     trials.sort(key=lambda trial: -trial[0].volume * (trial[1].level > 0))
+    # the largest regions, and the function that is easiest to prove
+    trials = [*(trial for trial in trials[:_TRIED] if trial is not simplest), simplest]
     best = None
     for k, (candidate, bound) in enumerate(trials):
         rest = until - time.process_time()
-        share = rest if k == len(trials) - 1 else 0.6 * rest
+        share = rest / (len(trials) - k)
         result = _proved(d, candidate, bound, wanted, level, share, began, seed, progress)
         best = result if best is None or result.verdict == "proved" else best
         if result.verdict == "proved" or until < time.process_time():

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.lyapunov.dynamics import Dynamics, exact
-from surctl.verification.formula import Node, number, power, to_casadi, variable
+from surctl.verification.formula import Node, number, ordered, power, to_casadi, variable
 
-__all__ = ["Template", "polynomials", "quadratic"]
+__all__ = ["Template", "polynomials", "quadratic", "with_cosines"]
 
 Array = NDArray[np.float64]
 Powers = tuple[int, ...]
@@ -44,10 +44,7 @@ class Template:
         w = ca.vertcat(ca.SX(0, 1), *[d.symbols[p.name] for p in d.parameters])
         values = ca.vertcat(*[to_casadi(node, d.symbols) for node in self.basis])
         rates = ca.vertcat(*[to_casadi(node, d.symbols) for node in d.rates])
-        if d.discrete:
-            change = ca.substitute(values, x, rates) - values
-        else:
-            change = ca.jacobian(values, x) @ rates
+        change = ca.substitute(values, x, rates) - values if d.discrete else ca.jacobian(values, x) @ rates
         return ca.Function("features", [x, w], [ca.densify(values), ca.densify(change)], {"cse": True})
 
     def features(self, x: Array, w: Array) -> tuple[Array, Array]:
@@ -83,10 +80,22 @@ def polynomials(dynamics: Dynamics, degree: int, scales: Array, *, even: bool = 
     for total in range(2, degree + 1):
         if even and total % 2:
             continue
-        for picked in itertools.combinations_with_replacement(range(count), total):
-            powers.append(tuple(picked.count(k) for k in range(count)))
+        picks = itertools.combinations_with_replacement(range(count), total)
+        powers.extend(tuple(picked.count(k) for k in range(count)) for picked in picks)
     sizes = np.array([np.prod(scales ** np.array(p)) for p in powers])
     return Template(dynamics, tuple(_monomial(dynamics, p) for p in powers), sizes)
+
+
+def with_cosines(template: Template, scales: Array) -> Template:
+    """Return the template with 1 − cos(x_k) for every angle: a state whose sine or cosine is part of the dynamics."""
+    d = template.dynamics
+    basis, sizes = list(template.basis), list(template.sizes)
+    parts = {node.args[0] for node in ordered(*d.rates) if node.op in ("sin", "cos")}
+    for s, scale in zip(d.states, scales, strict=True):
+        if s.equilibrium == 0 and variable(s.name) in parts:
+            basis.append(number(1) - Node("cos", (variable(s.name),)))
+            sizes.append(1 - np.cos(min(scale, np.pi)))
+    return Template(d, tuple(basis), np.array(sizes))
 
 
 def quadratic(dynamics: Dynamics, matrix: Array) -> Array:

@@ -1,0 +1,221 @@
+"""Search of Lyapunov functions: equilibria, linearisation, levels with counterexamples, shapes and proofs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.ir import Layout, Port
+from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_barrier, find_stability, least_level
+from surctl.lyapunov.candidates import candidates
+from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
+from surctl.lyapunov.from_system import NOT_COVERED
+from surctl.system import Controller, Plant, System
+from surctl.verification.formula import parse, text_of, variable
+
+TRUE_AREA = 13.722
+"""Area of the region of attraction of the Van der Pol oscillator in reverse time, inside its limit cycle."""
+
+
+def _dynamics(
+    states: Mapping[str, tuple[float, ...]],
+    rates: list[str],
+    parameters: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    discrete: bool = False,
+) -> Dynamics:
+    ranges = tuple(Range(name, *ends) for name, ends in (parameters or {}).items())
+    known = {name: variable(name) for name in (*states, *(r.name for r in ranges))}
+    axes = tuple(State(k, v[0], v[1], equilibrium=v[2] if len(v) > 2 else 0.0) for k, v in states.items())
+    return Dynamics(
+        "example", "discrete" if discrete else "continuous", axes, tuple(parse(rate, known) for rate in rates), ranges
+    )
+
+
+def _van_der_pol(parameters: dict[str, tuple[float, float]] | None = None) -> Dynamics:
+    damping = "m*(1 - x^2)*y" if parameters else "(1 - x^2)*y"
+    return _dynamics({"x": (-3.0, 3.0), "y": (-3.0, 3.0)}, ["-y", f"x - {damping}"], parameters)
+
+
+def _leavers(d: Dynamics, value: object, level: float, *, count: int, seconds: float) -> int:
+    """Integrate from the border of V < level with drawn parameters; return how many solutions leave the region."""
+    from scipy.integrate import solve_ivp
+
+    random = np.random.default_rng(1)
+    n = len(d.states)
+    u = random.standard_normal((n, count))
+    low, high = np.zeros(count), np.full(count, 2 * float(np.abs(d.box).max()))
+    u /= np.linalg.norm(u, axis=0)
+    w = d.ranges[0][:, None] + (d.ranges[1] - d.ranges[0])[:, None] * random.uniform(size=(d.ranges.shape[1], count))
+
+    def v(x: np.ndarray) -> np.ndarray:
+        return np.asarray(value(x, w)).reshape(-1)  # type: ignore[operator]
+
+    for _ in range(60):  # the innermost crossing, as V grows along each of these rays
+        middle = (low + high) / 2
+        inside = v(u * middle) < level
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    run = solve_ivp(
+        lambda _, x: d.evaluate(x.reshape(n, -1), w).reshape(-1), (0.0, seconds), (u * low).reshape(-1), rtol=1e-8,
+        atol=1e-10,
+    )  # fmt: skip
+    worst = np.max([v(x.reshape(n, -1)) for x in run.y.T], axis=0)
+    return int(np.sum((worst > level * (1 + 1e-6)) | (v(run.y[:, -1].reshape(n, -1)) > 0.5 * level)))
+
+
+def test_the_region_of_van_der_pol_is_nearly_the_true_one() -> None:
+    d = _van_der_pol()
+    found = list(candidates(d, linearisation(d), degree=6, seconds=15.0))
+    assert [c.label for c in found] == ["quadratic", *(f"polynomial of degree {k}" for k in (4, 6))]
+    areas = [c.volume * 36 for c in found]
+    assert areas[0] >= 0.97 * 6.63  # the best quadratic function, by a scan of all shapes
+    assert areas[2] >= 0.94 * TRUE_AREA
+    bound = least_level(d, found[2].function)
+    assert bound.confirmed
+    assert bound.level == pytest.approx(1, rel=0.03)
+    grid = np.linspace(-3, 3, 600)
+    points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
+    inside = np.asarray(d.compiled(found[2].function)(points, np.zeros((0, points.shape[1])))) < 0.97 * bound.level
+    assert inside.mean() * 36 >= 0.9 * TRUE_AREA
+    assert _leavers(d, d.compiled(found[2].function), 0.97 * bound.level, count=500, seconds=15.0) == 0
+
+
+def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed() -> None:
+    d = _van_der_pol()
+    x = {"x": variable("x"), "y": variable("y")}
+    function = parse("1.5*x^2 - x*y + y^2", x)
+    bound = least_level(d, function)
+    grid = np.linspace(-1.5, 1.5, 401)
+    points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
+    points = points[:, np.abs(points).max(axis=0) > 1e-3]  # without the equilibrium
+    v, change = np.asarray(d.compiled(function, d.change(function))(points, np.zeros((0, points.shape[1]))))
+    assert bound.level == pytest.approx(v[change >= 0].min(), rel=1e-2)
+    assert bound.confirmed
+    assert bound.cause == "decrease"
+    faces = least_level(d.on({"x": (-0.5, 0.5)}), function)
+    assert faces.cause == "face"
+    assert faces.level == pytest.approx(1.25 * 0.5**2)  # the least value of V on x = 0.5
+
+
+def test_unstable_and_marginal_equilibria_are_told_apart() -> None:
+    unstable = find_stability(_dynamics({"x": (-1.0, 1.0)}, ["k*x - x^3"], {"k": (-1.0, 0.2)}))
+    assert unstable.verdict == "refuted"
+    assert unstable.reason == "the linearisation has the eigenvalue 0.2 at k = 0.2"
+    centre = find_stability(_dynamics({"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, ["y", "-x"]), time_limit=5.0)
+    assert centre.verdict == "unknown"
+    assert "decides nothing" in centre.reason
+    grows = _dynamics({"x": (-1.0, 1.0)}, ["1.1*x - x^3"], discrete=True)
+    assert "eigenvalue 1.1" in find_stability(grows).reason
+
+
+def test_where_the_linearisation_decides_nothing_samples_give_a_function() -> None:
+    d = _dynamics({"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, ["-x^3 + y", "-x - y^3"])
+    found = find_stability(d, degree=4, time_limit=20.0)
+    assert found.verdict == "proved"
+    assert found.ratio >= 0.9
+
+
+def test_the_equilibrium_is_found_and_several_are_named() -> None:
+    moved = at_equilibrium(_dynamics({"x": (0.5, 3.0, 1.0)}, ["2 - x"]))
+    assert moved.equilibrium == [2.0]
+    with pytest.raises(InputError, match="several: x = -1; x = 0; x = 1"):
+        at_equilibrium(_dynamics({"x": (-2.0, 2.0, 0.5)}, ["x - x^3"]))
+    with pytest.raises(InputError, match="the search finds none"):
+        at_equilibrium(_dynamics({"x": (-2.0, 2.0)}, ["1 + x^2"]))
+    with pytest.raises(InputError, match="moves with the parameters"):
+        at_equilibrium(_dynamics({"x": (-2.0, 2.0, 0.5)}, ["k - x"], {"k": (0.0, 0.4)}))
+
+
+def test_one_quadratic_function_for_all_corners_of_the_parameters() -> None:
+    # each matrix is stable, but the quadratic function of their mean does not decrease for both
+    matrices = np.array([[[0.0, 1.0], [-1.0, -0.6]], [[0.0, 1.0], [-3.0, -0.6]]])
+    p = common_quadratic(matrices, [1.0, 1.0], discrete=False)
+    assert p is None or all(np.linalg.eigvalsh(a.T @ p + p @ a).max() < 0 for a in matrices)
+    closer = np.array([[[0.0, 1.0], [-1.0, -1.0]], [[0.0, 1.0], [-2.5, -1.0]]])
+    p = common_quadratic(closer, [1.0, 1.0], discrete=False)
+    assert p is not None
+    assert all(np.linalg.eigvalsh(a.T @ p + p @ a).max() < 0 for a in closer)
+    maps = np.array([[[0.5, 0.4], [-0.4, 0.5]], [[0.5, 0.4], [-0.7, 0.5]]])
+    p = common_quadratic(maps, [1.0, 1.0], discrete=True)
+    assert p is not None
+    assert all(np.linalg.eigvalsh(a.T @ p @ a - p).max() < 0 for a in maps)
+
+
+def test_a_region_is_proved_just_below_its_least_level() -> None:
+    d = _dynamics({"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ["-x + y", "-y - x^3"])
+    found = find_stability(d, degree=2, time_limit=30.0)
+    assert found.verdict == "proved"
+    assert found.ratio >= 0.9
+    assert found.claim is not None
+    assert found.to_dict()["level"] < found.to_dict()["falsified_level"]
+
+
+def test_a_map_has_a_region_too() -> None:
+    d = _dynamics({"x": (0.1, 1.2, 0.5)}, ["2*x*(1 - x)"], discrete=True)
+    found = find_stability(d, degree=2, time_limit=30.0)
+    assert found.verdict == "proved"
+    assert found.ratio >= 0.9
+    assert found.claim is not None
+    assert text_of(found.claim.function).endswith("(x - 0.5)^2")
+
+
+def test_energy_is_made_strict_and_the_largest_rate_is_proved() -> None:
+    d = _dynamics({"a": (-2.0, 2.0), "w": (-3.0, 3.0)}, ["w", "-a - w"])
+    energy = parse("0.5*w^2 + 0.5*a^2", {"a": variable("a"), "w": variable("w")})
+    found = find_stability(d, function=energy, rate="largest", time_limit=30.0)
+    assert found.verdict == "proved"
+    assert found.label.startswith("given function plus")
+    assert found.claim is not None
+    assert found.claim.rate is not None
+    assert found.claim.rate > 0
+
+
+def test_a_barrier_is_found_in_continuous_and_in_discrete_time() -> None:
+    x = {"x": variable("x"), "y": variable("y")}
+    start, bad = [parse("x^2 + y^2 - 0.25", x)], [parse("1.2 - x - y", x)]
+    bounds = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}
+    found = find_barrier(_dynamics(bounds, ["-x + y", "-x - y"]), start, bad, degree=2, time_limit=30.0)
+    assert found.verdict == "proved"
+    turned = _dynamics(bounds, ["0.8*x + 0.3*y", "-0.3*x + 0.8*y"], discrete=True)
+    assert find_barrier(turned, start, bad, degree=2, time_limit=30.0).verdict == "proved"
+    reached = find_barrier(_dynamics(bounds, ["1", "0"]), start, [parse("1 - x", x)], degree=2, time_limit=10.0)
+    assert reached.verdict == "unknown"
+    with pytest.raises(InputError, match="holds no sample"):
+        find_barrier(turned, [parse("x^2 + 1", x)], bad)
+
+
+def _loop(*, integral: bool) -> System:
+    plant = Plant(
+        "pendulum",
+        state=Layout((Port("angle", (1,), "rad", ""), Port("rate", (1,), "rad/s", ""))),
+        inputs=Layout((Port("torque", (1,), "N m", ""),)),
+        parameters=Layout((Port("gravity", (1,), "1/s^2", "", 9.81),)),
+        ode=lambda x, f, d, p: {"angle": x["rate"], "rate": p["gravity"] * ca.sin(x["angle"]) + f["torque"]},
+    )
+    law = Controller(
+        "pd",
+        dt=0.01,
+        inputs=Layout((*plant.state, Port("target", (1,), "rad", ""))),
+        command=plant.inputs,
+        state=Layout((Port("sum", (1,), "rad s", "", 0.0),)) if integral else Layout(()),
+        gains=Layout((Port("k_p", (1,), "N m/rad", "", 20.0),)),
+        law=lambda x, u, p: -p["k_p"] * (u["angle"] - u["target"]) - 6 * u["rate"],
+    )
+    return System(plant, law)
+
+
+def test_dynamics_of_a_closed_loop_are_exact_and_say_what_they_leave_out() -> None:
+    bounds = {"angle": (-1.0, 1.0), "rate": (-4.0, 4.0)}
+    d = continuous_dynamics(_loop(integral=False), bounds, values={"gravity": (9.0, 10.0), "k_p": 25.0})
+    assert d.source == NOT_COVERED
+    assert [w.name for w in d.parameters] == ["gravity"]
+    rates = d.evaluate([[0.3], [0.1]], [[9.5]])[:, 0]
+    assert rates == pytest.approx([0.1, 9.5 * np.sin(0.3) - 25 * 0.3 - 6 * 0.1])
+    with pytest.raises(InputError, match=r"bounds\.rate"):
+        continuous_dynamics(_loop(integral=False), {"angle": (-1.0, 1.0)})
+    with pytest.raises(InputError, match=r"values\.grvity"):
+        continuous_dynamics(_loop(integral=False), bounds, values={"grvity": 9.0})
