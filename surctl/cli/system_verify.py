@@ -82,11 +82,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             certificates = written[:1]
         passed = stable and solution.verdict == "proved"
     settings = [word for word in others if not word.startswith("start.")]
-    then = [
-        command_line(
-            "export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", *certificates, "--out", "firmware"
-        )
-    ]
+    then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
+    then += [shlex.join(["surctl", "check", path, "--bundle", "firmware"]) for path in certificates]
     finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())
 
 

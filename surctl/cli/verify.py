@@ -100,11 +100,12 @@ def verify(
     the law's barrier, its assumptions, and whether the margin suffices.
 
     The linear analysis about straight cruise gives margins, poles, the slowest mode, the largest stable speed and
-    sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and braking claims are checked only if they are named (see surctl list). A file holds an inequality of your own (kind
-    claim; --show prints examples), a region claim with other numbers (kind region), or a region of attraction or a
-    barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent
-    or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable,
-    the linear loop is unstable, or the safety claim fails.
+    sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and braking claims
+    are checked only if they are named (see surctl list). A file holds an inequality of your own (kind claim; --show
+    prints examples), a region claim with other numbers (kind region), or a region of attraction or a barrier of any
+    dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent or dependent,
+    and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable, the linear loop
+    is unstable, or the safety claim fails.
 
     For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop; with
     within.STATE=LOW..HIGH for every state, it also proves a region of attraction.

@@ -210,12 +210,17 @@ def _loop(*, integral: bool) -> System:
 
 def test_dynamics_of_a_closed_loop_are_exact_and_say_what_they_leave_out() -> None:
     bounds = {"angle": (-1.0, 1.0), "rate": (-4.0, 4.0)}
-    d = continuous_dynamics(_loop(integral=False), bounds, values={"gravity": (9.0, 10.0), "k_p": 25.0})
+    d = continuous_dynamics(_loop(integral=False), bounds, values={"k_p": 25.0}, ranges={"plant.gravity": (9.0, 10.0)})
     assert d.source == NOT_COVERED
-    assert [w.name for w in d.parameters] == ["gravity"]
+    assert [w.name for w in d.parameters] == ["plant_gravity"]
+    assert d.about["gains"] == {"k_p": [25.0]}
     rates = d.evaluate([[0.3], [0.1]], [[9.5]])[:, 0]
     assert rates == pytest.approx([0.1, 9.5 * np.sin(0.3) - 25 * 0.3 - 6 * 0.1])
-    with pytest.raises(InputError, match=r"bounds\.rate"):
+    # a certificate for a range of a gain belongs to no exported controller
+    assert continuous_dynamics(_loop(integral=False), bounds, ranges={"k_p": (20.0, 25.0)}).about == {}
+    with pytest.raises(InputError, match=r"within\.rate"):
         continuous_dynamics(_loop(integral=False), {"angle": (-1.0, 1.0)})
-    with pytest.raises(InputError, match=r"values\.grvity"):
+    with pytest.raises(InputError, match="grvity: no such number"):
         continuous_dynamics(_loop(integral=False), bounds, values={"grvity": 9.0})
+    with pytest.raises(InputError, match="has a state of its own"):
+        continuous_dynamics(_loop(integral=True), bounds)
