@@ -14,7 +14,7 @@ from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_ba
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
 from surctl.lyapunov.from_system import NOT_COVERED
-from surctl.system import Controller, Plant, System
+from surctl.system import Action, Controller, Plant, System
 from surctl.verification.formula import parse, text_of, variable
 
 TRUE_AREA = 13.722
@@ -203,7 +203,7 @@ def _loop(*, integral: bool) -> System:
         command=plant.inputs,
         state=Layout((Port("sum", (1,), "rad s", "", 0.0),)) if integral else Layout(()),
         gains=Layout((Port("k_p", (1,), "N m/rad", "", 20.0),)),
-        law=lambda x, u, p: -p["k_p"] * (u["angle"] - u["target"]) - 6 * u["rate"],
+        law=lambda x, u, p: Action(-p["k_p"] * (u["angle"] - u["target"]) - 6 * u["rate"], x),
     )
     return System(plant, law)
 
