@@ -34,14 +34,14 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.verification import system_disk_margin, system_margins
 
     own = load_system(words)
-    others, asked = region_words(own.settings)
+    others, region = region_words(own.settings)
     values = assigned(others)
     if out is not None:
-        if asked is None:
+        if region is None:
             remedy = "add within.STATE=LOW..HIGH for every state, or drop it"
             raise InputError("is for the certificate of a region", key="--out", remedy=remedy)
         prepare_folder(out)
-    problem = None if asked is None else asked.problem(own.system, values)
+    problem = None if region is None else region.problem(own.system, values)
     at = find_equilibrium(own.system, values)
     linear = linearise(own.system, values, at=at)
     poles = linear.poles()
