@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _SAMPLES, _STARTS = 2048, 8
 _SHARE = 0.5  # share of the least sampled ratio that becomes the factor of a lower bound
 _POWERS = (1, 2, 3, 4)
+_FIRST = 0.6  # share of the remaining time for a choice of bounds that is not the last one
 _FLAT = 1e-3  # least ratio of a quadratic bound near the equilibrium to the same bound far from it
 _SHARES_TRIED = (_SHARE, 0.05, 1e-3)
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
@@ -87,7 +88,11 @@ def decide_motion(
     _require_sound(claim)
     refuted: tuple[Claim, Mapping[str, float]] | None = None
     reason = ""
-    for attempt in _attempts(claim):
+    attempts = list(_attempts(claim))
+    for number, attempt in enumerate(attempts):
+        rest = time_limit - (time.process_time() - worked)
+        # a choice of bounds that cannot be proved leaves time for the next one
+        until = time.process_time() + rest * (1.0 if number == len(attempts) - 1 else _FIRST)
         proofs: list[Any] = []
         reason = ""
         for k, inequality in enumerate(attempt.inequalities):
@@ -101,7 +106,7 @@ def decide_motion(
         if reason:
             continue
         for k, inequality in enumerate(attempt.inequalities):
-            left = time_limit - (time.process_time() - worked)
+            left = until - time.process_time()
             if left <= 0:
                 reason = "the time limit was reached"
                 break

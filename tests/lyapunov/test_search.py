@@ -155,12 +155,12 @@ def test_a_region_is_proved_just_below_its_least_level() -> None:
 
 
 def test_a_map_has_a_region_too() -> None:
-    d = _dynamics({"x": (0.1, 1.2, 0.5)}, ["2*x*(1 - x)"], discrete=True)
+    d = _dynamics({"x": (-1.0, 1.5, 0.25)}, ["0.25 + 0.5*(x - 0.25) + (x - 0.25)^2"], discrete=True)
     found = find_stability(d, degree=2, time_limit=30.0)
     assert found.verdict == "proved"
     assert found.ratio >= 0.9
     assert found.claim is not None
-    assert text_of(found.claim.function).endswith("(x - 0.5)^2")
+    assert text_of(found.claim.function).endswith("(x - 0.25)^2")
 
 
 def test_energy_is_made_strict_and_the_largest_rate_is_proved() -> None:
