@@ -115,13 +115,13 @@ def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
             omega = _omega(trim.slopes, f)
             slope = float(gain * omega + linear * (omega + (1 - f[axis]) * v))
             bend = float(square * (2 * v * omega + (1 - f[2 + axis]) * v * v))
-            found = np.maximum(np.abs(slope * low + bend * low**2), np.abs(slope * high + bend * high**2))
+            error = np.maximum(np.abs(slope * low + bend * low**2), np.abs(slope * high + bend * high**2))
             if bend:
                 top = -slope / (2 * bend)
-                found = np.where(
-                    (low - 1e-9 < top) & (top < high + 1e-9), np.maximum(found, abs(slope * top / 2)), found
+                error = np.where(
+                    (low - 1e-9 < top) & (top < high + 1e-9), np.maximum(error, abs(slope * top / 2)), error
                 )
-            lack[:, axis] = np.maximum(lack[:, axis], found * _UP + 1e-12 * (abs(slope) + abs(bend)))
+            lack[:, axis] = np.maximum(lack[:, axis], error * _UP + 1e-12 * (abs(slope) + abs(bend)))
         lack[:, axis] += float(square * most**2) * high**2 * _UP
     return np.asarray(np.where(lack > 0, lack, 0.0))
 
@@ -278,31 +278,31 @@ def _decays(
         for k in range(len(z)):
             c = (a + b) / 2 * mirror[k] + (a - b) / 2 * twist
             own = side @ c @ t[:, 2:].T
-            push = side @ c[:, 0] * v
-            rests.append((own + own.T, push))
-            sizes.append(float(np.linalg.norm(push)))
+            effect = side @ c[:, 0] * v
+            rests.append((own + own.T, effect))
+            sizes.append(float(np.linalg.norm(effect)))
     turned = np.array([r[0] for r in rests]).reshape(len(turns), len(z), 4, 4)
-    pushes = np.array([r[1] for r in rests]).reshape(len(turns), len(z), 4)
+    effects = np.array([r[1] for r in rests]).reshape(len(turns), len(z), 4)
     weights = [max(sizes)]
     for i in (0, 1):
-        reach = max(float(np.trace(side @ n @ side.T)) for n in axes[i])
-        weights.append(lack[i] * heavy[:, i].max() * np.sqrt(max(reach, 0.0)))
+        most = max(float(np.trace(side @ n @ side.T)) for n in axes[i])
+        weights.append(lack[i] * heavy[:, i].max() * np.sqrt(max(most, 0.0)))
     total = sum(weights)
     forced, force = np.zeros((len(heavy), len(turns), len(z), 4, 4)), 0.0
     if total > 0:
         if not (floor > 0 and all(weight > 0 for weight, size in zip(weights[1:], lack, strict=True) if size > 0)):
             return False
-        reach = float((np.abs(t) @ np.abs(form.p[:, 2:])).sum())
+        size = float((np.abs(t) @ np.abs(form.p[:, 2:])).sum())
         if weights[0] > 0:
             scale = total / weights[0] / floor
-            forced += np.einsum("tzi,tzj->tzij", pushes, pushes) * scale
-            force += (reach * 2.2 * v * float(np.abs(turns).max())) ** 2 * scale
+            forced += np.einsum("tzi,tzj->tzij", effects, effects) * scale
+            force += (size * 2.2 * v * float(np.abs(turns).max())) ** 2 * scale
         for i in (0, 1):
             if lack[i] > 0:
                 along = np.array([side @ n @ side.T for n in axes[i]])
                 scales = (lack[i] * heavy[:, i]) ** 2 * (total / weights[1 + i] / floor)
                 forced += (scales[:, None, None, None] * along)[:, None]
-                force += 1.1 * reach**2 * float(scales.max())
+                force += 1.1 * size**2 * float(scales.max())
     base = fixed + turned[None] - forced * _UP  # (m, turn, z, 4, 4)
     error = _error(form, decay, heavy, loops, plans, turns) + _ROUNDING * force
     entries = {}

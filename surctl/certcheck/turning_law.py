@@ -23,14 +23,14 @@ _SAMPLES = 4_000
 
 def draw_vehicles(claim: TurningClaim, count: int, rng: np.random.Generator) -> Mapping[str, Array]:
     """Return the factors (count, 2) of `mass`, `linear` and `quadratic` of random vehicles within the claim."""
-    drawn = []
+    values = []
     for ends, asymmetry, size in ((claim.mass_factor, claim.mass_asymmetry, 2),
                                   (claim.drag_factor, claim.drag_asymmetry, 4)):  # fmt: skip
         vertices = np.array([[float(n) for n in one] for one in factors(ends, asymmetry, size)])
         weights = rng.dirichlet(np.ones(len(vertices)), size=count)
         weights = np.where(rng.uniform(size=(count, 1)) < 0.6, np.eye(len(vertices))[weights.argmax(axis=1)], weights)
-        drawn.append(weights @ vertices)
-    return {"mass": drawn[0], "linear": drawn[1][:, :2], "quadratic": drawn[1][:, 2:]}
+        values.append(weights @ vertices)
+    return {"mass": values[0], "linear": values[1][:, :2], "quadratic": values[1][:, 2:]}
 
 
 def true_rate(claim: TurningClaim, boat: Mapping[str, Array], state: Array, psi: Array, r: Array) -> Array:
@@ -50,11 +50,11 @@ def true_rate(claim: TurningClaim, boat: Mapping[str, Array], state: Array, psi:
     desired = speed, -speed * y_e / float(claim.lookahead)
     c, s = np.cos(psi), np.sin(psi)
     nu = c * along + s * across, -s * along + c * across
-    wanted = c * desired[0] + s * desired[1], -s * desired[0] + c * desired[1]
+    in_body = c * desired[0] + s * desired[1], -s * desired[0] + c * desired[1]
     pull, mass = [], []
     for i in (0, 1):
         m, a, b, limit = (float(n[i]) for n in (claim.mass, claim.linear, claim.quadratic, claim.thrust))
-        thrust = a * wanted[i] + b * wanted[i] * np.abs(wanted[i]) + m * k_v * (wanted[i] - nu[i])
+        thrust = a * in_body[i] + b * in_body[i] * np.abs(in_body[i]) + m * k_v * (in_body[i] - nu[i])
         drag = boat["linear"][:, i] * a * nu[i] + boat["quadratic"][:, i] * b * nu[i] * np.abs(nu[i])
         pull.append(np.clip(thrust, -limit, limit) - drag)
         mass.append(boat["mass"][:, i] * m)

@@ -64,11 +64,11 @@ def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
     rows = (means[:, None, None, :] * own[None, :, :, None] / np.array(claim.mass)[:, None]).reshape(-1, 2)
     sides = (missing / claim.mass).reshape(-1)
     ones = np.ones((len(rows), 1))
-    found = linprog(
+    solution = linprog(
         [0, 0, 1], A_ub=np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones])]),
         b_ub=np.concatenate([-sides, sides]), bounds=[(None, None)] * 3,
     )  # fmt: skip
-    slopes = np.round(found.x[:2], 6)
+    slopes = np.round(solution.x[:2], 6)
     omegas = means @ slopes
     lack = (
         np.abs(missing + omegas[:, None, None] * own).max(axis=0)
@@ -79,10 +79,12 @@ def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
 
 def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Vertices | None:
     """Return the vertices in V ≤ high for the covariance P⁻¹ (4, 4); None if the law has another form there."""
-    found = list(_each(claim, cruise, covariance, high))
-    if not found or any(one is None for one in found):
+    headings = list(_each(claim, cruise, covariance, high))
+    if not headings or any(one is None for one in headings):
         return None
-    return Vertices(np.concatenate([one[0] for one in found if one]), np.concatenate([one[1] for one in found if one]))
+    return Vertices(
+        np.concatenate([one[0] for one in headings if one]), np.concatenate([one[1] for one in headings if one])
+    )
 
 
 def _each(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Iterator[tuple[Array, Array] | None]:
@@ -140,11 +142,11 @@ def _axis(
     v, cap = claim.cruise, claim.cap
     gain, linear, square = claim.mass[i] * claim.gains["k_v"], claim.linear[i], claim.quadratic[i]
 
-    def reach(row: Array) -> float:
-        return float(np.sqrt(max(row @ sized @ row, 0.0)))
+    def largest(row: Array) -> float:
+        return float(np.sqrt(max(float(row @ sized @ row), 0.0)))
 
-    moved = reach(np.concatenate([[0, 0], n]))
-    led = max(reach(np.concatenate([n @ plan, [0, 0]])) for plan in plans)
+    moved = largest(np.concatenate([[0, 0], n]))
+    led = max(largest(np.concatenate([n @ plan, [0, 0]])) for plan in plans)
     slow, fast = v + cruise.omega[0], v + cruise.omega[1]
     w, u = (slow * share[0], fast * share[1]), (v * share[0], v * share[1])
     h = (linear + square * max(0.828 * w[0], 2 * w[0] - led), linear + square * (w[1] + min(cap, w[1] + led)))
@@ -156,6 +158,6 @@ def _axis(
     left = claim.thrust[i] - max(*forces, -((gain + linear) * slow - gain * v) * share[1])
     if left <= 0:
         return None
-    most = max(reach(np.concatenate([(gain + slope) * (n @ plan), gain * n])) for plan in plans for slope in h)
+    most = max(largest(np.concatenate([(gain + slope) * (n @ plan), gain * n])) for plan in plans for slope in h)
     part = min(1.0, 0.99 * left / most)
     return np.array([(q * (gain + a), q * gain + b) for q in {part, 1.0} for a in h for b in t])

@@ -35,8 +35,9 @@ _FIRST = np.array([
     [0.12, 0.35, 0.9, 0.4, 0.25, 0.03, 0.6], [0.16, 0.42, 0.7, 0.5, 0.9, 0.13, 0.7],
 ])  # first start values, with the velocity deviation divided by the cruise speed  # fmt: skip
 _ENOUGH = 6  # number of regions after which the search refines the best one
-_HIGHEST, _PRICE = 0.9, 0.3  # largest floor in the search, and the share of the region that a floor of 1 costs
-_WIDER = (1.0, 1.05, 1.1, 1.16)  # factors by which a found region is enlarged
+_HIGHEST = 0.9  # largest floor in the search
+_PRICE, _FREE = 0.8, 0.2  # a floor above 0.2 counts as a smaller region
+_WIDER = (1.0, 1.05, 1.1, 1.16)  # factors by which a region is enlarged
 _TRIED = 4  # number of candidates that the checker sees at most
 _GROWTHS = np.geomspace(0.01, 2, 24)  # [1/s] part of the decay rate that the disturbance uses up
 _MARGIN = 0.012  # [1/s] reserve of the decay rate, for points between the grid points
@@ -70,8 +71,8 @@ def _worst(P: Array, at: Vertices, rate: float, growth: float, low: float) -> Ar
     change = np.linalg.inv(np.linalg.cholesky(P))
     half = (change @ P) @ at.A @ change.T
     side = change @ P[:, 2:]
-    push = side @ at.Q @ side.T / (growth * low)
-    return np.asarray(np.linalg.eigvalsh(half + half.swapaxes(-1, -2) + push)[:, -1] + rate + growth)
+    effect = side @ at.Q @ side.T / (growth * low)
+    return np.asarray(np.linalg.eigvalsh(half + half.swapaxes(-1, -2) + effect)[:, -1] + rate + growth)
 
 
 def _growth(P: Array, at: Vertices, rate: float, low: float) -> tuple[float, float]:
@@ -154,11 +155,12 @@ def _improve(
 def _fitted(claim: TurningClaim, cruise: Cruise, P: Array) -> TurningCandidate | None:
     """Return the candidate for P with the lowest floor; None if V does not decay even close to the boundary."""
     best: TurningCandidate | None = None
+    covariance = np.asarray(np.linalg.inv(P), dtype=np.float64)
     for floor in (0.9, *_LEVELS):
         levels = _shells(floor, max(2, min(_FINE, int(np.ceil(np.log(1 / floor) / 0.4)))))
         growths = []
         for low, high in pairwise(levels):
-            at = vertices(claim, cruise, np.linalg.inv(P), high)
+            at = vertices(claim, cruise, covariance, high)
             if at is None:
                 return best
             growth, worst = _growth(P, at, claim.rate, low)
@@ -181,10 +183,12 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
     low, high = (1.1, 1.6) if claim.rest else (0.6, 1.2)  # range of the velocity deviation along the path / cruise
     least = np.array([0.08 + away, 0.2, low * claim.cruise, 0.35, 0.2, 0.015, 0.4])
     largest = np.array([0.25 + away, 0.6, high * claim.cruise, 0.65, 1.2, 0.15, 0.95])
-    found: list[tuple[float, Array, Array]] = []
+    candidates: list[tuple[float, Array, Array]] = []
     for k in range(attempts):
-        if found and (3 * k >= attempts or len(found) >= _ENOUGH):
-            start = max(found, key=lambda one: one[0])[1] * np.exp(rng.choice([1, 0.5]) * rng.normal(scale=_SCALES))
+        if candidates and (3 * k >= attempts or len(candidates) >= _ENOUGH):
+            start = max(candidates, key=lambda one: one[0])[1] * np.exp(
+                rng.choice([1, 0.5]) * rng.normal(scale=_SCALES)
+            )
         elif k < len(_FIRST):
             start = _FIRST[k] * (1, 1, claim.cruise * (1.4 if claim.rest else 1), 1, 1, 1, 1)
             start[0] += away
@@ -194,16 +198,16 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
         floor, growth, left = min(start[4], _HIGHEST), start[5], min(start[6], 0.95)
         P = _improve(claim, cruise, extent, _shells(floor, 1), [growth], left)
         if P is not None:
-            found.append((_score(claim, TurningCandidate(P, (floor,), (), cruise)), start, P))
-    found.sort(key=lambda one: -one[0])
-    for _, _, P in found[:_TRIED]:
+            candidates.append((_score(claim, TurningCandidate(P, (floor,), (), cruise)), start, P))
+    candidates.sort(key=lambda one: -one[0])
+    for _, _, P in candidates[:_TRIED]:
         # the bounds that the search assumed may leave room for a larger region
-        fitted = [_fitted(claim, cruise, P / wide**2) for wide in _WIDER]
+        fitted = [_fitted(claim, cruise, np.asarray(P / wide**2)) for wide in _WIDER]
         yield from sorted((one for one in fitted if one is not None), key=lambda one: -_score(claim, one))
 
 
 def _score(claim: TurningClaim, candidate: TurningCandidate) -> float:
-    return _size(claim, candidate) * (1 - _PRICE * candidate.levels[0])
+    return _size(claim, candidate) * (1 - _PRICE * max(candidate.levels[0] - _FREE, 0.0))
 
 
 def _size(claim: TurningClaim, candidate: TurningCandidate) -> float:
