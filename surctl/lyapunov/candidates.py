@@ -84,8 +84,8 @@ def candidates(
         return
     energy = with_cosines(template, scales)
     if len(energy.basis) > len(template.basis):
-        found, volume = shaper.shaped(energy, _embedded(template, coefficients, energy), part)
-        yield Candidate("quadratic with the potential energy of angles", energy.function(found), volume)
+        outcome, volume = shaper.shaped(energy, _embedded(template, coefficients, energy), part)
+        yield Candidate("quadratic with the potential energy of angles", energy.function(outcome), volume)
     for higher in range(4 if label == "quadratic" else 6, degree + 1, 2):
         wider = polynomials(d, higher, scales, even=shaper.half)
         if len(wider.basis) > _MOST_TERMS:
@@ -166,13 +166,13 @@ class _Shaper:
             level = trial.sizes(best[None], self.rate).level[0]
             if not level > 0 and k > 0:
                 break
-            found, size = enlarge(
+            outcome, size = enlarge(
                 trial, best, seconds=(until - time.process_time()) / 2, rate=self.rate, seed=self.seed + k
             )
             if not size > 0:
                 return best, volume
-            best = found
-            radii = trial.extent(found, 1.0)
+            best = outcome
+            radii = trial.extent(outcome, 1.0)
             self.extent = radii
             grown = self._volume(radii)
             done = grown < volume * _GROWTH
