@@ -8,11 +8,12 @@ with r² = Σ ((x_k − x*_k)/scale_k)²:
 
 1. V ≥ factor · (r²)^power with factor > 0 where V ≤ level (`positive`);
 2. V ≥ level on every face of the box (continuous time), or that a successor lies in the box (discrete time);
-3. the change of V is at most −rate · V, or, without a rate, at most −factor · (r²)^power (`decrease`).
+3. the change of V is at most −rate · V, or, without a rate, at most −factor · (r²)^power (`decrease`);
+4. V is continuous, and V < level at the equilibrium, which lies inside the box: so Ω is a neighbourhood of it.
 
 `bound`: every solution that starts in Ω stays in Ω, and V decays to the bound: V' ≤ −rate · (V − inner) + Σ gain_j w_j²
-for the parameters w_j of `gains`, so that V ends below inner + max Σ gain_j w_j² / rate, which must not exceed level. V
-need not be positive.
+for the parameters w_j of `gains`, so that V ends below inner + max Σ gain_j w_j² / rate, which must not exceed level. If
+V reaches this bound in one step (rate 1 in discrete time), it must be less than level. V need not be positive.
 
 The change of V (`change`) is compared with the one that the checker computes from the dynamics.
 """
@@ -60,6 +61,7 @@ def _stability(
         raise Rejected("the certificate has missing or unknown keys")
     level = decimal_text(claim["level"])
     distance = _distance(motion, claim["equilibrium"], listed(document["scales"]))
+    motion.require_inside(function, claim["level"], claim["equilibrium"])
     states = motion.states, motion.state_box
     needed = [Obligation(*states, _power(distance, document["positive"]), function, inside)]
     needed += motion.stays(inside) if motion.discrete else _faces(motion, level, function)
@@ -88,6 +90,8 @@ def _bound(
         most += Fraction(repr(number(gain))) * max(Fraction(repr(end)) ** 2 for end in ranges[name])
     if not inner + most / rate <= level:
         raise Rejected("the bound exceeds the level")
+    if motion.discrete and rate == 1 and inner + most == level:
+        raise Rejected("V may reach the level in one step")
     right = f"-({_rate(claim['rate'], motion)}*(({function}) - {decimal_text(claim['inner'])})) + ({driving})"
     needed = motion.stays(inside) if motion.discrete else _faces(motion, decimal_text(claim["level"]), function)
     return [*needed, _decrease(motion, function, change, right, inside)]

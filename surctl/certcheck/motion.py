@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 from mpmath import libmp
 
 from surctl.certcheck.derivative import along, composed
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.enclosure import Undefined, above, enclose, span
+from surctl.certcheck.enclosure import Undefined, above, decimal, enclose, rational, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.inequality import Box, Inequality, listed, number
@@ -80,7 +81,8 @@ class Motion:
         root, claimed = table.read(function), table.read(stated)
         rates = [table.read(text) for text in self.rates]
         if not self.discrete:
-            self._continuous(table, rates)
+            # the solutions of rates that jump are not those of an ordinary differential equation
+            self._continuous(table, rates, "the dynamics contain")
         own = composed(table, root, dict(enumerate(rates))) if self.discrete else along(table, root, rates)
         self._defined(table, [*rates, own])
         if own != claimed:
@@ -110,17 +112,43 @@ class Motion:
                 cut = low / 2 + high / 2
                 waiting += [[*box[:k], (low, cut), *box[k + 1 :]], [*box[:k], (cut, high), *box[k + 1 :]]]
 
-    def _continuous(self, table: ExpressionTable, rates: Sequence[int]) -> None:
-        """Raise Rejected if the dynamics may jump, because then the solutions are not those of an ordinary equation."""
+    def _continuous(self, table: ExpressionTable, roots: Sequence[int], what: str) -> None:
+        """Raise Rejected if the expressions may jump in the box."""
         wide = [span(*ends) for ends in self.box]
-        for at in table.needed(rates):
+        for at in table.needed(roots):
             entry = table.entries[at]
             if entry.op == "select":
-                raise Rejected("the dynamics contain select, which may jump")
+                raise Rejected(f"{what} select, which may jump")
             if entry.op == "atan2":
-                y, x = enclose(table, entry.args, wide)
-                if not (above(x.value) or above(y.value) or libmp.mpf_lt(y.value[1], libmp.fzero)):
-                    raise Rejected("the dynamics contain an atan2 that may jump in the box")
+                try:
+                    y, x = (jet.value for jet in enclose(table, entry.args, wide))
+                except Undefined as reason:
+                    raise Rejected(f"{what} an atan2 that may be undefined in the box: {reason}") from None
+                if not (above(x) or above(y) or libmp.mpf_lt(y[1], libmp.fzero)):
+                    raise Rejected(f"{what} an atan2 that may jump in the box")
+
+    def require_inside(self, function: str, level: object, point: Mapping[str, Any]) -> None:
+        """Raise Rejected unless the set function < level, in the box, is a neighbourhood of the point.
+
+        The function must be continuous, the point must lie inside the box, and the function must be below the level at
+        the point. The point has a number for each state.
+        """
+        table = ExpressionTable(self.names)
+        root = table.read(function)
+        if self.discrete:  # in continuous time, the function has a derivative
+            self._continuous(table, [root], "the function contains")
+        at = [Fraction(repr(number(point[name]))) for name in self.states]
+        if not all(
+            Fraction(repr(low)) < x < Fraction(repr(high)) for x, (low, high) in zip(at, self.box, strict=False)
+        ):
+            raise Rejected("the equilibrium does not lie inside the box")
+        own = ExpressionTable(self.states)
+        try:
+            value = enclose(own, [own.read(function)], [rational(x) for x in at])[0].value
+        except Undefined as reason:
+            raise Rejected(f"the function is not defined at the equilibrium: {reason}") from None
+        if not libmp.mpf_lt(value[1], decimal(number(level))[0]):
+            raise Rejected("the function is not shown to be below the level at the equilibrium")
 
     def stays(self, constraints: Sequence[str]) -> list[Obligation]:
         """Return the obligations that a successor of a state with all constraints ≤ 0 lies in the box."""
