@@ -12,8 +12,9 @@ with r² = Σ ((x_k − x*_k)/scale_k)²:
 4. V is continuous, and V < level at the equilibrium, which lies inside the box: so Ω is a neighbourhood of it.
 
 `bound`: every solution that starts in Ω stays in Ω, and V decays to the bound: V' ≤ −rate · (V − inner) + Σ gain_j w_j²
-for the parameters w_j of `gains`, so that V ends below inner + max Σ gain_j w_j² / rate, which must not exceed level. If
-V reaches this bound in one step (rate 1 in discrete time), it must be less than level. V need not be positive.
+for the parameters w_j of `gains`, so that V ends below the bound inner + max Σ gain_j w_j² / rate. The bound must not
+exceed level; in discrete time with rate 1, one step may lead to the bound, which must then be less than level. V need
+not be positive.
 
 The change of V (`change`) is compared with the one that the checker computes from the dynamics.
 """
