@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
+from surctl.lyapunov.refuting import strict_counterexample
 from surctl.verification import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.falsifier import search
@@ -98,8 +99,9 @@ def decide_motion(
         for k, inequality in enumerate(attempt.inequalities):
             counterexample = _refuted(inequality, seed)
             if counterexample is not None:
-                refuted = refuted or ((inequality, counterexample) if attempt.decisive[k] else None)
-                reason = f"{inequality.name}: fails at {_point(counterexample)}"
+                reason = f"{inequality.name}: a bound of the proof fails at {_point(counterexample)}"
+                if attempt.decisive[k]:
+                    refuted = _of_claim(claim, k, inequality, counterexample, seed)
                 break
         if refuted:
             break
@@ -128,6 +130,18 @@ def decide_motion(
         inequality, point = refuted
         return Decision(claim, "refuted", {}, f"{inequality.name}: fails at {_point(point)}", point, seconds)
     return Decision(claim, "unknown", {}, reason, {}, seconds)
+
+
+def _of_claim(
+    claim: DynamicClaim, k: int, inequality: Claim, counterexample: Mapping[str, float], seed: int
+) -> tuple[Claim, Mapping[str, float]] | None:
+    """Return inequality k with a counterexample to the claim; None if only the bound of the proof fails."""
+    strict = claim.strict().get(k)
+    if strict is None:
+        return inequality, counterexample
+    rest = {s.name: s.equilibrium for s in claim.dynamics.states} if isinstance(claim, Stability) else {}
+    point = strict_counterexample(strict, counterexample, rest, search=lambda one: _refuted(one, seed))
+    return None if point is None else (strict, point)
 
 
 @dataclass(frozen=True, eq=False)
