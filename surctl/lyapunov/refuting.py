@@ -1,7 +1,7 @@
 """Counterexamples to strict inequalities: points of the open region where left < right fails, also with equality.
 
 A proof states a bound, such as V' ≤ −factor · (r²)^power. A point where the bound fails refutes the claim V' < 0 only
-if V' ≥ 0 there. Equality is common, for instance V' = 0 at velocity 0, so points are also evaluated in rational numbers.
+if V' ≥ 0 there. Equality is common, as V' = 0 at velocity 0, so points are also evaluated in rational numbers.
 """
 
 from __future__ import annotations
