@@ -115,6 +115,8 @@ class _Comparison:
         for name, values in about["gains"].items():
             for at, value in enumerate(values):
                 self._gain(name, value, at)
+            if len(values) < len(self._gains(name)):
+                self.differs.append(f"{name}: the certificate states {len(values)} of {len(self._gains(name))} values")
         lacking = sorted(set(self.manifest.gains) - set(about["gains"]))
         self.differs += [f"{name}: the certificate does not state this gain" for name in lacking]
         self.excludes += [_STATED, _ROUNDING.format(self.manifest.real)]

@@ -171,10 +171,22 @@ def read_motion(claim: Mapping[str, Any]) -> Motion:
     if any(low == high for low, high in box):
         raise Rejected("the range of a state has no width")
     printable(claim["name"])
-    about = claim["about"]
-    if about and (not isinstance(about, dict) or set(about) != {"plant", "controller", "gains"}):
-        raise Rejected("the certificate does not state plant, controller and gains that the dynamics are about")
+    if claim["about"]:
+        _require_loop(claim["about"])
     return Motion(states, names, ranges, [dynamics[name] for name in states], claim["time"] == "discrete")
+
+
+def _require_loop(about: object) -> None:
+    """Raise Rejected unless the entry `about` states the digests of plant and controller, and the values of gains."""
+    if not isinstance(about, dict) or set(about) != {"plant", "controller", "gains"}:
+        raise Rejected("the certificate does not state plant, controller and gains that the dynamics are about")
+    printable(about["plant"], about["controller"])
+    if not isinstance(about["gains"], dict):
+        raise Rejected("the certificate does not state the gains by name")
+    for name, values in about["gains"].items():
+        printable(name)
+        if not [number(value) for value in listed(values)]:
+            raise Rejected("the certificate states a gain without a value")
 
 
 def check_all(obligations: Sequence[Obligation], proofs: object) -> None:

@@ -102,6 +102,11 @@ class Dynamics:
                     "needs finite bounds, the lower one first", key=f"{self.name}.{v.name}", value=list(ends),
                     remedy="give lower and upper",
                 )  # fmt: skip
+            if not v.unit.isprintable():
+                raise InputError(
+                    "has a unit that cannot be printed", key=f"{self.name}.{v.name}", value=v.unit,
+                    remedy="give an SI unit",
+                )  # fmt: skip
         for state, rate in zip(self.states, self.rates, strict=True):
             for node in ordered(rate):
                 if node.op == "var" and node.name not in names:

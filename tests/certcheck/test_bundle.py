@@ -370,6 +370,10 @@ def test_a_claim_about_dynamics_belongs_to_the_controller_and_gains_that_it_stat
     assert compared(gains={k: v for k, v in gains.items() if k != "k1"}) == (
         "k1: the certificate does not state this gain",
     )
+    (several, size), *_ = ((name, len(values)) for name, values in gains.items() if len(values) > 1)
+    assert compared(gains=gains | {several: gains[several][:1]}) == (
+        f"{several}: the certificate states 1 of {size} values",
+    )
     plain = compare({"kind": "barrier", "claim": {"name": "loop", "time": "discrete", "about": {}}}, manifest)
     assert not plain.belongs
 

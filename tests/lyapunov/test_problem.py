@@ -19,6 +19,7 @@ from tests.lyapunov.problems import DECAY, MAP, VAN_DER_POL, written
         (VAN_DER_POL, "level = 2.0", "level = nan", "level"),
         (VAN_DER_POL, 'function = "1.5*x^2 - x*y + y^2"\n', "", "level: is given without function"),
         (VAN_DER_POL, "lower = -3, upper = 3, unit = \"m\"", "lower = 3, upper = -3", "needs finite bounds"),
+        (VAN_DER_POL, 'unit = "m"', 'unit = "m\\n"', "a unit that cannot be printed"),
         (VAN_DER_POL, 'unit = "m/s"', "equilibrium = 4", "van-der-pol.y = 4.0: has its equilibrium outside its bounds"),
         (VAN_DER_POL, "level = 2.0", 'unsafe = ["x >= 1"]', "unsafe: belongs to kind barrier"),
         (VAN_DER_POL, "x = {", "sin = {", "states.sin: is not a name for an expression"),
