@@ -27,6 +27,7 @@ Fraction_ = tuple[Sum, Sum]
 
 _MOST = 3000  # most terms of a polynomial
 _HELD = 400_000  # most terms of all stored polynomials
+_LONG = 8  # factors of a term that count as one term
 _BITS = 4096  # most bits of a coefficient's numerator or denominator
 _LONGEST = 20_000  # most characters of an atom's name
 _TOO_LARGE = "an identity is too large to be checked"
@@ -128,7 +129,7 @@ class Exact:
             if at not in self._values:
                 go_on()
                 self._values[at] = self._step(at)
-                self._held += sum(map(len, self._values[at]))
+                self._held += sum(max(1, len(term) // _LONG) for poly in self._values[at] for term in poly)
                 if self._held > _HELD:
                     raise Rejected(_TOO_LARGE)
         return self._values[root]

@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.certcheck import PATIENCE, check_document
+from surctl.certcheck import PATIENCE, check_document, identity
 from surctl.certcheck.definite import is_semidefinite
+from surctl.certcheck.document import Rejected
 from surctl.certcheck.enclosure import span
 from surctl.certcheck.expressions import ExpressionTable
+from surctl.certcheck.identity import Exact
 from surctl.certcheck.series import same_sign
 from surctl.certcheck.squares import _less, _monomial, _product
 from tests.certcheck.altering import sealed
@@ -330,3 +332,12 @@ def test_a_sign_that_is_shown_is_the_sign_at_points(op: str, c: list[float], low
 
 def test_a_certificate_is_small(originals) -> None:
     assert all(len(json.dumps(document)) < 20_000 for document in originals)
+
+
+def test_long_terms_count_as_several(monkeypatch: pytest.MonkeyPatch) -> None:
+    # products of 1, 2, ..., 100 functions: each is one term, but with up to 100 factors
+    monkeypatch.setattr(identity, "_HELD", 1000)
+    table = ExpressionTable(["x"])
+    root = table.read("*".join(f"exp({k}*x)" for k in range(100)))
+    with pytest.raises(Rejected, match="too large"):
+        Exact(table).of(root)
