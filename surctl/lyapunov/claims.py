@@ -201,7 +201,8 @@ class Safety:
     @property
     def statement(self) -> str:
         """The claim in words."""
-        return "no solution that starts in the initial set reaches the unsafe set"
+        safe = "no solution that starts in the initial set reaches the unsafe set"
+        return safe if self.multiplier is None else f"{safe}, and B' <= ({text_of(self.multiplier)})*B"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""

@@ -95,3 +95,11 @@ def test_a_barrier_that_is_barely_positive_in_the_unsafe_set_is_not_refuted(tmp_
     assert solve(load_problem(written(tmp_path, DECAY, small))).verdict == "unknown"
     touching = ("x - 1.5", "x - 2")
     assert solve(load_problem(written(tmp_path, DECAY, touching))).verdict == "refuted"
+
+
+def test_the_statement_of_a_barrier_contains_what_may_be_refuted(tmp_path: Path) -> None:
+    # no solution from |x| <= 1 reaches x >= 2; only the inequality with this multiplier fails
+    decision = solve(load_problem(written(tmp_path, DECAY, ('multiplier = "-1"', 'multiplier = "-2"')))).decision
+    assert decision is not None
+    assert decision.verdict == "refuted"
+    assert decision.claim.statement.endswith("reaches the unsafe set, and B' <= (-2)*B")
