@@ -250,7 +250,6 @@ def _point(values: Mapping[str, float]) -> str:
 
 def _require_sound(claim: DynamicClaim) -> None:
     d = claim.dynamics
-    centre = (d.box[0] + d.box[1]) / 2
     try:
         value = float(d.compiled(claim.function)(d.equilibrium, d.corners()[:, 0]))
         d.change(claim.function)
@@ -258,9 +257,8 @@ def _require_sound(claim: DynamicClaim) -> None:
         raise InputError(error.problem, key=f"{d.name}.function", remedy=error.remedy) from None
     if isinstance(claim, Safety):
         return
-    size = float(np.abs(d.evaluate(np.column_stack([centre, d.box[0], d.box[1]]))).max())
     if isinstance(claim, Stability):
-        if not d.residual() <= _REST * max(size, 1.0):
+        if not d.residual() <= _REST * d.size():
             raise InputError(
                 "is not an equilibrium: the largest rate there is", key=f"{d.name}.equilibrium", value=d.residual(),
                 remedy="give the equilibrium of the states",

@@ -203,10 +203,27 @@ class Dynamics:
         return np.asarray(jacobian(self.equilibrium, at))
 
     def residual(self) -> float:
-        """Return the largest |f(x*, w)|, or |f(x*, w) − x*| in discrete time, over the corners of the parameters."""
+        """Return the largest |f(x*, w)|, or |f(x*, w) − x*| in discrete time, over the corners of the parameters.
+
+        Raises:
+            InputError: the dynamics are not defined there.
+        """
         corners = self.corners()
         rest = self.evaluate(np.repeat(self.equilibrium[:, None], corners.shape[1], axis=1), corners)
+        if not np.all(np.isfinite(rest)):
+            corner = corners[:, np.flatnonzero(~np.isfinite(rest).all(axis=0))[0]]
+            pairs = [*zip(self.names, self.equilibrium, strict=True)]
+            pairs += [(w.name, value) for w, value in zip(self.parameters, corner, strict=True)]
+            raise InputError(
+                "is not finite at " + ", ".join(f"{name} = {value:.6g}" for name, value in pairs),
+                key=f"{self.name}.dynamics", remedy="exclude this point from the ranges",
+            )  # fmt: skip
         return float(np.abs(rest - (self.equilibrium[:, None] if self.discrete else 0.0)).max())
+
+    def size(self) -> float:
+        """Return the largest rate or successor at the middle and two corners of the box; at least 1."""
+        values = self.evaluate(np.column_stack([self.box.mean(axis=0), *self.box]))
+        return max(float(np.abs(values[np.isfinite(values)]).max(initial=0.0)), 1.0)
 
     def corners(self, most: int = 10) -> Array:
         """Return the corners (m, 2^k) of the ranges of the k ≤ `most` parameters that vary, or their middle (m, 1)."""

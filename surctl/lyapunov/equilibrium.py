@@ -42,7 +42,7 @@ def equilibria(dynamics: Dynamics, *, seed: int = 0) -> list[Array]:
 
     d = dynamics
     low, high = d.box
-    size = max(float(np.abs(d.evaluate(np.column_stack([(low + high) / 2, low, high]))).max()), 1.0)
+    size = d.size()
 
     def rest(z: Array) -> Array:
         x = low + (high - low) * z
@@ -75,11 +75,12 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
     """Return the dynamics with their equilibrium: the stated one, or else the only one that a root search finds.
 
     Raises:
-        InputError: the stated equilibrium is not one, and none or several are found.
+        InputError: the stated equilibrium is not one, and none or several are found; or the dynamics are not defined
+            there.
     """
     d = dynamics
-    size = float(np.abs(d.evaluate(np.column_stack([d.box.mean(axis=0), *d.box]))).max())
-    if d.residual() <= _REST * max(size, 1.0):
+    size = d.size()
+    if d.residual() <= _REST * size:
         return d
     outcome = equilibria(d, seed=seed)
     texts = "; ".join(", ".join(f"{name} = {v:.9g}" for name, v in zip(d.names, x, strict=True)) for x in outcome)
@@ -92,7 +93,7 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
         )
     states = tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, outcome[0], strict=True))
     moved = replace(d, states=states)
-    if not moved.residual() <= _REST * max(size, 1.0):
+    if not moved.residual() <= _REST * size:
         raise InputError(
             f"moves with the parameters (at their middle: {texts})", key=f"{d.name}.equilibrium",
             remedy="fix the parameters, or claim a bound instead of stability",

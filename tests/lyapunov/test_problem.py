@@ -55,3 +55,20 @@ def test_definitions_and_constants_are_exact(tmp_path: Path) -> None:
     problem = load_problem(written(tmp_path, VAN_DER_POL, ("mu = 1.0", "mu = 0.1")))
     assert problem.claim is not None
     assert problem.claim.plain()["dynamics"] == {"x": "-y", "y": "x - 0.1*(1 - x^2)*y"}
+
+
+def test_dynamics_that_are_undefined_at_a_point_of_interest_are_told_so(tmp_path: Path) -> None:
+    text = (
+        'kind = "lyapunov"\nname = "scalar"\nfunction = "x^2"\nlevel = 0.1\n[states]\n'
+        'x = { rate = "-RATE", lower = -1, upper = 1 }\n[parameters]\nm = { lower = 0, upper = 1 }\n'
+    )
+    for rate, function in (("x/m", True), ("x/m", False), ("x*log(x)", True)):
+        whole = text.replace("RATE", rate)
+        problem = load_problem(
+            written(tmp_path, whole if function else whole.replace('function = "x^2"\nlevel = 0.1', ""))
+        )
+        with pytest.raises(InputError, match=r"scalar.dynamics: is not finite at x = 0, m = 0"):
+            solve(problem)
+    # only a corner of the box is outside the domain
+    corner = load_problem(written(tmp_path, text.replace("RATE", "log(1 + x) - 0*m")))
+    assert solve(corner, time_limit=0.5).verdict == "unknown"
