@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from surctl.certcheck.document import Rejected, canonical, read, seal, verify_frame
+from surctl.certcheck.elementary import Undefined
 from surctl.certcheck.patience import PATIENCE, patient
 
 __all__ = ["KINDS", "PATIENCE", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
@@ -35,6 +36,7 @@ KINDS = ("barrier", "braking", "heading", "interval", "lyapunov", "region", "tur
 
 _MALFORMED = (
     KeyError, TypeError, ValueError, IndexError, ArithmeticError, AttributeError, RecursionError, MemoryError,
+    Undefined,
 )  # fmt: skip
 _LONGEST = 400  # largest number of characters of `reason`
 
