@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 _MOST_CORNERS = 8
 _MOST_TERMS = 130  # polynomials with more terms are not searched
 _SPARE = 0.02  # least decay rate of a candidate, as a share of that of the linearisation
+_BRISK = 20.0  # decay rate of a function that is easy to prove, relative to the least one
 _MARGIN = 1.25  # radius of the grid relative to that of the region
 _ROUNDS = 5
 _GROWTH = 1.01  # relative growth of the volume below which the rounds end
@@ -77,6 +78,11 @@ def candidates(
         start = sampled_function(template, scales, shaper.corners, half=shaper.half)
     if start is None:
         return
+    if linear.verdict == "stable":
+        brisk = _Shaper(d, scales, max(rate, _BRISK * _least_rate(d, linear)), seed, half=shaper.half)
+        found, volume = brisk.shaped(template, start, part)
+        if volume > 0:
+            yield Candidate("quadratic with a fast decrease", template.function(found), volume)
     coefficients, volume = shaper.shaped(template, start, part)
     label = "quadratic" if len(template.basis) == len(polynomials(d, 2, scales).basis) else "polynomial of degree 4"
     yield Candidate(label, template.function(coefficients), volume)

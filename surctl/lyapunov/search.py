@@ -20,6 +20,8 @@ from surctl.verification.formula import Node, text_of
 __all__ = ["Found", "find_stability"]
 
 _SHARES = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1)
+_MANY = 4  # number of states from which proofs take long: functions that are easy to prove come first
+_SHARES_MANY = (0.9, 0.7, 0.5, 0.25, 0.1)
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
@@ -121,11 +123,19 @@ def find_stability(
     linear = linearisation(d)
     if linear.verdict == "unstable":
         return _none("refuted", linear.reason, began)
+    few = len(d.states) < _MANY
     wanted = None if rate == "largest" else rate
     if function is not None:
         offered: Iterator[Candidate] = iter([Candidate("given", function, 0.0)])
     else:
-        offered = candidates(d, linear, degree=degree, seconds=_SEARCH * time_limit, rate=wanted or 0.0, seed=seed)
+        offered = candidates(
+            d,
+            linear,
+            degree=degree,
+            seconds=(_SEARCH if few else _SEARCH / 2) * time_limit,
+            rate=wanted or 0.0,
+            seed=seed,
+        )
     trials = []
     for candidate in offered:
         bound = least_level(d, candidate.function, wanted, seed=seed)
@@ -147,10 +157,12 @@ def find_stability(
     trials.sort(key=lambda trial: -trial[0].volume * (trial[1].level > 0))
     # the largest regions, and the function that is easiest to prove
     trials = [*(trial for trial in trials[:_TRIED] if trial is not simplest), simplest]
+    if not few:
+        trials.reverse()
     best = None
     for k, (candidate, bound) in enumerate(trials):
         rest = until - time.process_time()
-        share = rest / (len(trials) - k)
+        share = rest / (len(trials) - k) if few else 0.8 * rest
         result = _proved(d, candidate, bound, wanted, level, share, began, seed, progress)
         best = result if best is None or result.verdict == "proved" else best
         if result.verdict == "proved" or until < time.process_time():
@@ -173,18 +185,20 @@ def _proved(
     progress: Callable[[str], None] | None,
 ) -> Found:
     """Return the largest level that is proved, of some shares of the least level with a counterexample."""
-    until = time.process_time() + seconds
+    until, few = time.process_time() + seconds, len(d.states) < _MANY
     if not bound.level > 0:
         reason = "V is not positive in the box" if bound.level < 0 else _flat(d, candidate.function)
         return replace(_none("unknown", reason, began), label=candidate.label, falsified=bound)
-    levels = [level] if level is not None else [_short(share * bound.level) for share in _SHARES]
+    levels = (
+        [level] if level is not None else [_short(share * bound.level) for share in (_SHARES if few else _SHARES_MANY)]
+    )
     decision = None
     for k, value in enumerate(levels):
         left = until - time.process_time()
         if left <= 0:
             break
         # higher levels come first, but each leaves time for the lower ones
-        share = left if k == len(levels) - 1 else 0.4 * left
+        share = left if k == len(levels) - 1 else (0.4 if few else 0.7) * left
         decision = decide_motion(Stability(d, candidate.function, value, rate), time_limit=share, seed=seed)
         _say(progress, f"{candidate.label}: level {value:.4g} {decision.verdict} {decision.reason}")
         if decision.verdict == "proved":
