@@ -63,7 +63,7 @@ def candidates(
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     rate = max(rate, _least_rate(d, linear))
     shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
-    part = 0.3 * seconds / max(1, degree - 1)
+    part = (0.06 if len(scales) < 4 else 0.25) * seconds
     template = polynomials(d, 2, scales)
     matrix = (
         None
@@ -78,9 +78,11 @@ def candidates(
         start = sampled_function(template, scales, shaper.corners, half=shaper.half)
     if start is None:
         return
-    if linear.verdict == "stable":
-        brisk = _Shaper(d, scales, max(rate, _BRISK * _least_rate(d, linear)), seed, half=shaper.half)
-        found, volume = brisk.shaped(template, start, part)
+    if linear.verdict == "stable" and matrix is not None:
+        fast = max(rate, _BRISK * _least_rate(d, linear))
+        brisk = _Shaper(d, scales, fast, seed, half=shaper.half)
+        own = common_quadratic(_shifted(d, linear, fast), scales, discrete=d.discrete)
+        found, volume = (start, 0.0) if own is None else brisk.shaped(template, quadratic(d, own), part)
         if volume > 0:
             yield Candidate("quadratic with a fast decrease", template.function(found), volume)
     coefficients, volume = shaper.shaped(template, start, part)

@@ -162,7 +162,7 @@ def find_stability(
     best = None
     for k, (candidate, bound) in enumerate(trials):
         rest = until - time.process_time()
-        share = rest / (len(trials) - k) if few else 0.8 * rest
+        share = rest / (len(trials) - k) if few else 0.9 * rest
         result = _proved(d, candidate, bound, wanted, level, share, began, seed, progress)
         best = result if best is None or result.verdict == "proved" else best
         if result.verdict == "proved" or until < time.process_time():
@@ -198,7 +198,7 @@ def _proved(
         if left <= 0:
             break
         # higher levels come first, but each leaves time for the lower ones
-        share = left if k == len(levels) - 1 else (0.4 if few else 0.7) * left
+        share = left if k == len(levels) - 1 else (0.4 if few else 0.85) * left
         decision = decide_motion(Stability(d, candidate.function, value, rate), time_limit=share, seed=seed)
         _say(progress, f"{candidate.label}: level {value:.4g} {decision.verdict} {decision.reason}")
         if decision.verdict == "proved":
