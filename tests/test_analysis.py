@@ -432,3 +432,10 @@ def test_the_study_of_a_law_of_ones_own() -> None:
     done = run(ANALYSIS / "27_own_law" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     assert [row[2] for row in table(done.stdout)][1:] == ["yes"] * 3
+
+
+def test_the_study_of_vehicles_with_unequal_masses() -> None:
+    done = run(ANALYSIS / "29_vehicle_regions" / "run.py", "--quick")
+    [row] = [row for row in table(done.stdout) if row[0] == "`region-turning`"]
+    assert float(row[2].split()[0]) >= 0.25 and float(row[3].split()[0]) >= 0.2 and row[10] == "0", done.stderr
+    assert done.returncode == 0 and 0.5 < float(row[9]) <= 1

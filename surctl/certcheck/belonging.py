@@ -17,6 +17,7 @@ from typing import Any
 from surctl.certcheck.braking_claim import read_claim as read_braking
 from surctl.certcheck.bundle import Manifest, stated_sha256
 from surctl.certcheck.region_claim import read_claim as read_region
+from surctl.certcheck.turning_claim import read_claim as read_turning
 
 __all__ = ["Belonging", "compare"]
 
@@ -76,7 +77,7 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
     comparison = _Comparison(document["claim"], manifest)
     kinds = {
         "region": comparison.region, "braking": comparison.braking, "heading": comparison.heading,
-        "lyapunov": comparison.motion, "barrier": comparison.motion,
+        "turning": comparison.turning, "lyapunov": comparison.motion, "barrier": comparison.motion,
     }  # fmt: skip
     kinds.get(document["kind"], comparison.inequality)()
     return Belonging(tuple(comparison.differs), tuple(comparison.excludes))
@@ -143,6 +144,30 @@ class _Comparison:
             self.excludes.append("thrust lag: the certificate assumes thrust without lag")
         else:
             self._within("thrust_lag", vehicle["lag_s"], ("thrust_lag",))
+        self._perception()
+
+    def turning(self) -> None:
+        read_turning(self.claim)
+        vehicle, law = self.claim["vehicle"], self.claim["law"]
+        self._hashes()
+        self.excludes += [*self.claim["excludes"], _ROUNDING.format(self.manifest.real)]
+        for name in ("k1", "lookahead", "k_v", "wait", "cruise", "cap"):
+            self._gain(name, law[name])
+        self._gain("k_i", law["k_i"])
+        for (what, key, names), factor in zip(_ALIKE, ("mass_factor", "drag_factor", "drag_factor"), strict=True):
+            for axis, name in enumerate(names):
+                model = law[key][axis]
+                self._gain(key.removesuffix("_kg"), model, axis)
+                self._within(f"{what} {name}", [model * end for end in vehicle[factor]], (name,))
+        self._factors("mass", vehicle["mass_asymmetry"], _ALIKE[:1])
+        self._factors("drag", vehicle["drag_asymmetry"], _ALIKE[1:])
+        for axis, name in enumerate(_LIMITS):
+            have = [*self._gains("thrust_limit")[axis : axis + 1], *self._numbers(name)]
+            self._at_least(f"thrust_limit of {name}", vehicle["thrust_n"][axis], "N", have)
+            self._lower_ends("thrust", vehicle["thrust_n"][axis], "N")
+        self._at_most("yaw rate", vehicle["yaw_rate_rad_per_s"], "rad/s", self._gains("spin"))
+        yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max")]
+        self._at_least("thrust_limit of yaw", vehicle["munk_moment_nm"], "N m", yaw)
         self._perception()
 
     def braking(self) -> None:
@@ -271,6 +296,17 @@ class _Comparison:
                     f"{what}: surge and sway may differ by a share of {asymmetry!r}, "
                     f"but {pair[0]!r} and {pair[1]!r} are exported"
                 )
+
+    def _factors(self, what: str, asymmetry: float, rows: Sequence[tuple[str, str, tuple[str, str]]]) -> None:
+        """Compare the differences of the ratios of the vehicle's parameters to the law's with a certified asymmetry."""
+        values, law = self.manifest.values, self.claim["law"]
+        ratios = [
+            values[name] / law[key][axis]
+            for _, key, names in rows for axis, name in enumerate(names) if name in values and law[key][axis]
+        ]  # fmt: skip
+        if ratios and (apart := max(ratios) - min(ratios)) > asymmetry * (max(ratios) + min(ratios)) / 2:
+            text = f"factors that differ by {apart:.3g} exported"
+            self.differs.append(f"{what}: factors that differ by a share of {asymmetry!r} certified, {text}")
 
     def _period(self, certified: float) -> None:
         if certified == 0:

@@ -13,7 +13,7 @@ from surctl.cli.output import finish, progress, stoppable
 if TYPE_CHECKING:
     from surctl.lyapunov import Solution
 
-__all__ = ["are_problems", "verify_motion"]
+__all__ = ["are_problems", "solution_lines", "verify_motion", "write_solution"]
 
 
 def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
@@ -74,10 +74,10 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
                 solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
             except InputError as error:
                 raise (error if error.file else error.inside(Path(word))) from None
-        lines += _lines(solution)
+        lines += solution_lines(solution)
         data = solution.to_dict() | {"expected": problem.expected}
         if out is not None:
-            written = _write(solution, out)
+            written = write_solution(solution, out)
             files += written[:1]
             data["files"] = [str(path) for path in written]
             lines += [f"  {path}" for path in written]
@@ -93,7 +93,8 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
 
 
-def _lines(solution: Solution) -> list[str]:
+def solution_lines(solution: Solution) -> list[str]:
+    """Return the lines that state a solution: verdict and claim, function, level, reason."""
     from surctl.verification.formula import text_of
 
     name, decision = solution.problem.dynamics.name, solution.decision
@@ -112,7 +113,7 @@ def _lines(solution: Solution) -> list[str]:
     return [*lines, f"  {solution.reason}"] if solution.reason else lines
 
 
-def _write(solution: Solution, out: Path) -> list[Path]:
+def write_solution(solution: Solution, out: Path) -> list[Path]:
     """Write the certificate, if there is one, and the picture of a region; return the files."""
     from surctl.files import write_file
     from surctl.lyapunov import Safety

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish
+from surctl.cli.output import finish, progress
 from surctl.cli.system_option import assigned, command_line, load_system
 
 if TYPE_CHECKING:
@@ -18,13 +20,28 @@ if TYPE_CHECKING:
 __all__ = ["verify_system"]
 
 
-def verify_system(words: Sequence[str], *, as_json: bool) -> None:
-    """Print equilibrium, sampled closed-loop poles and margins; exit with status 1 if the loop is unstable."""
+def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
+    """Print equilibrium, sampled closed-loop poles and margins, and prove a region of attraction if its box is given.
+
+    The exit status is 1 if the loop is unstable, or if no region is proved.
+    """
+    from surctl.cli.motion_verify import solution_lines, write_solution
+    from surctl.cli.system_region import region_words
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder
+    from surctl.lyapunov import solve
     from surctl.system import find_equilibrium, linearise
     from surctl.verification import system_disk_margin, system_margins
 
     own = load_system(words)
-    values = assigned(own.settings)
+    others, region = region_words(own.settings)
+    values = assigned(others)
+    if out is not None:
+        if region is None:
+            remedy = "add within.STATE=LOW..HIGH for every state, or drop it"
+            raise InputError("is for the certificate of a region", key="--out", remedy=remedy)
+        prepare_folder(out)
+    problem = None if region is None else region.problem(own.system, values)
     at = find_equilibrium(own.system, values)
     linear = linearise(own.system, values, at=at)
     poles = linear.poles()
@@ -53,9 +70,21 @@ def verify_system(words: Sequence[str], *, as_json: bool) -> None:
         "margins": [margin.to_dict() for margin in margins],
         "disk_margins": [margin.to_dict() for margin in together.values()],
     }
-    settings = [word for word in own.settings if not word.startswith("start.")]
+    passed, certificates = stable, list[str]()
+    if problem is not None:
+        solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+        lines += ["region of attraction of the control law in continuous time:", *solution_lines(solution)]
+        data["region"] = solution.to_dict()
+        if out is not None:
+            written = [str(path) for path in write_solution(solution, out)]
+            data["region"]["files"] = written
+            lines += [f"  {path}" for path in written]
+            certificates = written[:1]
+        passed = stable and solution.verdict == "proved"
+    settings = [word for word in others if not word.startswith("start.")]
     then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
-    finish(data, lines, as_json=as_json, passed=stable, then=then if stable else ())
+    then += [shlex.join(["surctl", "check", path, "--bundle", "firmware"]) for path in certificates]
+    finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())
 
 
 def _equilibrium(system: System, at: Operating) -> dict[str, list[tuple[str, float, str]]]:

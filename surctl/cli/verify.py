@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["claim_line", "verify"]
 
 
+_SHORT, _LONG = 20.0, 60.0  # s
 _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 
 
@@ -63,9 +65,9 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 @click.option(
     "--time-limit",
     type=click.FloatRange(min=0, max=1e6, min_open=True),
-    default=20.0,
+    default=None,
     metavar="S",
-    help="Largest processor time per claim [s] (default 20).",
+    help="Largest processor time per claim [s] (default 20; 60 for dynamics).",
 )
 @click.option("--show", is_flag=True, help="Print the claims as claim files without checking them.")
 @click.option(
@@ -87,7 +89,7 @@ def verify(
     barrier: str,
     movers: str,
     seed: int,
-    time_limit: float,
+    time_limit: float | None,
     show: bool,
     out: Path | None,
     as_json: bool,
@@ -97,40 +99,41 @@ def verify(
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither was found), or not applicable (this vehicle or these gains violate an assumption). The paper's claims
     concern the kinematic loop at the cruise speed and the speed limit --cap. --scenario also prints the safety claim:
-    the guarantee of the law's barrier, its assumptions, and whether the margin suffices.
+    the law's barrier, its assumptions, and whether the margin suffices.
 
     The linear analysis about straight cruise gives margins, poles, the slowest mode, the largest stable speed and
-    sampling limits, for the nominal vehicle and for the worst of --uncertainty or of the vehicle's ranges. Region and
-    braking claims are checked only if they are named (see surctl list). A file holds an inequality of your own (kind
-    claim; --show prints examples), a region claim with other numbers (kind region), or a region of attraction or a
-    barrier of any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent
-    or dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable,
-    the linear loop is unstable, or the safety claim fails.
+    sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and braking claims
+    are checked only if they are named (see surctl list). A file holds an inequality of your own (kind claim; --show
+    prints examples), a region claim with other numbers (kind region), or a region of attraction or a barrier of any
+    dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent or dependent,
+    and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable, the linear loop
+    is unstable, or the safety claim fails.
 
-    For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop.
+    For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop; with
+    within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
 
-    Examples: surctl verify --out proofs; surctl verify region-cruise-20; surctl verify v1-printed my-claim.toml;
-    surctl verify my_system.py:build plant.mass=2; surctl verify pendulum.toml
+    Examples: surctl verify --out proofs; surctl verify region-cruise-20 claim.toml; surctl verify loop.py:build k=2
     """
-    if is_system(claims, "as_json"):
-        verify_system(claims, as_json=as_json)
+    from surctl.errors import InputError
+
+    if time_limit is not None and math.isnan(time_limit):  # click accepts NaN in any range
+        raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
+    if is_system(claims, "seed", "time_limit", "out", "as_json"):
+        verify_system(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
     if are_problems(claims, only=("seed", "time_limit", "out", "as_json")):
-        verify_motion(claims, seed=seed, time_limit=time_limit, out=out, as_json=as_json)
+        verify_motion(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
     from surctl.cli.braking import is_braking, prove_all
     from surctl.cli.linear_part import linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command
     from surctl.cli.regions import is_region, prove_regions, region_of
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import build_law, load_gains
-    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.simulation import load_scenario
     from surctl.vehicle import load_vehicle
     from surctl.verification import Inapplicable, check_held, decide, write_claim
     from surctl.verification.region import write_region
 
-    if time_limit != time_limit:  # click accepts NaN in any range
-        raise InputError("is not a valid time", key="--time-limit", value=time_limit, remedy="give seconds, above 0")
     values = load_gains(gains).values
     mission = None if scenario is None else load_scenario(scenario)
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
@@ -168,7 +171,7 @@ def verify(
     for claim in chosen:
         progress(claim.name)
         with stoppable(message, lines, as_json=as_json):
-            verdicts.append(decide(claim, seed=seed, time_limit=time_limit, progress=progress))
+            verdicts.append(decide(claim, seed=seed, time_limit=time_limit or _SHORT, progress=progress))
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]

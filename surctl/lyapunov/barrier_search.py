@@ -18,7 +18,7 @@ from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics, exact
 from surctl.verification.formula import Node, number, power, to_casadi, variable
 
-__all__ = ["FoundBarrier", "find_barrier"]
+__all__ = ["BarrierResult", "find_barrier"]
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ _MARGIN = 0.02  # margin to which a barrier is scaled
 
 
 @dataclass(frozen=True, eq=False)
-class FoundBarrier:
+class BarrierResult:
     """The result of the search for a barrier function.
 
     Attributes:
@@ -60,7 +60,7 @@ def find_barrier(
     time_limit: float = 60.0,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
-) -> FoundBarrier:
+) -> BarrierResult:
     """Find a polynomial B that proves that no solution from the initial set reaches the unsafe set in the box.
 
     Args:
@@ -107,10 +107,10 @@ def find_barrier(
             if progress:
                 progress(f"{label}: margin {margin:.3g}, {decision.verdict} {decision.reason}")
             if decision.verdict == "proved":
-                return FoundBarrier(decision, tuple(tried), time.perf_counter() - began)
+                return BarrierResult(decision, tuple(tried), time.perf_counter() - began)
         if time.process_time() > until:
             break
-    return FoundBarrier(decision, tuple(tried), time.perf_counter() - began)
+    return BarrierResult(decision, tuple(tried), time.perf_counter() - began)
 
 
 class _Samples:
@@ -213,10 +213,10 @@ class _Template:
         for _ in range(_ROUNDS):
             if time.process_time() > until:
                 return None
-            found = _solve(rows[active], weights[active])
-            if found is None or found[1] < _LEAST:
+            outcome = _solve(rows[active], weights[active])
+            if outcome is None or outcome[1] < _LEAST:
                 return None
-            coefficients, margin = found
+            coefficients, margin = outcome
             excess = rows @ coefficients + weights * margin * 0.5
             broken = np.flatnonzero(excess > 1e-9)
             if not broken.size:

@@ -63,7 +63,7 @@ def candidates(
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     rate = max(rate, _least_rate(d, linear))
     shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
-    part = (0.06 if len(scales) < 4 else 0.25) * seconds
+    part = (0.06 if len(scales) < 4 else 0.5) * seconds
     template = polynomials(d, 2, scales)
     matrix = (
         None
@@ -82,18 +82,18 @@ def candidates(
         fast = max(rate, _BRISK * _least_rate(d, linear))
         brisk = _Shaper(d, scales, fast, seed, half=shaper.half)
         own = common_quadratic(_shifted(d, linear, fast), scales, discrete=d.discrete)
-        found, volume = (start, 0.0) if own is None else brisk.shaped(template, quadratic(d, own), part)
+        shaped, volume = (start, 0.0) if own is None else brisk.shaped(template, quadratic(d, own), part)
         if volume > 0:
-            yield Candidate("quadratic with a fast decrease", template.function(found), volume)
+            yield Candidate("quadratic with a fast decrease", template.function(shaped), volume)
     coefficients, volume = shaper.shaped(template, start, part)
     label = "quadratic" if len(template.basis) == len(polynomials(d, 2, scales).basis) else "polynomial of degree 4"
     yield Candidate(label, template.function(coefficients), volume)
-    if not volume > 0:
+    if not volume > 0 or len(scales) >= 4:  # the proof of larger regions takes too long
         return
     energy = with_cosines(template, scales)
     if len(energy.basis) > len(template.basis):
-        found, volume = shaper.shaped(energy, _embedded(template, coefficients, energy), part)
-        yield Candidate("quadratic with the potential energy of angles", energy.function(found), volume)
+        outcome, volume = shaper.shaped(energy, _embedded(template, coefficients, energy), part)
+        yield Candidate("quadratic with the potential energy of angles", energy.function(outcome), volume)
     for higher in range(4 if label == "quadratic" else 6, degree + 1, 2):
         wider = polynomials(d, higher, scales, even=shaper.half)
         if len(wider.basis) > _MOST_TERMS:
@@ -174,13 +174,13 @@ class _Shaper:
             level = trial.sizes(best[None], self.rate).level[0]
             if not level > 0 and k > 0:
                 break
-            found, size = enlarge(
+            outcome, size = enlarge(
                 trial, best, seconds=(until - time.process_time()) / 2, rate=self.rate, seed=self.seed + k
             )
             if not size > 0:
                 return best, volume
-            best = found
-            radii = trial.extent(found, 1.0)
+            best = outcome
+            radii = trial.extent(outcome, 1.0)
             self.extent = radii
             grown = self._volume(radii)
             done = grown < volume * _GROWTH

@@ -48,14 +48,14 @@ def equilibria(dynamics: Dynamics, *, seed: int = 0) -> list[Array]:
         x = low + (high - low) * z
         return d.evaluate(x[:, None])[:, 0] - (x if d.discrete else 0.0)
 
-    found: list[Array] = []
+    outcome: list[Array] = []
     for start in qmc.Sobol(len(low), seed=seed).random(_STARTS):
         z, _, flag, _ = fsolve(rest, start, full_output=True)
         if flag != 1 or np.any(z < 0) or np.any(z > 1) or np.abs(rest(z)).max() > _REST * size:
             continue
-        if all(np.abs(z - other).max() > 1e-6 for other in found):
-            found.append(z)
-    return [_short(d, low + (high - low) * z) for z in sorted(found, key=lambda z: [round(float(v), 6) for v in z])]
+        if all(np.abs(z - other).max() > 1e-6 for other in outcome):
+            outcome.append(z)
+    return [_short(d, low + (high - low) * z) for z in sorted(outcome, key=lambda z: [round(float(v), 6) for v in z])]
 
 
 def _short(d: Dynamics, x: Array) -> Array:
@@ -81,16 +81,16 @@ def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
     size = float(np.abs(d.evaluate(np.column_stack([d.box.mean(axis=0), *d.box]))).max())
     if d.residual() <= _REST * max(size, 1.0):
         return d
-    found = equilibria(d, seed=seed)
-    texts = "; ".join(", ".join(f"{name} = {v:.9g}" for name, v in zip(d.names, x, strict=True)) for x in found)
-    if len(found) != 1:
+    outcome = equilibria(d, seed=seed)
+    texts = "; ".join(", ".join(f"{name} = {v:.9g}" for name, v in zip(d.names, x, strict=True)) for x in outcome)
+    if len(outcome) != 1:
         many = (
-            f"is not one, and the box contains several: {texts}" if found else "is not one, and the search finds none"
+            f"is not one, and the box contains several: {texts}" if outcome else "is not one, and the search finds none"
         )
         raise InputError(
             many, key=f"{d.name}.equilibrium", remedy="give the equilibrium, or other bounds of the states"
         )
-    states = tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, found[0], strict=True))
+    states = tuple(replace(s, equilibrium=float(v)) for s, v in zip(d.states, outcome[0], strict=True))
     moved = replace(d, states=states)
     if not moved.residual() <= _REST * max(size, 1.0):
         raise InputError(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.lyapunov.claims import Power, Stability
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.rays import directions, reach
+from surctl.lyapunov.rays import directions, extent
 from surctl.verification.formula import Node
 from surctl.verification.proving import certain_excess
 
@@ -110,6 +110,15 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
         function: V, an expression of the states.
         rate: with a number, V' ≤ −rate · V is demanded, otherwise V' < 0.
         seed: seed of the directions of the rays.
+
+    Example:
+        >>> from surctl.lyapunov import Dynamics, State, least_level
+        >>> from surctl.verification.formula import parse, variable
+        >>> x = {"x": variable("x")}
+        >>> cubic = Dynamics("cubic", "continuous", (State("x", -2.0, 2.0),), (parse("-x + x^3", x),))
+        >>> least = least_level(cubic, parse("x^2", x))  # V' = 0 at |x| = 1
+        >>> round(least.level, 3), least.cause, least.confirmed
+        (1.0, 'decrease', True)
     """
     d = dynamics
     n = len(d.states)
@@ -117,7 +126,7 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
     search = _Search(d, function, rate or 0.0, scales)
     u = directions(n, _RAYS if n > 1 else 2, seed=seed)
     edge = (d.box - d.equilibrium) / scales
-    far = reach(np.zeros(n), edge, u)
+    far = extent(np.zeros(n), edge, u)
     z = u[:, :, None] * (far[:, None] * np.linspace(_NEAREST, 1.0, _POINTS))[None]
     flat = z.reshape(n, -1)
     corners = _corners(d)
@@ -127,19 +136,19 @@ def least_level(dynamics: Dynamics, function: Node, rate: float | None = None, *
     if not np.all(np.isfinite(v)) or v.min() <= 0 or g[:, :, 0].max() >= 0 or search.flat(corners):
         at = np.unravel_index(np.argmin(v) if v.min() <= 0 else np.argmax(g[:, :, 0].max(axis=0)) * _POINTS, v.shape)
         return _at(search, z[:, at[0], at[1]], corners[:, 0], min(float(v.min()), 0.0), "decrease", confirmed=False)
-    found: list[Falsified] = []
+    outcome: list[Falsified] = []
     if d.discrete:
         out = np.array([r[2] for r in read]).reshape(len(read), -1, _POINTS)
-        found += _first(search, out >= 0, v, z, corners, "successor")
+        outcome += _first(search, out >= 0, v, z, corners, "successor")
     else:
-        found.append(_on_faces(search, v[:, -1], z[:, :, -1], edge))
+        outcome.append(_on_faces(search, v[:, -1], z[:, :, -1], edge))
     starts = _starts(g, v, z, corners)
-    found += _first(search, g >= 0, v, z, corners, "decrease")
-    found += [end for start in starts if (end := _descend(search, start, edge)) is not None]
-    found = [f for f in found if f.confirmed]
-    if not found:
+    outcome += _first(search, g >= 0, v, z, corners, "decrease")
+    outcome += [end for start in starts if (end := _descend(search, start, edge)) is not None]
+    outcome = [f for f in outcome if f.confirmed]
+    if not outcome:
         return Falsified(float(v.max()), {}, "none", confirmed=False)
-    return min(found, key=lambda f: f.level)
+    return min(outcome, key=lambda f: f.level)
 
 
 def _corners(d: Dynamics) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surctl.lyapunov.template import Template
 
-__all__ = ["Grid", "Sizes", "directions", "grid", "product", "reach"]
+__all__ = ["Grid", "Sizes", "directions", "extent", "grid", "product"]
 
 Array = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ def directions(dimension: int, count: int, *, half: bool = False, seed: int = 0)
     return np.asarray(normal / np.linalg.norm(normal, axis=0))
 
 
-def reach(equilibrium: Array, box: Array, steps: Array) -> Array:
+def extent(equilibrium: Array, box: Array, steps: Array) -> Array:
     """Return the largest factors (N,) with which steps (n, N) from the equilibrium end in the box (2, n)."""
     low, high = (end[:, None] - equilibrium[:, None] for end in box)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -162,7 +162,7 @@ def grid(
     d = template.dynamics
     u = directions(len(d.states), rays, half=half)
     bounds = d.box if box is None else box
-    border = reach(d.equilibrium, bounds, u * scales[:, None])
+    border = extent(d.equilibrium, bounds, u * scales[:, None])
     far = border if outer is None else np.minimum(border, outer)
     radii = far[:, None] * np.linspace(_NEAREST, 1.0, points)
     if outer is not None:

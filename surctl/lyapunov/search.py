@@ -17,7 +17,7 @@ from surctl.lyapunov.equilibrium import at_equilibrium, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.verification.formula import Node, text_of
 
-__all__ = ["Found", "find_stability"]
+__all__ = ["StabilityResult", "find_stability"]
 
 _SHARES = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1)
 _MANY = 4  # number of states from which proofs take long: functions that are easy to prove come first
@@ -28,7 +28,7 @@ _LARGEST = 0.25  # share of the time for the largest rate
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class StabilityResult:
     """The result of the search for a Lyapunov function.
 
     Attributes:
@@ -89,7 +89,7 @@ def find_stability(
     time_limit: float = 60.0,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
-) -> Found:
+) -> StabilityResult:
     """Find and prove a region of attraction: a Lyapunov function, its largest provable level, and optionally its rate.
 
     The least level for which a counterexample exists is searched first; the proof is then tried at levels just below.
@@ -113,8 +113,8 @@ def find_stability(
         >>> from surctl.verification.formula import parse, variable
         >>> x = {"x": variable("x")}
         >>> cubic = Dynamics("cubic", "continuous", (State("x", -2.0, 2.0),), (parse("-x + x^3", x),))
-        >>> found = find_stability(cubic, degree=2)
-        >>> found.verdict, found.ratio >= 0.9
+        >>> result = find_stability(cubic, degree=2)
+        >>> result.verdict, result.ratio >= 0.9
         ('proved', True)
     """
     began = time.perf_counter()
@@ -124,7 +124,7 @@ def find_stability(
     if linear.verdict == "unstable":
         return _none("refuted", linear.reason, began)
     few = len(d.states) < _MANY
-    wanted = None if rate == "largest" else rate
+    demanded = None if rate == "largest" else rate
     if function is not None:
         offered: Iterator[Candidate] = iter([Candidate("given", function, 0.0)])
     else:
@@ -133,17 +133,17 @@ def find_stability(
             linear,
             degree=degree,
             seconds=(_SEARCH if few else _SEARCH / 2) * time_limit,
-            rate=wanted or 0.0,
+            rate=demanded or 0.0,
             seed=seed,
         )
     trials = []
     for candidate in offered:
-        bound = least_level(d, candidate.function, wanted, seed=seed)
+        bound = least_level(d, candidate.function, demanded, seed=seed)
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}, volume {candidate.volume:.3g}")
         trials.append((candidate, bound))
     if function is not None and linear.verdict == "stable" and not trials[0][1].level > 0:
         for candidate in strict_variants(d, linear, function):
-            bound = least_level(d, candidate.function, wanted, seed=seed)
+            bound = least_level(d, candidate.function, demanded, seed=seed)
             _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
             if bound.level > 0:
                 trials = [(candidate, bound)]
@@ -163,7 +163,7 @@ def find_stability(
     for k, (candidate, bound) in enumerate(trials):
         rest = until - time.process_time()
         share = rest / (len(trials) - k) if few else 0.9 * rest
-        result = _proved(d, candidate, bound, wanted, level, share, began, seed, progress)
+        result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress)
         best = result if best is None or result.verdict == "proved" else best
         if result.verdict == "proved" or until < time.process_time():
             break
@@ -183,7 +183,7 @@ def _proved(
     began: float,
     seed: int,
     progress: Callable[[str], None] | None,
-) -> Found:
+) -> StabilityResult:
     """Return the largest level that is proved, of some shares of the least level with a counterexample."""
     until, few = time.process_time() + seconds, len(d.states) < _MANY
     if not bound.level > 0:
@@ -201,14 +201,24 @@ def _proved(
         share = left if k == len(levels) - 1 else (0.4 if few else 0.85) * left
         decision = decide_motion(Stability(d, candidate.function, value, rate), time_limit=share, seed=seed)
         _say(progress, f"{candidate.label}: level {value:.4g} {decision.verdict} {decision.reason}")
+        if decision.verdict == "refuted" and level is None:
+            bound = _lower(d, candidate.function, bound, decision)
         if decision.verdict == "proved":
             volume = candidate.volume * (value / bound.level) ** (len(d.states) / 2)
-            return Found("proved", "", decision, bound, candidate.label, volume, 0.0)
+            return StabilityResult("proved", "", decision, bound, candidate.label, volume, 0.0)
     verdict: Literal["refuted", "unknown"] = "unknown"
     reason = "the time limit was reached" if decision is None else decision.reason
     if level is not None and decision is not None and decision.verdict == "refuted":
         verdict = "refuted"
-    return Found(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)
+    return StabilityResult(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)
+
+
+def _lower(d: Dynamics, function: Node, bound: Falsified, decision: Decision) -> Falsified:
+    """Return the counterexample of a refuted claim if its level is less than the least known one."""
+    point = dict(decision.counterexample)
+    x = np.array([point.get(name, np.nan) for name in d.names])
+    value = float(d.compiled(function)(x, d.corners()[:, 0]))
+    return Falsified(value, point, "decrease", confirmed=True) if 0 < value < bound.level else bound
 
 
 def _flat(d: Dynamics, function: Node) -> str:
@@ -223,9 +233,11 @@ def _flat(d: Dynamics, function: Node) -> str:
     return "V' is only semidefinite" if worst <= 1e-9 else "V does not decrease close to the equilibrium"
 
 
-def _with_rate(found: Found, seconds: float, seed: int, progress: Callable[[str], None] | None) -> Found:
+def _with_rate(
+    outcome: StabilityResult, seconds: float, seed: int, progress: Callable[[str], None] | None
+) -> StabilityResult:
     """Return the result with the largest rate that is proved in the region."""
-    claim = found.claim
+    claim = outcome.claim
     assert claim is not None
     until = time.process_time() + seconds
     most = _sampled_rate(claim)
@@ -236,8 +248,8 @@ def _with_rate(found: Found, seconds: float, seed: int, progress: Callable[[str]
         trial = decide_motion(replace(claim, rate=_short(share * most)), time_limit=0.5 * left, seed=seed)
         _say(progress, f"rate {share * most:.3g}: {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
-            return replace(found, decision=trial)
-    return found
+            return replace(outcome, decision=trial)
+    return outcome
 
 
 def _sampled_rate(claim: Stability) -> float:
@@ -255,8 +267,8 @@ def _sampled_rate(claim: Stability) -> float:
     return least
 
 
-def _none(verdict: Literal["refuted", "unknown"], reason: str, began: float) -> Found:
-    return Found(verdict, reason, None, None, "", 0.0, time.perf_counter() - began)
+def _none(verdict: Literal["refuted", "unknown"], reason: str, began: float) -> StabilityResult:
+    return StabilityResult(verdict, reason, None, None, "", 0.0, time.perf_counter() - began)
 
 
 def _short(value: float) -> float:

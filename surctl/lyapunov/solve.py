@@ -45,6 +45,11 @@ class Solution:
         """The certificate; empty unless the verdict is `proved`."""
         return self.decision.document if self.decision is not None and self.verdict == "proved" else {}
 
+    @property
+    def counterexample(self) -> Mapping[str, float]:
+        """Values of the variables where an inequality of the claim fails; empty unless the verdict is `refuted`."""
+        return self.decision.counterexample if self.decision is not None and self.verdict == "refuted" else {}
+
     def to_dict(self) -> dict[str, Any]:
         """Return the solution as plain data for JSON."""
         decided = {} if self.decision is None else self.decision.to_dict()

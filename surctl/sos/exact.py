@@ -25,7 +25,7 @@ from surctl.sos.rounding import Column, corrected
 
 __all__ = ["Certificate", "GramBlock", "certify"]
 
-_LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no spare for rounding
+_LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no margin for rounding
 _PER_ENTRY = 5e-10  # [s] per cube of a number of entries: a block of size 65 takes about 5 s
 _SPARE = (3, 10, 18)  # bits of the rounding beyond the size of the least eigenvalue, by attempt
 

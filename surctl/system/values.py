@@ -14,7 +14,7 @@ from surctl.ir import Layout
 from surctl.system.loop import System
 from surctl.system.parts import entry_units
 
-__all__ = ["RunNumbers", "check_scalar", "every_combination", "run_numbers", "unit_of"]
+__all__ = ["RunNumbers", "check_scalar", "every_combination", "place_of", "run_numbers", "unit_of"]
 
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
@@ -129,6 +129,11 @@ def check_scalar(system: System, name: str) -> None:
 def unit_of(system: System, name: str) -> str:
     """Return the unit of a single number of the system, which has a name as in `run_numbers`."""
     return _entries(system, name)[0]
+
+
+def place_of(system: System, name: str) -> tuple[str, slice]:
+    """Return the group of a name (`gains`, `plant`, `reference`, `disturbance`, `start`) and its place there."""
+    return _place(name, _layouts(system))
 
 
 def _entries(system: System, name: str) -> list[str]:

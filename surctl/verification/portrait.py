@@ -1,7 +1,7 @@
 """Phase portraits of a region certificate: the flow and level sets in a plane of states, and violations of the decay.
 
 V is the Lyapunov function of the certificate, and a is its decay rate. The flow is that of the certified loop (the
-heading-steered loop or the cruise), but without thrust lag and sampling. The states are the position in the path frame
+heading-steered loop or a cruise), but without thrust lag and sampling. The states are the position in the path frame
 and the velocity over ground in the path frame; thrust limits and drag act along the body axes. Violations of V̇ ≤ −aV
 are searched at the corners of the vehicle's parameter ranges and over headings. An area without violations is therefore
 no proof; the proof is the certificate.
@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.turning_claim import factors, read_claim
+from surctl.certcheck.turning_law import true_rate
 from surctl.errors import InputError, nearest
 from surctl.verification.region.heading import HeadingClaim
 from surctl.verification.region.rates import heading_loop
@@ -88,7 +90,9 @@ def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
     """
     if document.get("kind") == "heading":
         return HEADING_PLANES
-    if document.get("kind") == "region" and document["claim"].get("system") == "cruise":
+    if document.get("kind") == "turning" or (
+        document.get("kind") == "region" and document["claim"].get("system") == "cruise"
+    ):
         return CRUISE_PLANES
     raise InputError(
         "has no level sets", key="certificate", value=document.get("kind"), remedy="give a region certificate"
@@ -99,7 +103,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     """Compute the phase portrait of a region certificate.
 
     Args:
-        document: a certificate of kind `region` or `heading`.
+        document: a certificate of kind `region`, `turning` or `heading`.
         plane: name of the plane, one of `planes_of`.
         extent: half-width of the plotted area, as a multiple of the half-axes of the ellipse V = 1.
         points: number of grid points along each axis.
@@ -110,7 +114,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     planes = planes_of(document)
     if plane not in planes:
         raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
-    loop = _heading(document) if document["kind"] == "heading" else _cruise(document)
+    loop = {"heading": _heading, "turning": _turning}.get(document["kind"], _cruise)(document)
     first, second = planes[plane]
     # half-axes of the section of V = 1 through 0, not of its projection
     section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
@@ -146,6 +150,39 @@ def _cruise(document: Mapping[str, Any]) -> _Loop:
         tried=(rates(boat, psi) for boat in _boats(claim) for psi in _HEADINGS),
         levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
         lagged=claim["vehicle"]["lag_s"][1] > 0,
+    )
+
+
+def _turning(document: Mapping[str, Any]) -> _Loop:
+    claim, proof = read_claim(document["claim"]), document["proof"]
+
+    def rates(boat: Sequence[Sequence[float]], psi: float, r: float) -> Rates:
+        linear, quadratic = (float(np.mean(pair)) - 1 for pair in boat[1:])
+        omega = proof["trim"][0] * linear + proof["trim"][1] * quadratic
+
+        def rate(xi: Array) -> Array:
+            state, n = xi.copy(), len(xi)
+            state[:, 0] -= omega / float(claim.k1)
+            state[:, 2] += float(claim.cruise)
+            tiled = {
+                key: np.tile(pair, (n, 1)) for key, pair in zip(("mass", "linear", "quadratic"), boat, strict=True)
+            }
+            return true_rate(claim, tiled, state, np.full(n, psi), np.full(n, r))
+
+        return rate
+
+    masses = [[float(f) for f in one] for one in factors(claim.mass_factor, claim.mass_asymmetry, 2)]
+    drags = [[[float(end)] * 2] * 2 for end in sorted(set(claim.drag_factor))]
+    turns = {float(claim.yaw_rate), -float(claim.yaw_rate)}
+    return _Loop(
+        P=_matrix(proof["P"]),
+        shown=rates([[1.0, 1.0]] * 3, 0.0, 0.0),
+        whose="nominal",
+        tried=(
+            rates([mass, *drag], psi, r) for mass in masses for drag in drags for psi in _HEADINGS[:8] for r in turns
+        ),
+        levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
+        lagged=False,
     )
 
 

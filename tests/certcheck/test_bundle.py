@@ -372,3 +372,59 @@ def test_a_claim_about_dynamics_belongs_to_the_controller_and_gains_that_it_stat
     )
     plain = compare({"kind": "barrier", "claim": {"name": "loop", "time": "discrete", "about": {}}}, manifest)
     assert not plain.belongs
+
+
+# a vehicle with unequal masses
+
+OWN = load_vehicle("bluerov2-vonbenzon")
+OWN_P = law_numbers(MISSION, load_gains("default"), OWN)
+
+
+def turning(change: Callable[[dict[str, Any]], None] = lambda _: None) -> dict[str, Any]:
+    document = read(REGION.with_name("region-turning-20.json"))
+    claim = json.loads(json.dumps(document["claim"]))
+    claim["sha256_law"] = LAW.block.digest()
+    change(claim)
+    return seal("turning", claim, {"proof": document["proof"]})
+
+
+def own_manifest(**values: float) -> Manifest:
+    vehicle = OWN.with_values(values) if values else OWN
+    frame = {"name": "n", "id": law_id(LAW, OWN_P), "dt_s": LAW.dt, "real": "float64", "sha256": {}}
+    return read_manifest(json.loads(json.dumps(frame | manifest_entries(LAW, OWN_P, Origin(vehicle, LAW)))))
+
+
+def test_a_turning_certificate_belongs_to_the_vehicle_with_its_masses() -> None:
+    found = compare(turning(), own_manifest())
+    assert found.belongs, found.differs
+    assert set(turning()["claim"]["excludes"]) <= set(found.excludes)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda c: c.update(sha256_law="0" * 64), "law: SHA-256 000000000000 certified"),
+        (lambda c: c.update(sha256_vehicle="0" * 64), "vehicle: SHA-256 000000000000 certified"),
+        *((lambda c, key=key: c["law"].update({key: 0.7}), f"{key}[0]: 0.7 certified")
+          for key in ("k1", "lookahead", "k_v", "wait", "cruise", "cap")),
+        (lambda c: c["law"].update(mass_kg=[19.8567, 20.0]), "mass[1]: 20.0 certified"),
+        (lambda c: c["law"].update(linear_drag=[14.0, 0.0]), "linear_drag[0]: 14.0 certified"),
+        (lambda c: c["law"].update(quadratic_drag=[141.0, 218.0]), "quadratic_drag[1]: 218.0 certified"),
+        (lambda c: c["vehicle"].update(mass_factor=[0.9, 0.99]), "mass m11: "),
+        (lambda c: c["vehicle"].update(drag_factor=[1.1, 1.2]), "quadratic drag Yvv: "),
+        (lambda c: c["vehicle"].update(thrust_n=[40.0, 41.0]), "thrust_limit of Fv_max: at least 41.0 N certified"),
+        (lambda c: c["vehicle"].update(thrust_n=[41.0, 40.0]), "thrust_limit of Fu_max: at least 41.0 N certified"),
+        (lambda c: c["vehicle"].update(yaw_rate_rad_per_s=0.4), "yaw rate: at most 0.4 rad/s certified, 0.45 exported"),
+        (lambda c: c["vehicle"].update(munk_moment_nm=11.0), "thrust_limit of yaw: at least 11.0 N m certified"),
+    ],
+)  # fmt: skip
+def test_what_differs_from_a_turning_certificate_is_named(change: Callable[[dict[str, Any]], None], told: str) -> None:
+    found = compare(turning(change), own_manifest())
+    assert not found.belongs and any(text.startswith(told) for text in found.differs), found.differs
+
+
+def test_factors_that_differ_more_than_certified_are_named() -> None:
+    found = compare(turning(), own_manifest(Xuu=1.15 * 141.0))
+    assert any(text.startswith("drag: factors that differ by a share of 0.05 certified") for text in found.differs)
+    found = compare(turning(), own_manifest(m11=0.96 * 19.8567, m22=1.04 * 20.6206))
+    assert any(text.startswith("mass: factors that differ by a share of 0.05 certified") for text in found.differs)

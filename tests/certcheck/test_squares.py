@@ -15,6 +15,7 @@ from surctl.certcheck.definite import is_semidefinite
 from surctl.certcheck.enclosure import span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.series import same_sign
+from surctl.certcheck.squares import _less, _monomial, _product
 from tests.certcheck.altering import sealed
 from tests.verification.by_squares import certificate
 from tests.verification.made_claims import claim_from
@@ -185,6 +186,21 @@ def test_a_hostile_proof_is_rejected_in_one_line(originals, name: str) -> None:
     assert time.thread_time() - began < PATIENCE
 
 
+def test_a_negative_multiple_of_a_bound_proves_nothing() -> None:
+    """-(1 - x^2) = -1 (x + 1)(1 - x): the matrix of a block with factors counts as well."""
+    document = certificate(claim_from("below", {"x": (-1.0, 1.0)}, "x^2 - 1", "0"))
+    squares = {"symbols": ["x"], "facts": [], "relations": []}
+    block = {"factors": ["l0", "h0"], "monomials": [[0]], "over": 1}
+    for left, entry, accepted in (("x^2 - 1", 1, True), ("1 - x^2", -1, False)):
+        case = document["cases"][0] | {"numerator": left, "squares": squares | {"blocks": [block | {"gram": [entry]}]}}
+        forged = document | {"claim": document["claim"] | {"left": left}, "cases": [case]}
+        assert check_document(sealed(forged)).accepted == accepted
+
+
+def test_a_monomial_that_occurs_twice_is_named(originals) -> None:
+    assert altered(originals[0], _repeat).reason == "a monomial occurs twice"
+
+
 def test_many_different_denominators_do_not_fill_the_memory(originals) -> None:
     size = 60
     entries = [[1, 2**5000 + 2 * k + 1] for k in range(size * (size + 1) // 2)]
@@ -253,6 +269,26 @@ def test_the_bound_of_a_variable_is_the_double_and_its_decimal() -> None:
     assert not check_document(sealed(document)).accepted
     document["claim"]["left"] = document["cases"][0]["numerator"] = "0.1 - x"
     assert check_document(sealed(document)).accepted
+
+
+TERMS = st.dictionaries(
+    st.tuples(*[st.integers(0, 60)] * 3), st.fractions(-5, 5, max_denominator=9).filter(bool), max_size=6
+)
+
+
+@given(TERMS, TERMS)
+@settings(max_examples=40, deadline=None)
+def test_packed_polynomials_multiply_like_their_values(a, b) -> None:
+    point = [Fraction(1, 2), Fraction(-2, 3), Fraction(3)]
+
+    def value(p: dict[int, Fraction]) -> Fraction:
+        return sum(
+            (c * math.prod(x ** (m >> 12 * k & 4095) for k, x in enumerate(point)) for m, c in p.items()), Fraction(0)
+        )
+
+    p, q = ({_monomial(list(m), 3): c for m, c in terms.items()} for terms in (a, b))
+    assert value(_product(p, q)) == value(p) * value(q)
+    assert value(_less(p, q)) == value(p) - value(q)
 
 
 @given(st.integers(1, 9), st.integers(0, 2**32 - 1), st.booleans())

@@ -304,3 +304,36 @@ def test_a_new_file_for_a_keyword_is_python(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.chdir(tmp_path)
     assert run("new", "law", "class").exit_code == 0
     assert "def class_()" in Path("class.py").read_text()
+
+
+def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loop.py").write_text(
+        "from surctl.ir import Layout, Port\n"
+        "from surctl.system import Controller, Plant, System\n"
+        "X, U = Port('x', (1,), 'm', 'place'), Port('u', (1,), 'm/s', 'speed')\n"
+        "K = Layout((Port('k', (1,), '1/s', 'gain', 2.0),))\n"
+        "def build():\n"
+        "    plant = Plant('cart', Layout((X,)), Layout((U,)), lambda x, f, d, p: {'x': x['x'] ** 3 + f['u']})\n"
+        "    law = Controller('hold', 0.01, Layout((X,)), Layout((U,)), lambda x, u, p: -p['k'] * u['x'], gains=K)\n"
+        "    return System(plant, law)\n"
+    )
+    result = data("verify", "loop.py:build", "within.x=-2..2", "lyapunov.function=x^2", "--out", "p")
+    region = result["region"]
+    assert region["verdict"] == "proved"
+    assert 1.8 <= region["level"] < 2.0  # V' < 0 exactly where x^2 < k = 2
+    about = json.loads((tmp_path / "p" / "cart.json").read_text())["claim"]["about"]
+    assert about["gains"] == {"k": [2.0]}
+    assert run("export", "loop.py:build", "--seconds", "0.1", "--out", "c").exit_code == 0
+    assert run("check", "p/cart.json", "--bundle", "c").exit_code == 0
+    for words, says in (
+        (["within.y=-1..1"], "within.y: is no state of the plant"),
+        (["within.x=1"], "within.x = '1': is not a range; write within.x=-1..1"),
+        (["k=1..2"], "k: asks for a region of attraction, whose box is missing"),
+        (["within.x=-1..1", "lyapunov.level=2"], "lyapunov.level: is given without a function"),
+        (["within.x=-1..1", "lyapunov.function=z^2"], "'z' at column 1 is not known"),
+        (["within.x=1..2"], "has its equilibrium outside its bounds"),
+    ):
+        assert says in complaint("verify", "loop.py:build", *words)

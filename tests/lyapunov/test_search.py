@@ -14,7 +14,7 @@ from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_ba
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
 from surctl.lyapunov.from_system import NOT_COVERED
-from surctl.system import Controller, Plant, System
+from surctl.system import Action, Controller, Plant, System
 from surctl.verification.formula import parse, text_of, variable
 
 TRUE_AREA = 13.722
@@ -69,21 +69,21 @@ def _leavers(d: Dynamics, value: object, level: float, *, count: int, seconds: f
 
 def test_the_region_of_van_der_pol_is_nearly_the_true_one() -> None:
     d = _van_der_pol()
-    found = list(candidates(d, linearisation(d), degree=6, seconds=15.0))
-    assert [c.label for c in found] == [
+    outcome = list(candidates(d, linearisation(d), degree=6, seconds=15.0))
+    assert [c.label for c in outcome] == [
         "quadratic with a fast decrease", "quadratic", "polynomial of degree 4", "polynomial of degree 6",
     ]  # fmt: skip
-    areas = [c.volume * 36 for c in found[1:]]
+    areas = [c.volume * 36 for c in outcome[1:]]
     assert areas[0] >= 0.97 * 6.63  # the best quadratic function, by a scan of all shapes
     assert areas[2] >= 0.94 * TRUE_AREA
-    bound = least_level(d, found[3].function)
+    bound = least_level(d, outcome[3].function)
     assert bound.confirmed
     assert bound.level == pytest.approx(1, rel=0.03)
     grid = np.linspace(-3, 3, 600)
     points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
-    inside = np.asarray(d.compiled(found[3].function)(points, np.zeros((0, points.shape[1])))) < 0.97 * bound.level
+    inside = np.asarray(d.compiled(outcome[3].function)(points, np.zeros((0, points.shape[1])))) < 0.97 * bound.level
     assert inside.mean() * 36 >= 0.9 * TRUE_AREA
-    assert _leavers(d, d.compiled(found[3].function), 0.97 * bound.level, count=500, seconds=15.0) == 0
+    assert _leavers(d, d.compiled(outcome[3].function), 0.97 * bound.level, count=500, seconds=15.0) == 0
 
 
 def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed() -> None:
@@ -116,9 +116,9 @@ def test_unstable_and_marginal_equilibria_are_told_apart() -> None:
 
 def test_where_the_linearisation_decides_nothing_samples_give_a_function() -> None:
     d = _dynamics({"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, ["-x^3 + y", "-x - y^3"])
-    found = find_stability(d, degree=4, time_limit=20.0)
-    assert found.verdict == "proved"
-    assert found.ratio >= 0.9
+    outcome = find_stability(d, degree=4, time_limit=20.0)
+    assert outcome.verdict == "proved"
+    assert outcome.ratio >= 0.9
 
 
 def test_the_equilibrium_is_found_and_several_are_named() -> None:
@@ -149,39 +149,39 @@ def test_one_quadratic_function_for_all_corners_of_the_parameters() -> None:
 
 def test_a_region_is_proved_just_below_its_least_level() -> None:
     d = _dynamics({"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ["-x + y", "-y - x^3"])
-    found = find_stability(d, degree=2, time_limit=30.0)
-    assert found.verdict == "proved"
-    assert found.ratio >= 0.9
-    assert found.claim is not None
-    assert found.to_dict()["level"] < found.to_dict()["falsified_level"]
+    outcome = find_stability(d, degree=2, time_limit=30.0)
+    assert outcome.verdict == "proved"
+    assert outcome.ratio >= 0.9
+    assert outcome.claim is not None
+    assert outcome.to_dict()["level"] < outcome.to_dict()["falsified_level"]
 
 
 def test_a_map_has_a_region_too() -> None:
     d = _dynamics({"x": (-1.0, 1.5, 0.25)}, ["0.25 + 0.5*(x - 0.25) + (x - 0.25)^2"], discrete=True)
-    found = find_stability(d, degree=2, time_limit=30.0)
-    assert found.verdict == "proved"
-    assert found.ratio >= 0.9
-    assert found.claim is not None
-    assert text_of(found.claim.function).endswith("(x - 0.25)^2")
+    outcome = find_stability(d, degree=2, time_limit=30.0)
+    assert outcome.verdict == "proved"
+    assert outcome.ratio >= 0.9
+    assert outcome.claim is not None
+    assert text_of(outcome.claim.function).endswith("(x - 0.25)^2")
 
 
 def test_energy_is_made_strict_and_the_largest_rate_is_proved() -> None:
     d = _dynamics({"a": (-2.0, 2.0), "w": (-3.0, 3.0)}, ["w", "-a - w"])
     energy = parse("0.5*w^2 + 0.5*a^2", {"a": variable("a"), "w": variable("w")})
-    found = find_stability(d, function=energy, rate="largest", time_limit=30.0)
-    assert found.verdict == "proved"
-    assert found.label.startswith("given function plus")
-    assert found.claim is not None
-    assert found.claim.rate is not None
-    assert found.claim.rate > 0
+    outcome = find_stability(d, function=energy, rate="largest", time_limit=30.0)
+    assert outcome.verdict == "proved"
+    assert outcome.label.startswith("given function plus")
+    assert outcome.claim is not None
+    assert outcome.claim.rate is not None
+    assert outcome.claim.rate > 0
 
 
 def test_a_barrier_is_found_in_continuous_and_in_discrete_time() -> None:
     x = {"x": variable("x"), "y": variable("y")}
     start, bad = [parse("x^2 + y^2 - 0.25", x)], [parse("1.2 - x - y", x)]
     bounds = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}
-    found = find_barrier(_dynamics(bounds, ["-x + y", "-x - y"]), start, bad, degree=2, time_limit=30.0)
-    assert found.verdict == "proved"
+    outcome = find_barrier(_dynamics(bounds, ["-x + y", "-x - y"]), start, bad, degree=2, time_limit=30.0)
+    assert outcome.verdict == "proved"
     turned = _dynamics(bounds, ["0.8*x + 0.3*y", "-0.3*x + 0.8*y"], discrete=True)
     assert find_barrier(turned, start, bad, degree=2, time_limit=30.0).verdict == "proved"
     reached = find_barrier(_dynamics(bounds, ["1", "0"]), start, [parse("1 - x", x)], degree=2, time_limit=10.0)
@@ -205,19 +205,24 @@ def _loop(*, integral: bool) -> System:
         command=plant.inputs,
         state=Layout((Port("sum", (1,), "rad s", "", 0.0),)) if integral else Layout(()),
         gains=Layout((Port("k_p", (1,), "N m/rad", "", 20.0),)),
-        law=lambda x, u, p: -p["k_p"] * (u["angle"] - u["target"]) - 6 * u["rate"],
+        law=lambda x, u, p: Action(-p["k_p"] * (u["angle"] - u["target"]) - 6 * u["rate"], x),
     )
     return System(plant, law)
 
 
 def test_dynamics_of_a_closed_loop_are_exact_and_say_what_they_leave_out() -> None:
     bounds = {"angle": (-1.0, 1.0), "rate": (-4.0, 4.0)}
-    d = continuous_dynamics(_loop(integral=False), bounds, values={"gravity": (9.0, 10.0), "k_p": 25.0})
+    d = continuous_dynamics(_loop(integral=False), bounds, values={"k_p": 25.0}, ranges={"plant.gravity": (9.0, 10.0)})
     assert d.source == NOT_COVERED
-    assert [w.name for w in d.parameters] == ["gravity"]
+    assert [w.name for w in d.parameters] == ["plant_gravity"]
+    assert d.about["gains"] == {"k_p": [25.0]}
     rates = d.evaluate([[0.3], [0.1]], [[9.5]])[:, 0]
     assert rates == pytest.approx([0.1, 9.5 * np.sin(0.3) - 25 * 0.3 - 6 * 0.1])
-    with pytest.raises(InputError, match=r"bounds\.rate"):
+    # a certificate for a range of a gain belongs to no exported controller
+    assert continuous_dynamics(_loop(integral=False), bounds, ranges={"k_p": (20.0, 25.0)}).about == {}
+    with pytest.raises(InputError, match=r"within\.rate"):
         continuous_dynamics(_loop(integral=False), {"angle": (-1.0, 1.0)})
-    with pytest.raises(InputError, match=r"values\.grvity"):
+    with pytest.raises(InputError, match="grvity: no such number"):
         continuous_dynamics(_loop(integral=False), bounds, values={"grvity": 9.0})
+    with pytest.raises(InputError, match="has a state of its own"):
+        continuous_dynamics(_loop(integral=True), bounds)

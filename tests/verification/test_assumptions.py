@@ -66,8 +66,9 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
                 assert braking.brakes.masses[0] <= vehicle["m22"] <= braking.brakes.masses[1]
             elif name in REGION_CLAIMS:
                 region = region_statement(name).claim(vehicle, GAINS, cruise=cruise, cap=cap)
-                needs = one_mass if "heading" in name else one_mass and one_drag
-                document = region.document(**_PLACES["heading" if "heading" in name else "cruise"])
+                kind = next(kind for kind in _PLACES if kind in name)
+                needs = {"heading": one_mass, "turning": True}.get(kind, one_mass and one_drag)
+                document = region.document(**_PLACES[kind])
                 assert needs and document["law"]["cruise"] == cruise
                 assert "heading" in name or document["law"]["cap"] == cap
             elif name in STEPS:
@@ -86,6 +87,7 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
 
 _PLACES = {
     "cruise": {"offset": 1.0, "ultimate_bound": (1.0, 1.0)},
+    "turning": {"offset": 1.0, "rest_offset": 1.0, "ultimate_bound": (1.0, 1.0), "munk_moment": 1.0},
     "heading": {"offset": 1.0, "beside": 1.0, "extent": (1.0, 1.0, 1.0), "depth": 1.0, "ultimate_bound": 1.0},
 }
 

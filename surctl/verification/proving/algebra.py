@@ -2,9 +2,9 @@
 
 The normal form of an expression is a fraction; its numerator and its denominators are polynomials in atoms. Atoms are
 variables, π, square roots, sines and cosines of arguments without inverse functions, the inverse functions atan2 and
-acos, and all other functions. The rewriting rules are sqrt(p)² = p, sin² = 1 − cos², the addition theorems, and the sine and cosine of atan2
-and acos. A normal form may be defined on a larger domain than the original expression; whoever uses the normal form
-must prove separately that the original expression is defined.
+acos, and all other functions. The rewriting rules are sqrt(p)² = p, sin² = 1 − cos², the addition theorems, and the
+sine and cosine of atan2 and acos. A normal form may be defined on a larger domain than the original expression; whoever
+uses the normal form must prove separately that the original expression is defined.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.
 first round tries an exact proof; all forms are tried in short rounds before the last round uses the remaining time."""
 
 _SHORT, _SHARE = 3, 0.4
-"""Number of rounds before sums of squares are tried, and the largest share of the remaining time for them."""
+"""Largest number of rounds before sums of squares are tried, and their largest share of the remaining time."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
@@ -172,8 +172,11 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     constraints = build_tape(names, case.constraints)
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
+    # without slack, the first round and sums of squares decide most claims, and sooner than further short rounds
+    before = min(_SHORT, 1) if attempt.slack == 0 else _SHORT
+    everywhere = all(fine[0] for fine in written.run(root).defined)
     for number, (most, part) in enumerate(_ROUNDS):
-        if number == _SHORT and attempt.with_squares and all(fine[0] for fine in written.run(root).defined):
+        if number == before and attempt.with_squares and everywhere:
             rest = _SHARE * max(seconds - (time.process_time() - began), 0.0)
             squares = prove_by_squares(case, names, (statement.lower, statement.upper), seconds=rest)
             if squares.form is not None:
@@ -187,7 +190,7 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
             )  # fmt: skip
             rest = max(seconds - (time.process_time() - began), 0.0)
             # the last round divides the remaining time among the forms
-            share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / (8 if number < _SHORT else 4)
+            share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / (8 if number < before else 4)
             report = _reporter(attempt.label, attempt.progress)
             result = search(task, deadline=time.process_time() + share, most=most, progress=report)
             looked += result.boxes

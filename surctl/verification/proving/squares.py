@@ -59,11 +59,14 @@ def prove_by_squares(case: Case, names: tuple[str, ...], box: tuple[Array, Array
         box: lower and upper bounds of the variables (n,).
         seconds: time limit [s] of processor time.
     """
-    end = time.process_time() + seconds
     try:
-        problem = _Problem(case, names, box)
-    except (TooLarge, InputError):
+        return _tried(case, names, box, time.process_time() + seconds)
+    except (TooLarge, InputError, ArithmeticError, ValueError):  # no polynomial, or numbers beyond the range of floats
         return SquaresProof(None, {}, "")
+
+
+def _tried(case: Case, names: tuple[str, ...], box: tuple[Array, Array], end: float) -> SquaresProof:
+    problem = _Problem(case, names, box)
     if not problem.usable:
         return SquaresProof(None, {}, "")
     tried = 0
@@ -73,7 +76,7 @@ def prove_by_squares(case: Case, names: tuple[str, ...], box: tuple[Array, Array
             break
         proof = certify(
             problem.target,
-            [problem.weight(names_) for names_ in factors],
+            [problem.weight(each) for each in factors],
             relations=[r for _, r in problem.relations],
             zeros=problem.zeros,
             degree=degree,

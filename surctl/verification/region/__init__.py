@@ -6,6 +6,8 @@ from surctl.verification.region.heading_proof import prove_heading
 from surctl.verification.region.library import REGION_CLAIMS, prove_statement, region_statement
 from surctl.verification.region.proof import RegionProof, prove_region
 from surctl.verification.region.statement import RegionStatement, load_region, write_region
+from surctl.verification.region.turning import TurningClaim, turning_claim
+from surctl.verification.region.turning_proof import prove_turning
 
 __all__ = [
     "REGION_CLAIMS",
@@ -13,12 +15,15 @@ __all__ = [
     "RegionClaim",
     "RegionProof",
     "RegionStatement",
+    "TurningClaim",
     "heading_claim",
     "load_region",
     "prove_heading",
     "prove_region",
     "prove_statement",
+    "prove_turning",
     "region_claim",
     "region_statement",
+    "turning_claim",
     "write_region",
 ]

@@ -13,6 +13,8 @@ from surctl.verification.region.heading import HeadingClaim
 from surctl.verification.region.heading_proof import prove_heading
 from surctl.verification.region.proof import RegionProof, prove_region
 from surctl.verification.region.statement import RegionStatement
+from surctl.verification.region.turning import TurningClaim
+from surctl.verification.region.turning_proof import prove_turning
 
 __all__ = ["REGION_CLAIMS", "prove_statement", "region_statement"]
 
@@ -67,6 +69,16 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         },
     ),
     (
+        "region-turning",
+        "vehicle with its own masses and drag in surge and sway, exactly known, any heading, also from rest",
+        {"loop": "turning", "share": 0.0, "mass_share": 0.0, "rate_per_s": 0.02, "at_rest": True, "attempts": 90},
+    ),
+    (
+        "region-turning-20",
+        "as region-turning, with masses uncertain by ±5 % and drag by ±20 %, not from rest",
+        {"loop": "turning", "rate_per_s": 0.02, "attempts": 45},
+    ),
+    (
         "region-heading-20",
         "heading-steered loop of 8 states with its own soft gains, all parameters uncertain by ±20 %, thrust limits",
         {"loop": "heading", "attempts": 3, "cells": 250},
@@ -109,7 +121,9 @@ def prove_statement(
     Raises:
         InputError, NotApplicable: `RegionStatement.claim` raises this error.
     """
-    claim: RegionClaim | HeadingClaim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+    claim: RegionClaim | HeadingClaim | TurningClaim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
     if isinstance(claim, HeadingClaim):
         return prove_heading(claim, rounds=statement.attempts, cells=statement.cells)
+    if isinstance(claim, TurningClaim):
+        return prove_turning(claim, attempts=statement.attempts, seed=seed)
     return prove_region(claim, attempts=statement.attempts, seed=seed)

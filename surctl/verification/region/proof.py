@@ -24,6 +24,7 @@ from surctl.verification.region.rates import cruise_loop
 from surctl.verification.region.ratio import LevelRatios, level_ratios
 from surctl.verification.region.search import search
 from surctl.verification.region.synthesis import Candidate
+from surctl.verification.region.turning import TurningClaim
 
 __all__ = ["RegionProof", "prove_region"]
 
@@ -44,15 +45,17 @@ class RegionProof(Certified):
         extent: largest |y_e| [m] of any point of the region.
         ratios: ratio of the certified level to the least level with a counterexample, and ratio of the certified level
             to the level of thrust saturation; None if the falsifier has no model of the claim.
+        rest_offset: largest |y_e| [m] in the region for x_e = 0 and a vehicle at rest; None if the claim states none.
     """
 
-    claim: RegionClaim | HeadingClaim
+    claim: RegionClaim | HeadingClaim | TurningClaim
     offset: float
     ultimate_bound: tuple[float, float]
     seconds: float
     check_seconds: float
     extent: float = 0.0
     ratios: LevelRatios | None = None
+    rest_offset: float | None = None
 
     @property
     def sentence(self) -> str:
@@ -60,9 +63,10 @@ class RegionProof(Certified):
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
         x, y = self.ultimate_bound
+        rest = "" if self.rest_offset is None else f" ({self.rest_offset:.3g} m for a start at rest)"
         return (
-            f"proved: from {self.offset:.3g} m beside the path, the Lyapunov function decays at {self.claim.rate:g}/s "
-            f"until the robot is within {x:.3g} m along and {y:.3g} m across the path; "
+            f"proved: from {self.offset:.3g} m beside the path{rest}, the Lyapunov function decays at "
+            f"{self.claim.rate:g}/s until the robot is within {x:.3g} m along and {y:.3g} m across the path; "
             f"checked in {self.check_seconds:.2f} s" + ("" if self.ratios is None else f"; {self.ratios.sentence}")
         )
 
@@ -71,6 +75,7 @@ class RegionProof(Certified):
         return {
             **self.decided(),
             "offset_m": self.offset,
+            "rest_offset_m": self.rest_offset,
             "ultimate_bound_m": list(self.ultimate_bound),
             "extent_m": self.extent,
             "level_ratios": None if self.ratios is None else self.ratios._asdict(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -14,12 +15,20 @@ from surctl.files import Strict, load_model, quoted
 from surctl.vehicle import Vehicle
 from surctl.verification.region.claim import RegionClaim, region_claim
 from surctl.verification.region.heading import HEADING_GAINS, HeadingClaim, heading_claim
+from surctl.verification.region.turning import TurningClaim, turning_claim
 
 __all__ = ["RegionStatement", "load_region", "write_region"]
 
 _HEADING_KNOWS = frozenset(
     {"kind", "name", "statement", "loop", "share", "ranges", "thrust_share", "rate_per_s", "gains", "attempts", "cells"}
 )
+_TURNING_KNOWS = frozenset(
+    {
+        "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "thrust_share", "yaw_rate_rad_per_s",
+        "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "gains", "attempts",
+    }
+)  # fmt: skip
+_TURNING_ALONE = frozenset({"mass_share", "at_rest"})
 
 
 class RegionStatement(Strict):
@@ -29,11 +38,14 @@ class RegionStatement(Strict):
         kind: kind of the TOML file.
         name: name of the claim.
         statement: the claim in words.
-        loop: `cruise` for the exported law, `heading` for the heading-steered loop of 8 states with its own gains.
-        share: relative error of mass and drag (`heading`: of every parameter).
+        loop: `cruise` for the exported law and equal masses in surge and sway, `turning` for the exported law and any
+            masses, `heading` for the heading-steered loop of 8 states with its own gains.
+        share: relative error of mass and drag (`heading`: of every parameter; `turning`: of drag only).
+        mass_share: relative error of the masses (`turning` only).
         ranges: whether the ranges of the vehicle file replace `share`.
         thrust_share: largest relative reduction of the thrust limits.
-        asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean.
+        asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean
+            (`turning`: of the relative errors of any two drag coefficients, and of the two masses).
         sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
         yaw_rate_rad_per_s: largest yaw rate.
         spinning: whether the value of the gain `spin` replaces `yaw_rate_rad_per_s`.
@@ -42,6 +54,7 @@ class RegionStatement(Strict):
         current_m_per_s: largest constant current.
         force_n: largest force of waves and thrust errors, varying arbitrarily.
         place_error_m, velocity_error_m_per_s: largest errors of measured position and velocity, varying arbitrarily.
+        at_rest: whether the region must contain a vehicle at rest (`turning` only).
         gains: gains that replace those of the gain file.
         attempts: number of start values of the search; for `heading`, number of enlargements of the region.
         cells: largest number of cells of (ψ, y) in a proof (`heading` only).
@@ -50,8 +63,9 @@ class RegionStatement(Strict):
     kind: Literal["region"] = "region"
     name: StrictStr = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,59}$")
     statement: StrictStr = ""
-    loop: Literal["cruise", "heading"] = "cruise"
+    loop: Literal["cruise", "turning", "heading"] = "cruise"
     share: StrictFloat = Field(default=0.2, ge=0, lt=1)
+    mass_share: StrictFloat = Field(default=0.05, ge=0, lt=1)
     ranges: StrictBool = False
     thrust_share: StrictFloat = Field(default=0.0, ge=0, lt=1)
     asymmetry: StrictFloat = Field(default=0.05, ge=0, le=2)
@@ -66,20 +80,21 @@ class RegionStatement(Strict):
     force_n: StrictFloat = Field(default=0.0, ge=0)
     place_error_m: StrictFloat = Field(default=0.0, ge=0)
     velocity_error_m_per_s: StrictFloat = Field(default=0.0, ge=0)
+    at_rest: StrictBool = False
     gains: dict[str, StrictFloat] = Field(default_factory=dict)
     attempts: StrictInt = Field(default=80, ge=1)
     cells: StrictInt = Field(default=1500, ge=1)
 
     def claim(
         self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None
-    ) -> RegionClaim | HeadingClaim:
+    ) -> RegionClaim | HeadingClaim | TurningClaim:
         """Return the claim for a vehicle and its gains; `cruise` and `cap` [m/s] replace the default speeds.
 
         If the claim file sets one of the two speeds, both remain as the file states them.
 
         Raises:
-            InputError: a gain is unknown, the cruise speed is not below the cap, or the file sets a key that the
-                heading-steered loop does not use.
+            InputError: a gain is unknown, the cruise speed is not below the cap, or the file sets a key that its loop
+                does not use.
             NotApplicable: the vehicle or the gains violate an assumption of the claim.
         """
         share = None if self.ranges else self.share
@@ -92,6 +107,14 @@ class RegionStatement(Strict):
             raise InputError("must be below the cap", key="cruise", value=cruise, remedy="raise the cap")
         law_gains = replace(gains, source="").with_values(self.gains)  # a message must not name the gain file
         turn = law_gains["spin"] if self.spinning else self.yaw_rate_rad_per_s
+        if self.loop == "turning":
+            self._used(_TURNING_KNOWS, "the turning loop")
+            return turning_claim(
+                self.name, vehicle, law_gains, share=self.share, mass_share=self.mass_share, asymmetry=self.asymmetry,
+                thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise, cap=cap, rate=self.rate_per_s,
+                rest=self.at_rest,
+            )  # fmt: skip
+        self._used(type(self).model_fields.keys() - _TURNING_ALONE, "the cruise with equal masses")
         return region_claim(
             self.name, vehicle, law_gains, share=share, thrust_share=self.thrust_share, asymmetry=self.asymmetry,
             sampled=self.sampled, lagged=self.lagged, yaw_rate=turn, cruise=cruise, cap=cap,
@@ -99,15 +122,14 @@ class RegionStatement(Strict):
             velocity_error=self.velocity_error_m_per_s,
         )  # fmt: skip
 
-    def _heading(self, vehicle: Vehicle, share: float | None, cruise: float | None) -> HeadingClaim:
-        for key in sorted(self.model_fields_set - _HEADING_KNOWS):
+    def _used(self, known: Collection[str], loop: str) -> None:
+        """Raise InputError for a key with another value than its default that this loop does not use."""
+        for key in sorted(self.model_fields_set - set(known)):
             if getattr(self, key) != type(self).model_fields[key].default:
-                raise InputError(
-                    "has no effect on the heading-steered loop",
-                    key=key,
-                    value=getattr(self, key),
-                    remedy="leave it out",
-                )
+                raise InputError(f"has no effect on {loop}", key=key, value=getattr(self, key), remedy="leave it out")
+
+    def _heading(self, vehicle: Vehicle, share: float | None, cruise: float | None) -> HeadingClaim:
+        self._used(_HEADING_KNOWS, "the heading-steered loop")
         for key in sorted(set(self.gains) - set(HEADING_GAINS)):
             remedy = f"known: {', '.join(HEADING_GAINS)}"
             raise InputError("is not a gain of the heading-steered loop", key=f"gains.{key}", remedy=remedy)
@@ -150,8 +172,8 @@ def write_region(statement: RegionStatement) -> str:
         return quoted(value) if isinstance(value, str) else repr(value)
 
     plain = {key: value for key, value in statement.model_dump().items() if key != "gains"}
-    if statement.loop == "heading":
-        plain = {key: value for key, value in plain.items() if key in _HEADING_KNOWS}
+    known = {"heading": _HEADING_KNOWS, "turning": _TURNING_KNOWS}.get(statement.loop, plain.keys() - _TURNING_ALONE)
+    plain = {key: value for key, value in plain.items() if key in known}
     lines = [f"{key} = {literal(value)}" for key, value in plain.items()]
     if statement.gains:
         lines += ["", "[gains]", *(f"{key} = {value!r}" for key, value in statement.gains.items())]

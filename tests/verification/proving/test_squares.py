@@ -77,6 +77,25 @@ def test_a_claim_false_by_a_millionth_is_never_proved(gap: float, seed: int) -> 
     assert squares_first(claim, time_limit=1.0).certificate is None
 
 
+@pytest.mark.parametrize(
+    ("box", "left", "right"),
+    [
+        ({"x": (-1e200, 1e200)}, "-x^4*(1 + x^2)", "0"),
+        ({"x": (-1e-200, 1e-200)}, "-x^2", "1e-300*x^4"),
+        ({"x": (0.0, 0.0), "y": (-1.0, 1.0)}, "x*y", "0"),
+        ({"x": (0.1, 0.1), "y": (-1.0, 1.0)}, "y^2*x", "0.1"),
+        ({"x": (-1.0, 1.0)}, "0", "0"),
+        ({"x": (-1.0, 1.0)}, "1e300*x^2", "1e300"),
+        ({"x": (-1.0, 1.0)}, "sqrt(x + 1)*abs(x)", "2"),
+        ({"x": (-1.0, 1.0)}, "1/(2 + x)", "1 + x^2*0"),
+        ({"x": (0.0, 1.0)}, "sqrt(x) - atan2(x, 1)", "sqrt(x)"),
+    ],
+)  # fmt: skip
+def test_odd_numbers_and_ranges_end_with_a_proof_that_is_accepted_or_with_none(box, left: str, right: str) -> None:
+    proof = squares_first(claim_from("odd", box, left, right), time_limit=2.0)
+    assert proof.certificate is None or check_document(proof.certificate, time_limit=2.0).accepted
+
+
 @pytest.mark.parametrize("touching", [True, False])
 @pytest.mark.parametrize("op", [op for op in (*VALUES, "sqrt", "acos") if op in ("sin", "cos", "atan", "sqrt", "acos")])
 def test_facts_are_shown_by_the_checker_and_true(op: str, touching: bool) -> None:

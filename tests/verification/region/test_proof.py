@@ -15,11 +15,14 @@ from surctl.verification.region import (
     REGION_CLAIMS,
     HeadingClaim,
     RegionClaim,
+    TurningClaim,
     heading_claim,
     prove_heading,
     prove_region,
+    prove_turning,
     region_claim,
     region_statement,
+    turning_claim,
 )
 from surctl.verification.region.conic import minimise, symmetric_basis
 from surctl.verification.region.loop import steady_cruise
@@ -86,7 +89,7 @@ def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
 
 @pytest.mark.parametrize("name", REGION_CLAIMS)
 def test_the_library_builds_what_it_says(name: str) -> None:
-    vehicle = load_vehicle("sur540-flooded")
+    vehicle = load_vehicle("bluerov2-vonbenzon" if "turning" in name else "sur540-flooded")
     claim = REGION_CLAIMS[name].claim(vehicle, load_gains("default"))
     assert claim.name == name
     kept = KEPT / f"{name}.json"
@@ -97,6 +100,12 @@ def test_the_library_builds_what_it_says(name: str) -> None:
         own = claim.document(
             offset=motion["offset_m"], beside=motion["beside_m"], extent=tuple(motion["extent"]),
             depth=motion["depth_m"], ultimate_bound=motion["ultimate_bound_m"],
+        )  # fmt: skip
+    elif isinstance(claim, TurningClaim):
+        assert claim.mass == (19.8567, 20.6206)
+        own = claim.document(
+            offset=motion["offset_m"], rest_offset=motion["rest_offset_m"],
+            ultimate_bound=tuple(motion["ultimate_bound_m"]), munk_moment=stated["vehicle"]["munk_moment_nm"],
         )  # fmt: skip
     else:
         assert claim.mass == ((50, 125) if name == "region-cruise-ranges" else (76, 114))
@@ -204,3 +213,21 @@ def test_a_certificate_of_these_numbers_is_not_one_of_others() -> None:
     whole = json.loads((KEPT / "region-cruise-20.json").read_text())
     whole["claim"]["law"]["cruise"] = 0.16
     assert "altered" in check_document(whole).reason
+
+
+def test_unequal_masses_are_proved_and_an_impossible_rate_is_not() -> None:
+    claim = turning_claim(
+        "test", load_vehicle("bluerov2-wu"), load_gains("default"), share=0.0, mass_share=0.0, rate=0.02, rest=True
+    )
+    proof = prove_turning(claim, attempts=3)
+    assert proof.verdict == "proved", proof.reason
+    assert proof.offset > 0.25 and proof.rest_offset is not None and proof.rest_offset > 0.2
+    assert check_document(proof.certificate()).accepted and "for a start at rest" in proof.sentence
+    again = prove_turning(replace(claim, rate=5.0), attempts=1)
+    assert again.verdict == "unknown" and again.sentence.startswith("unknown: not provable for this vehicle")
+    weak = prove_turning(replace(claim, yaw_limit=0.01), attempts=3)
+    assert weak.verdict == "unknown" and "Munk moment" in weak.reason
+    with pytest.raises(InputError, match="k_i"):
+        turning_claim("test", load_vehicle("bluerov2-wu"), load_gains("default").with_values({"k_i": 0.1}))
+    with pytest.raises(InputError, match="cap"):
+        replace(claim, cruise=0.3)

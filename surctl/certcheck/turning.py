@@ -1,0 +1,130 @@
+"""Check of a `turning` certificate: V decays on every motion of a cruise with unequal masses at any heading.
+
+The claim states that, for all constant true parameters in their ranges, there is a steady cruise ξ* with the offset
+x_e* = −ω/k1 along the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ = (x_e, y_e, U_x, U_y), every motion that starts in V ≤
+1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0, however the heading moves with |r| ≤ yaw_rate_rad_per_s. The
+levels floor = ℓ_0 < ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and
+every cell of headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational
+arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import number, record
+from surctl.certcheck.region_exact import (
+    Matrix,
+    inverse,
+    is_positive_definite,
+    largest_eigenvalue,
+    quadratic,
+    root_up,
+)
+from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, steady
+from surctl.certcheck.turning_claim import TurningClaim, factors, read_claim
+from surctl.certcheck.turning_law import check_samples
+
+__all__ = ["check"]
+
+_MOST_SHELLS = 24
+_CELLS = (4, 96)  # least and largest number of cells of headings
+_UNMIRRORED = {(0, 1), (0, 3), (2, 1), (2, 3)}  # the reflection in the path changes the sign of y and U_y only
+
+
+def check(document: Mapping[str, Any]) -> None:
+    """Check a `turning` certificate whose format and hash are verified.
+
+    Raises:
+        Rejected: the certificate does not prove its claim; the message names the first failure.
+    """
+    record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
+    claim = read_claim(document.get("claim"))
+    proof = record(document.get("proof"), ("P", "floor", "trim", "cells", "shells"), "proof")
+    p = _matrix(proof["P"])
+    if not is_positive_definite(p):
+        raise Rejected("P is not positive definite")
+    if any(p[i][j] for i, j in _UNMIRRORED):
+        raise Rejected("P is not symmetric under reflection in the path")
+    trim, cells = steady(claim, _slopes(proof["trim"])), proof["cells"]
+    if type(cells) is not int or not _CELLS[0] <= cells <= _CELLS[1]:
+        raise Rejected(f"proof.cells must be a whole number from {_CELLS[0]} to {_CELLS[1]}")
+    levels, growths = _shells(proof)
+    covariance = inverse(p)
+    _check_starts(claim, p, trim)
+    _check_ultimate_bound(claim, covariance, trim, levels[0])
+    _check_munk_moment(claim, covariance)
+    divided = heading_cells(claim, trim, cells)
+    for (low, high), growth in zip(pairwise(levels), growths, strict=True):
+        check_shell(claim, trim, divided, p, low, high, growth)
+    check_samples(claim, trim, np.array([[float(entry) for entry in row] for row in p]), float(levels[0]))
+
+
+def _matrix(rows: Any) -> Matrix:
+    """Return the symmetric matrix (4, 4) whose lower triangle has the given rows."""
+    shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
+    if not shaped or [len(row) for row in rows] != [1, 2, 3, 4]:
+        raise Rejected("proof.P must be a lower triangle with 4 rows")
+    lower = [[number(entry, "proof.P", least=-(10**9)) for entry in row] for row in rows]
+    return [[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)]
+
+
+def _slopes(value: Any) -> tuple[Fraction, Fraction]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise Rejected("proof.trim must have two entries")
+    first, second = (number(entry, "proof.trim", least=-(10**9)) for entry in value)
+    return first, second
+
+
+def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[Fraction]]:
+    """Return the levels of V from the floor to 1, and the growth η of each shell."""
+    shells = proof["shells"]
+    if not isinstance(shells, list) or not 1 <= len(shells) <= _MOST_SHELLS:
+        raise Rejected(f"proof.shells must hold 1 to {_MOST_SHELLS} shells")
+    levels, growths = [number(proof["floor"], "proof.floor", above=True)], []
+    for entry in shells:
+        one = record(entry, ("level", "growth"), "a shell")
+        levels.append(number(one["level"], "the level of a shell", least=levels[-1], above=True))
+        growths.append(number(one["growth"], "the growth of a shell"))
+    if levels[-1] != 1:
+        raise Rejected("the last shell must end at level 1")
+    return levels, growths
+
+
+def _check_starts(claim: TurningClaim, p: Matrix, trim: Trim) -> None:
+    """Check that the claimed starts, moving with the target and at rest, lie in the region for every ω."""
+    starts = [(claim.offset, Fraction(0), "with the target's velocity")]
+    if claim.rest_offset is not None:
+        starts.append((claim.rest_offset, -claim.cruise, "at rest"))
+    for omega in trim.omega:
+        for beside, speed, how in starts:
+            for side in (1, -1):
+                if quadratic(p, [omega / claim.k1, side * beside, speed, Fraction(0)]) > 1:
+                    raise Rejected(f"a start {how} {float(beside):g} m beside the path is not in the region")
+
+
+def _check_ultimate_bound(claim: TurningClaim, covariance: Matrix, trim: Trim, floor: Fraction) -> None:
+    """Check that |x_e| and |y_e| in the set V ≤ floor do not exceed the claimed ultimate bound."""
+    away = max(map(abs, trim.omega)) / claim.k1
+    x, y = (root_up(covariance[k][k] * floor) for k in (0, 1))
+    if x + away > claim.ultimate_bound[0] or y > claim.ultimate_bound[1]:
+        raise Rejected(f"the set V <= floor extends to |x_e| = {float(x + away):.4g} m and |y_e| = {float(y):.4g} m, "
+                       "beyond the claimed ultimate bound")  # fmt: skip
+
+
+def _check_munk_moment(claim: TurningClaim, covariance: Matrix) -> None:
+    """Check the claimed bound on |m11 − m22| |u v|: |u v| ≤ |U|²/2, |U| is at most the cruise speed plus |δU|."""
+    fastest = claim.cruise + root_up(largest_eigenvalue([row[2:] for row in covariance[2:]]))
+    apart = max(
+        abs(f * claim.mass[0] - g * claim.mass[1]) for f, g in factors(claim.mass_factor, claim.mass_asymmetry, 2)
+    )
+    if not (moment := apart * fastest * fastest / 2) <= claim.munk_moment:
+        stated = math.ceil(1e6 * float(moment)) / 1e6
+        raise Rejected(f"the Munk moment reaches up to {stated:g} N m in the region, above the claimed bound")

@@ -1,0 +1,152 @@
+"""Reader of the claim of a `turning` certificate: the cruise of a vehicle with unequal masses that turns meanwhile."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import number, record
+
+__all__ = ["EXCLUDES", "Pair", "TurningClaim", "factors", "read_claim"]
+
+Pair = tuple[Fraction, Fraction]
+
+EXCLUDES = (
+    "the path is one straight leg, and its target moves along it at the cruise speed",
+    "no obstacle, wall or unknown area bounds the velocity; no inequality constraint of the priority problem is active",
+    "measured position, velocity and heading are exact; there is no current, no wave and no thrust error",
+    "the thrust has no lag, and commands are not held between control instants",
+    "the depth and heading loops are not covered: the heading may turn in any way up to yaw_rate_rad_per_s; the "
+    "heading loop must hold this limit against a Munk moment of up to munk_moment_nm",
+)
+"""Restrictions of the claim; a certificate repeats the restrictions word for word."""
+
+
+@dataclass(frozen=True)
+class TurningClaim:
+    """Claim about the cruise along a straight path for m11 ≠ m22; SI units, pairs are (surge, sway).
+
+    A true parameter is its value in the law's model times a constant factor. The two masses have their own factors
+    within the same range (least, largest), and so have the four drag coefficients; any two factors of a range differ by
+    at most an asymmetry times their mean.
+
+    Attributes:
+        mass_factor, drag_factor: ranges of the factors of the masses and of the drag coefficients.
+        mass_asymmetry, drag_asymmetry: largest asymmetry of the factors.
+        thrust: least thrust limit of the vehicle and of the law [N].
+        yaw_rate: largest yaw rate |r| [rad/s].
+        munk_moment: largest yaw moment |m11 − m22| |u v| in the region [N m].
+        mass, linear, quadratic: mass [kg] and drag [N s/m, N s²/m²] in the law's model.
+        k1, lookahead, k_v, wait: the law's gains of these names [1/s, m, 1/s, m].
+        cruise, cap: speed of the path's target and largest commanded speed [m/s].
+        rate: decay rate a of V̇ ≤ −a V [1/s].
+        offset: the region contains the points with x_e = 0, |y_e| = offset [m] and the target's velocity.
+        rest_offset: the region contains the points with x_e = 0, |y_e| = rest_offset [m] and a vehicle at rest; None if
+            the claim states no such points.
+        ultimate_bound: largest |x_e| and |y_e| [m] in the set that every motion reaches and then does not leave.
+    """
+
+    mass_factor: Pair
+    drag_factor: Pair
+    mass_asymmetry: Fraction
+    drag_asymmetry: Fraction
+    thrust: Pair
+    yaw_rate: Fraction
+    munk_moment: Fraction
+    mass: Pair
+    linear: Pair
+    quadratic: Pair
+    k1: Fraction
+    lookahead: Fraction
+    k_v: Fraction
+    wait: Fraction
+    cruise: Fraction
+    cap: Fraction
+    rate: Fraction
+    offset: Fraction
+    rest_offset: Fraction | None
+    ultimate_bound: Pair
+
+
+def factors(ends: Pair, asymmetry: Fraction, count: int) -> list[tuple[Fraction, ...]]:
+    """Return the vertices of the set of `count` numbers in (least, largest) that differ by at most an asymmetry < 2.
+
+    The numbers lie between t and t ratio for some t, so at a vertex each is one of the two, for the least or largest t.
+    """
+    least, largest = ends
+    ratio = (2 + asymmetry) / (2 - asymmetry)
+    low, high = (least, min(least * ratio, largest)), (max(largest / ratio, least), largest)
+    return sorted({vertex for pair in (low, high) for vertex in product(pair, repeat=count)})
+
+
+def _two(value: Any, where: str, *, above: bool = False) -> Pair:
+    if not isinstance(value, list) or len(value) != 2:
+        raise Rejected(f"{where} must have two entries")
+    first, second = (number(entry, where, above=above) for entry in value)
+    return first, second
+
+
+def _factors(value: Any, where: str) -> Pair:
+    low, high = _two(value, where, above=True)
+    if low > high:
+        raise Rejected(f"{where}: the least value exceeds the largest")
+    return low, high
+
+
+def read_claim(claim: Any) -> TurningClaim:
+    """Return the claim of a certificate.
+
+    Raises:
+        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated restrictions are not
+            those of this kind of claim.
+    """
+    top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle", "sha256_law"), "claim")
+    if top["system"] != "turning-cruise":
+        raise Rejected(f"claim.system {top['system']!r} is not known; known: turning-cruise")
+    if top["excludes"] != list(EXCLUDES):
+        raise Rejected("claim.excludes differs from the text that this checker expects")
+    for key in ("sha256_vehicle", "sha256_law"):
+        if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
+            raise Rejected(f"claim.{key} is not a SHA-256")
+    vehicle = record(
+        top["vehicle"],
+        ("mass_factor", "drag_factor", "mass_asymmetry", "drag_asymmetry", "thrust_n",
+         "yaw_rate_rad_per_s", "munk_moment_nm"),
+        "claim.vehicle",
+    )  # fmt: skip
+    law = record(
+        top["law"],
+        ("mass_kg", "linear_drag", "quadratic_drag", "k1", "lookahead", "k_v", "k_i", "wait", "cruise", "cap"),
+        "claim.law",
+    )
+    motion = record(top["motion"], ("rate_per_s", "offset_m", "rest_offset_m", "ultimate_bound_m"), "claim.motion")
+    if number(law["k_i"], "claim.law.k_i"):
+        raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
+    asymmetries = {key: number(vehicle[key], f"claim.vehicle.{key}") for key in ("mass_asymmetry", "drag_asymmetry")}
+    if any(share >= 2 for share in asymmetries.values()):
+        raise Rejected("an asymmetry must be below 2")
+    rest = motion["rest_offset_m"]
+
+    def positive(name: str) -> Fraction:
+        return number(law[name], f"claim.law.{name}", above=True)
+
+    return TurningClaim(
+        mass_factor=_factors(vehicle["mass_factor"], "claim.vehicle.mass_factor"),
+        drag_factor=_factors(vehicle["drag_factor"], "claim.vehicle.drag_factor"),
+        **asymmetries,
+        thrust=_two(vehicle["thrust_n"], "claim.vehicle.thrust_n", above=True),
+        yaw_rate=number(vehicle["yaw_rate_rad_per_s"], "claim.vehicle.yaw_rate_rad_per_s"),
+        munk_moment=number(vehicle["munk_moment_nm"], "claim.vehicle.munk_moment_nm"),
+        mass=_two(law["mass_kg"], "claim.law.mass_kg", above=True),
+        linear=_two(law["linear_drag"], "claim.law.linear_drag"),
+        quadratic=_two(law["quadratic_drag"], "claim.law.quadratic_drag"),
+        **{key: positive(key) for key in ("k1", "lookahead", "k_v", "wait", "cruise", "cap")},
+        rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
+        offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
+        rest_offset=None if rest is None else number(rest, "claim.motion.rest_offset_m"),
+        ultimate_bound=_two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
+    )

@@ -1,0 +1,87 @@
+"""A second implementation of law and vehicle with m11 ≠ m22, to compare with the proof at sampled points.
+
+The comparison does not replace the derivation of the linear inclusion, but it reveals a wrong sign, frame or factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.turning_cells import Trim
+from surctl.certcheck.turning_claim import TurningClaim, factors
+
+__all__ = ["check_samples", "draw_vehicles", "true_rate"]
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 4_000
+
+
+def draw_vehicles(claim: TurningClaim, count: int, rng: np.random.Generator) -> Mapping[str, Array]:
+    """Return the factors (count, 2) of `mass`, `linear` and `quadratic` of random vehicles within the claim."""
+    values = []
+    for ends, asymmetry, size in ((claim.mass_factor, claim.mass_asymmetry, 2),
+                                  (claim.drag_factor, claim.drag_asymmetry, 4)):  # fmt: skip
+        vertices = np.array([[float(n) for n in one] for one in factors(ends, asymmetry, size)])
+        weights = rng.dirichlet(np.ones(len(vertices)), size=count)
+        weights = np.where(rng.uniform(size=(count, 1)) < 0.6, np.eye(len(vertices))[weights.argmax(axis=1)], weights)
+        values.append(weights @ vertices)
+    return {"mass": values[0], "linear": values[1][:, :2], "quadratic": values[1][:, 2:]}
+
+
+def true_rate(claim: TurningClaim, boat: Mapping[str, Array], state: Array, psi: Array, r: Array) -> Array:
+    """Return d/dt of (x_e, y_e, U_x, U_y) (n, 4) by equations (2), (3) of the paper and the law.
+
+    Args:
+        claim: the claim.
+        boat: the true vehicles' factors, see `draw_vehicles`.
+        state: (x_e, y_e, U_x, U_y) (n, 4), with the velocity U in the path frame.
+        psi: angle (n,) from the path to the heading.
+        r: yaw rate (n,).
+    """
+    v, k_v = float(claim.cruise), float(claim.k_v)
+    x_e, y_e, along, across = state.T
+    slant = np.sqrt(1 + (y_e / float(claim.lookahead)) ** 2)
+    speed = np.minimum(np.maximum(v - float(claim.k1) * x_e, 0), float(claim.cap) / slant)
+    desired = speed, -speed * y_e / float(claim.lookahead)
+    c, s = np.cos(psi), np.sin(psi)
+    nu = c * along + s * across, -s * along + c * across
+    in_body = c * desired[0] + s * desired[1], -s * desired[0] + c * desired[1]
+    pull, mass = [], []
+    for i in (0, 1):
+        m, a, b, limit = (float(n[i]) for n in (claim.mass, claim.linear, claim.quadratic, claim.thrust))
+        thrust = a * in_body[i] + b * in_body[i] * np.abs(in_body[i]) + m * k_v * (in_body[i] - nu[i])
+        drag = boat["linear"][:, i] * a * nu[i] + boat["quadratic"][:, i] * b * nu[i] * np.abs(nu[i])
+        pull.append(np.clip(thrust, -limit, limit) - drag)
+        mass.append(boat["mass"][:, i] * m)
+    u_rate = (pull[0] + mass[1] * nu[1] * r) / mass[0]
+    v_rate = (pull[1] - mass[0] * nu[0] * r) / mass[1]
+    # U = R ν: U̇ = R (ν̇ + r S ν), S the quarter turn
+    first, second = u_rate - r * nu[1], v_rate + r * nu[0]
+    return np.stack([along - v, across, c * first - s * second, s * first + c * second], axis=1)
+
+
+def check_samples(claim: TurningClaim, trim: Trim, p: Array, floor: float) -> None:
+    """Compare the true loop with the claimed decay at random points of floor ≤ V ≤ 1.
+
+    Raises:
+        Rejected: V decays more slowly than claimed at a point.
+    """
+    rng = np.random.default_rng(5)
+    boat = draw_vehicles(claim, _SAMPLES, rng)
+    shares = (boat[name].mean(axis=1) - 1 for name in ("linear", "quadratic"))
+    omega = sum(float(slope) * share for slope, share in zip(trim.slopes, shares, strict=True))
+    xi = rng.normal(size=(_SAMPLES, 4)) @ np.linalg.inv(np.linalg.cholesky(p))
+    level = np.where(rng.uniform(size=_SAMPLES) < 0.5, rng.choice([floor, 1.0], size=_SAMPLES),
+                     rng.uniform(floor, 1, size=_SAMPLES))  # fmt: skip
+    xi *= np.sqrt(level / np.einsum("ni,ij,nj->n", xi, p, xi))[:, None]
+    state = xi + np.stack([-omega / float(claim.k1), 0 * xi[:, 0], 0 * xi[:, 0] + float(claim.cruise), 0 * xi[:, 0]], 1)
+    r = float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=_SAMPLES)
+    rate = true_rate(claim, boat, state, rng.uniform(0, 2 * np.pi, size=_SAMPLES), r)
+    change = 2 * np.einsum("ni,ij,nj->n", xi, p, rate)
+    if not np.all(change <= -float(claim.rate) * level * (1 - 1e-9) + 1e-12):
+        raise Rejected("V decays more slowly than claimed at a sampled point of the true loop")

@@ -1,0 +1,165 @@
+"""Claim about the cruise of a vehicle with its own masses in surge and sway, which turns meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from surctl.certcheck.turning_claim import EXCLUDES
+from surctl.control import Gains, build_law
+from surctl.errors import InputError, NotApplicable
+from surctl.vehicle import Vehicle
+from surctl.verification.assumptions import check_no_integral
+
+__all__ = ["TurningClaim", "turning_claim"]
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class TurningClaim:
+    """Claim about the cruise of a vehicle under the exported law, for all parameters in given ranges.
+
+    A true parameter is its value in the law's model times a constant factor; SI units.
+
+    Attributes:
+        name: name of the claim.
+        mass_factor, drag_factor: (least, largest) factor of the masses and of the drag coefficients.
+        mass_asymmetry, drag_asymmetry: largest difference of two factors of masses or of drag, divided by their mean.
+        thrust: least thrust limits (surge, sway) of the plant and of the law [N].
+        yaw_limit: largest yaw moment of the thrusters [N m].
+        yaw_rate: largest yaw rate |r| [rad/s]; within this limit the heading may change arbitrarily.
+        mass, linear, quadratic: (surge, sway) values in the law's model.
+        gains: the gains k1, lookahead, k_v, k_i and wait.
+        cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
+        rate: decay rate a [1/s] of the Lyapunov function V: V̇ ≤ −a V.
+        rest: whether the region must also contain a vehicle at rest.
+        digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
+    """
+
+    name: str
+    mass_factor: Pair
+    drag_factor: Pair
+    mass_asymmetry: float
+    drag_asymmetry: float
+    thrust: Pair
+    yaw_limit: float
+    yaw_rate: float
+    mass: Pair
+    linear: Pair
+    quadratic: Pair
+    gains: Mapping[str, float]
+    cruise: float
+    cap: float
+    rate: float
+    rest: bool = False
+    digests: tuple[str, str] = ("0" * 64, "0" * 64)
+
+    def __post_init__(self) -> None:
+        """Raise InputError for a number out of bounds, NotApplicable for integral action or a cruise speed ≥ cap."""
+        for key in ("cruise", "cap", "rate"):
+            if not getattr(self, key) > 0:
+                raise InputError("must be greater than 0", key=key, value=getattr(self, key), remedy="correct it")
+        if self.gains["k_i"]:
+            raise NotApplicable("the claim is about a loop without integral action and k_i is not 0", to="these gains")
+        if self.cruise >= self.cap:
+            why = f"the cruise speed of {self.cruise:g} m/s is not below the cap of {self.cap:g} m/s"
+            raise NotApplicable(why, to="these speeds")
+
+    def document(
+        self, *, offset: float, rest_offset: float | None, ultimate_bound: Pair, munk_moment: float
+    ) -> dict[str, Any]:
+        """Return the claim as data of a certificate, with the offsets [m], bound [m] and moment [N m] to be stated."""
+        return {
+            "system": "turning-cruise",
+            "excludes": list(EXCLUDES),
+            "vehicle": {
+                "mass_factor": list(self.mass_factor),
+                "drag_factor": list(self.drag_factor),
+                "mass_asymmetry": self.mass_asymmetry,
+                "drag_asymmetry": self.drag_asymmetry,
+                "thrust_n": list(self.thrust),
+                "yaw_rate_rad_per_s": self.yaw_rate,
+                "munk_moment_nm": munk_moment,
+            },
+            "law": {
+                "mass_kg": list(self.mass),
+                "linear_drag": list(self.linear),
+                "quadratic_drag": list(self.quadratic),
+                **{key: self.gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
+                "cruise": self.cruise,
+                "cap": self.cap,
+            },
+            "motion": {
+                "rate_per_s": self.rate,
+                "offset_m": offset,
+                "rest_offset_m": rest_offset,
+                "ultimate_bound_m": list(ultimate_bound),
+            },
+            "sha256_vehicle": self.digests[0],
+            "sha256_law": self.digests[1],
+        }
+
+
+def turning_claim(
+    name: str,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    share: float = 0.2,
+    mass_share: float = 0.05,
+    asymmetry: float = 0.05,
+    thrust_share: float = 0.0,
+    yaw_rate: float = 0.5,
+    cruise: float = 0.15,
+    cap: float = 0.22,
+    rate: float = 0.05,
+    rest: bool = False,
+) -> TurningClaim:
+    """Return the claim about the cruise of a vehicle under the exported law; surge and sway may differ.
+
+    Args:
+        name: name of the claim.
+        vehicle: the vehicle that the law's model describes.
+        gains: gains of the law.
+        share: relative error of the drag coefficients.
+        mass_share: relative error of the masses m11 and m22.
+        asymmetry: largest difference of the factors of two masses or of two drag coefficients, divided by their mean.
+        thrust_share: largest relative reduction of the thrust limits.
+        yaw_rate: largest yaw rate |r| [rad/s].
+        cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
+        rate: decay rate of the Lyapunov function V [1/s].
+        rest: whether the region must also contain a vehicle at rest.
+
+    Raises:
+        NotApplicable: integral action is on, or the cruise speed is not below the cap.
+        InputError: a number is out of bounds.
+    """
+    check_no_integral(gains)
+
+    def factors(error: float) -> Pair:
+        return round(1 - error, 9), round(1 + error, 9)
+
+    def pair(first: str, second: str, factor: float = 1.0) -> Pair:
+        return round(vehicle[first] * factor, 9), round(vehicle[second] * factor, 9)
+
+    return TurningClaim(
+        name=name,
+        mass_factor=factors(mass_share),
+        drag_factor=factors(share),
+        mass_asymmetry=asymmetry if mass_share else 0.0,
+        drag_asymmetry=asymmetry if share else 0.0,
+        thrust=pair("Fu_max", "Fv_max", 1 - thrust_share),
+        yaw_limit=vehicle["Fr_max"] * (1 - thrust_share),
+        yaw_rate=yaw_rate,
+        mass=(vehicle["m11"], vehicle["m22"]),
+        linear=(vehicle["Xu"], vehicle["Yv"]),
+        quadratic=(vehicle["Xuu"], vehicle["Yvv"]),
+        gains={key: gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
+        cruise=cruise,
+        cap=cap,
+        rate=rate,
+        rest=rest,
+        digests=(vehicle.digest(), build_law().block.digest()),
+    )

@@ -1,0 +1,268 @@
+"""The checker of cruises with unequal masses: what it accepts, and what it must not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.certcheck import check_document
+from surctl.certcheck.region_exact import quadratic
+from surctl.certcheck.turning_cells import Trim, _axes, _lack, _turns, heading_cells, steady
+from surctl.certcheck.turning_claim import factors, read_claim
+from surctl.certcheck.turning_law import draw_vehicles, true_rate
+from surctl.control import build_law, law_parameters, load_gains
+from surctl.guidance import Path as Route
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
+from tests.certcheck.altering import altered, put, sealed
+
+HERE = Path(__file__).parent
+NAMES = ("region-turning", "region-turning-20")
+
+
+def document(name: str = "region-turning") -> dict[str, Any]:
+    return json.loads((HERE / f"{name}.json").read_text())
+
+
+def matrix(whole: dict[str, Any]) -> np.ndarray:
+    lower = whole["proof"]["P"]
+    return np.array([[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)])
+
+
+def trim_of(whole: dict[str, Any]) -> Trim:
+    slopes = [Fraction(repr(n)) for n in whole["proof"]["trim"]]
+    return steady(read_claim(whole["claim"]), (slopes[0], slopes[1]))
+
+
+def worst(whole: dict[str, Any], *, low: float, high: float, count: int = 20_000) -> float:
+    """Largest V̇/V + a [1/s] found for low ≤ V ≤ high."""
+    claim, P, rng = read_claim(whole["claim"]), matrix(whole), np.random.default_rng(0)
+    boat = draw_vehicles(claim, count, rng)
+    slopes = whole["proof"]["trim"]
+    omega = sum(s * (boat[name].mean(axis=1) - 1) for s, name in zip(slopes, ("linear", "quadratic"), strict=True))
+    xi = rng.normal(size=(count, 4)) @ np.linalg.inv(np.linalg.cholesky(P))
+    xi *= np.sqrt(rng.uniform(low, high, size=count) / np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]
+    state = xi.copy()
+    state[:, 0] -= omega / float(claim.k1)
+    state[:, 2] += float(claim.cruise)
+    r = float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=count)
+    change = 2 * np.einsum("ni,ij,nj->n", xi, P, true_rate(claim, boat, state, rng.uniform(0, 7, size=count), r))
+    return float(np.max(change / np.einsum("ni,ij,nj->n", xi, P, xi))) + float(claim.rate)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_kept_certificates_are_accepted_and_small(name: str) -> None:
+    whole = document(name)
+    found = check_document(whole)
+    assert found.accepted, found.reason
+    assert len((HERE / f"{name}.json").read_text()) < 10_000 and found.seconds < 20
+    claim = whole["claim"]
+    assert claim["law"]["mass_kg"][0] != claim["law"]["mass_kg"][1] and claim["motion"]["offset_m"] >= 0.25
+    assert name != "region-turning" or claim["motion"]["rest_offset_m"] >= 0.2
+    assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0 < worst(whole, low=20.0, high=40.0)
+
+
+STRONGER: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "rate": lambda d: d["claim"]["motion"].update(rate_per_s=0.4),
+    "offset": lambda d: d["claim"]["motion"].update(offset_m=d["claim"]["motion"]["offset_m"] * 1.002),
+    "start at rest": lambda d: d["claim"]["motion"].update(rest_offset_m=d["claim"]["motion"]["offset_m"]),
+    "ultimate bound": lambda d: d["claim"]["motion"].update(ultimate_bound_m=[0.001, 0.001]),
+    "masses": lambda d: d["claim"]["vehicle"].update(mass_factor=[0.5, 2.0], mass_asymmetry=1.0),
+    "mass asymmetry": lambda d: d["claim"]["vehicle"].update(mass_factor=[0.6, 1.4], mass_asymmetry=1.9),
+    "drag": lambda d: d["claim"]["vehicle"].update(drag_factor=[0.3, 3.0]),
+    "thrust": lambda d: d["claim"]["vehicle"].update(thrust_n=[5.5, 5.5]),
+    "no thrust": lambda d: d["claim"]["vehicle"].update(thrust_n=[1.0, 40.0]),
+    "yaw rate": lambda d: d["claim"]["vehicle"].update(yaw_rate_rad_per_s=20.0),
+    "Munk moment": lambda d: d["claim"]["vehicle"].update(munk_moment_nm=0.001),
+    "model": lambda d: d["claim"]["law"].update(mass_kg=[19.8567, 206.206]),
+    "k1": lambda d: d["claim"]["law"].update(k1=0.02),
+    "k_v": lambda d: d["claim"]["law"].update(k_v=0.05),
+    "lookahead": lambda d: d["claim"]["law"].update(lookahead=0.2),
+    "cap": lambda d: d["claim"]["law"].update(cap=0.151),
+    "wait": lambda d: d["claim"]["law"].update(wait=0.05),
+    "integral": lambda d: d["claim"]["law"].update(k_i=0.1),
+    "floor": lambda d: d["proof"].update(floor=d["proof"]["floor"] * 1e-3),
+    "last level": lambda d: d["proof"]["shells"][-1].update(level=1.1),
+    "a shell left out": lambda d: d["proof"].update(shells=d["proof"]["shells"][:-1]),
+    "growth": lambda d: d["proof"]["shells"][-1].update(growth=3.0),
+    "no growth": lambda d: d["proof"]["shells"][0].update(growth=0.0),
+    "trim": lambda d: d["proof"].update(trim=[2.0, 2.0]),
+    "size of P": lambda d: d["proof"].update(P=[[e * 0.05 for e in row] for row in d["proof"]["P"]]),
+    "sign of P": lambda d: put(d, ("proof", "P", 1, 1), -1.0),
+    "mirror": lambda d: put(d, ("proof", "P", 1, 0), 1e-3),
+    "few cells": lambda d: d["proof"].update(cells=3),
+    "cells": lambda d: d["proof"].update(cells=24.0),
+    "excludes": lambda d: d["claim"].update(excludes=[]),
+    "system": lambda d: d["claim"].update(system="cruise"),
+    "hash": lambda d: d["claim"].update(sha256_law="0"),
+    "more": lambda d: d["claim"].update(more=1),
+    "huge": lambda d: put(d, ("claim", "law", "k1"), 10**400),
+    "word": lambda d: put(d, ("claim", "motion", "rate_per_s"), "0.05"),
+}
+
+
+@pytest.mark.parametrize("kind", STRONGER)
+def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str) -> None:
+    # the certificate over ranges, unless only the other one states a start at rest or has no error to absorb
+    changed = document("region-turning" if kind in ("start at rest", "no growth") else "region-turning-20")
+    STRONGER[kind](changed)
+    assert not check_document(sealed(changed)).accepted
+
+
+def refuted(changed: dict[str, Any]) -> bool:
+    """Whether plain sampling shows an altered certificate to be false."""
+    P, proof, motion = matrix(changed), changed["proof"], changed["claim"]["motion"]
+    if np.linalg.eigvalsh(P)[0] <= 0 or proof["shells"][-1]["level"] != 1:
+        return True
+    omega = [float(w) / changed["claim"]["law"]["k1"] for w in trim_of(changed).omega]
+    starts = [(motion["offset_m"], 0.0)]
+    if motion["rest_offset_m"] is not None:
+        starts.append((motion["rest_offset_m"], -changed["claim"]["law"]["cruise"]))
+    if any(np.array([w, y, u, 0]) @ P @ np.array([w, y, u, 0]) > 1 + 1e-9 for w in omega for y, u in starts):
+        return True
+    extent = np.sqrt(np.diag(np.linalg.inv(P))[:2] * proof["floor"])
+    if extent[0] + max(map(abs, omega)) > motion["ultimate_bound_m"][0] * (1 + 1e-9):
+        return True
+    if extent[1] > motion["ultimate_bound_m"][1] * (1 + 1e-9):
+        return True
+    return worst(changed, low=proof["floor"], high=1.0, count=1500) > 1e-9
+
+
+def quick() -> dict[str, Any]:
+    """A certificate of the two outer shells, which is checked in a fraction of the time."""
+    whole = document()
+    shells = whole["proof"]["shells"]
+    extent = np.sqrt(np.diag(np.linalg.inv(matrix(whole)))[:2] * shells[-3]["level"])
+    whole["claim"]["motion"]["ultimate_bound_m"] = [round(float(n) + 1e-3, 6) for n in extent]
+    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 8}
+    return sealed(whole)
+
+
+def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
+    whole, rng = quick(), np.random.default_rng(5)
+    assert check_document(whole).accepted
+    rejected, accepted = 0, 0
+    for _ in range(200):
+        path, changed = altered(whole, ("claim", "proof"), rng)
+        if not check_document(sealed(changed)).accepted:
+            rejected += 1
+            continue
+        accepted += 1
+        assert not refuted(changed), path
+    assert rejected > 100 and accepted > 10  # neither everything nor nothing passes
+
+
+# the pieces of the proof, against sampling
+
+
+def test_the_vertices_of_factors_enclose_every_allowed_vehicle() -> None:
+    vertices = factors((Fraction(4, 5), Fraction(6, 5)), Fraction(1, 20), 4)
+    assert len(vertices) == 32
+    for one in vertices:
+        assert min(one) >= Fraction(4, 5) and max(one) <= Fraction(6, 5)
+        assert max(one) - min(one) <= Fraction(1, 20) * (max(one) + min(one)) / 2
+    assert factors((Fraction(1), Fraction(1)), Fraction(0), 2) == [(1, 1)]
+
+
+def test_the_triangles_contain_every_heading() -> None:
+    whole = document("region-turning-20")
+    claim, trim = read_claim(whole["claim"]), trim_of(whole)
+    for count in (4, 24, 96):
+        cells = heading_cells(claim, trim, count)
+        for k in range(count):
+            psi = np.linspace(k, k + 1, 41) * np.pi / 2 / count
+            z = np.stack([np.cos(2 * psi), np.sin(2 * psi), np.ones(41)])
+            weights = np.linalg.solve(np.vstack([cells.corners[k].T, np.ones(3)]), z)
+            assert weights.min() > 0
+            for axis, n in enumerate((np.cos(psi), np.sin(psi))):
+                assert np.all((cells.share[k, axis, 0] <= n) & (n <= cells.share[k, axis, 1]))
+                # n nᵀ of this axis is affine in z
+                own = _axes(z[:2].T)[axis]
+                body = np.stack([np.cos(psi), np.sin(psi)] if axis == 0 else [-np.sin(psi), np.cos(psi)])
+                assert np.allclose(own, np.einsum("ik,jk->kij", body, body))
+
+
+def test_the_error_of_the_trim_force_is_bounded_by_what_sampling_finds() -> None:
+    whole = document("region-turning-20")
+    claim, trim, n = read_claim(whole["claim"]), trim_of(whole), 20_000
+    cells = heading_cells(claim, trim, 12)
+    boat = draw_vehicles(claim, n, np.random.default_rng(3))
+    omega = sum(
+        float(s) * (boat[name].mean(axis=1) - 1) for s, name in zip(trim.slopes, ("linear", "quadratic"), strict=True)
+    )
+    assert float(trim.omega[0]) <= omega.min() and omega.max() <= float(trim.omega[1])
+    psi = np.random.default_rng(4).uniform(0, np.pi / 2, size=n)
+    v, cell, ratio = float(claim.cruise), (psi / (np.pi / 2) * 12).astype(int), []
+    for i, share in enumerate((np.cos(psi), np.sin(psi))):
+        m, a, b = float(claim.mass[i]) * float(claim.k_v), float(claim.linear[i]), float(claim.quadratic[i])
+        w, u = (v + omega) * share, v * share
+        drag = boat["linear"][:, i] * a * u + boat["quadratic"][:, i] * b * u * u
+        lack = np.abs(a * w + b * w * w + m * (w - u) - drag)
+        assert np.all(lack <= cells.lack[cell, i])
+        ratio.append(lack.max() / cells.lack[:, i].max())
+    assert min(ratio) > 0.7
+    assert np.array_equal(_lack(claim, trim, cells.share), cells.lack)
+    assert not heading_cells(read_claim(document()["claim"]), trim_of(document()), 12).lack.any()
+
+
+def test_the_coriolis_points_enclose_every_ratio_of_masses() -> None:
+    claim = read_claim(document("region-turning-20")["claim"])
+    points, boat = np.array(_turns(claim)), draw_vehicles(claim, 400, np.random.default_rng(1))
+    m1, m2 = (boat["mass"][:, k] * float(claim.mass[k]) for k in (0, 1))
+    inside = np.stack([1 - m2 / m1, m1 / m2 - 1], 1) * np.random.default_rng(2).uniform(-0.5, 0.5, size=(400, 1))
+    for angle in np.linspace(0, 2 * np.pi, 181):
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        assert (inside @ direction).max() <= (points @ direction).max() + 1e-15
+
+
+# the law and the vehicle of the checker are those of the toolkit
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_checkers_loop_is_the_law_and_the_vehicle_of_the_toolkit(name: str) -> None:
+    claim = document(name)["claim"]
+    exact, vehicle, law = read_claim(claim), load_vehicle("bluerov2-vonbenzon"), build_law()
+    p = law_parameters(
+        load_gains("default"), vehicle, path=Route(np.array([[0.0, 0.0], [90.0, 0.0]])), depth=-1.0,
+        cruise=claim["law"]["cruise"], cap=claim["law"]["cap"], walls=(-1e3, 1e3, -1e3, 1e3),
+    )  # fmt: skip
+    rng, far, n = np.random.default_rng(2), 30.0, 12
+    boat = draw_vehicles(exact, n, rng)
+    psi, r = rng.uniform(-3, 3, size=n), rng.uniform(-0.5, 0.5, size=n)
+    state = np.stack([rng.uniform(-0.3, 0.3, n), rng.uniform(-0.6, 0.6, n), *rng.uniform(-0.3, 0.3, (2, n))], axis=1)
+    found = true_rate(exact, boat, state, psi, r)
+    plant_law = build_plant()
+    for k in range(n):
+        c, s = np.cos(psi[k]), np.sin(psi[k])
+        turn = np.array([[c, -s], [s, c]])
+        nu = np.array([*(turn.T @ state[k, 2:]), 0.0, r[k]])
+        u = law.inputs.pack({"eta": [far + state[k, 0], state[k, 1], -1.0, psi[k]], "nu": nu})
+        tau = law.step(law.state.pack({"progress": [far]}), u, p).tau
+        drag = [boat["linear"][k] * claim["law"]["linear_drag"], boat["quadratic"][k] * claim["law"]["quadratic_drag"]]
+        plant = PLANT_PARAMETERS.pack(
+            {
+                "mass": [*(boat["mass"][k] * claim["law"]["mass_kg"]), 20, 1], "linear_drag": [*drag[0], 1, 1],
+                "quadratic_drag": [*drag[1], 1, 1], "thrust_limit": [90] * 4, "thrust_lag": 0.0,
+            }
+        )  # fmt: skip
+        x = PLANT_STATE.pack({"eta": [0, 0, 0, psi[k]], "nu": nu, "tau": [0, 0, 0, 0]})
+        out = np.asarray(plant_law.ode(x, ca.vertcat(*map(float, tau[:2]), 0, 0), PLANT_DISTURBANCE.pack(), plant))
+        nu_rate = out[4:6, 0] + r[k] * np.array([-nu[1], nu[0]])
+        own = [*(turn @ nu[:2] - [claim["law"]["cruise"], 0]), *(turn @ nu_rate)]
+        assert np.allclose(found[k], own, atol=1e-9)
+
+
+def test_starts_on_the_edge_of_the_region_are_inside_and_no_further() -> None:
+    whole = document()
+    motion, law = whole["claim"]["motion"], whole["claim"]["law"]
+    p = [[Fraction(repr(float(e))) for e in row] for row in matrix(whole)]
+    for beside, speed in ((motion["offset_m"], 0), (motion["rest_offset_m"], -law["cruise"])):
+        at = [Fraction(0), Fraction(repr(beside)), Fraction(repr(float(speed))), Fraction(0)]
+        assert quadratic(p, at) <= 1
+        assert quadratic(p, [at[0], at[1] + Fraction(1, 1000), *at[2:]]) > 1
