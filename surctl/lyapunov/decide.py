@@ -111,7 +111,7 @@ def decide_motion(
                 reason = "the time limit was reached"
                 break
             # the last inequality, about the change of the function, is the hardest
-            share = left if k == len(attempt.inequalities) - 1 else 0.3 * left
+            share = left if k == len(attempt.inequalities) - 1 else 0.5 * left
             proof = prove(inequality, time_limit=share + 1.0, progress=progress)
             if proof.certificate is None:
                 reason = f"{inequality.name}: {proof.remaining}"

@@ -23,7 +23,7 @@ _SHARES = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1)
 _MANY = 4  # number of states from which proofs take long: functions that are easy to prove come first
 _SHARES_MANY = (0.9, 0.7, 0.5, 0.25, 0.1)
 _SEARCH = 0.3  # share of the time for the search of functions
-_TRIED = 2  # functions with large regions whose proof is tried
+_TRIED = 1  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
 
 
@@ -162,7 +162,7 @@ def find_stability(
     best = None
     for k, (candidate, bound) in enumerate(trials):
         rest = until - time.process_time()
-        share = rest / (len(trials) - k) if few else 0.9 * rest
+        share = rest if k == len(trials) - 1 else (0.65 if few else 0.9) * rest
         result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress)
         best = result if best is None or result.verdict == "proved" else best
         if result.verdict == "proved" or until < time.process_time():
@@ -198,7 +198,7 @@ def _proved(
         if left <= 0:
             break
         # higher levels come first, but each leaves time for the lower ones
-        share = left if k == len(levels) - 1 else (0.4 if few else 0.85) * left
+        share = left if k == len(levels) - 1 else (0.6 if few else 0.85) * left
         decision = decide_motion(Stability(d, candidate.function, value, rate), time_limit=share, seed=seed)
         _say(progress, f"{candidate.label}: level {value:.4g} {decision.verdict} {decision.reason}")
         if decision.verdict == "refuted" and level is None:
