@@ -21,7 +21,7 @@ __all__ = ["StabilityResult", "find_stability"]
 
 _SHARES = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1)
 _MANY = 4  # number of states from which proofs take long: functions that are easy to prove come first
-_SHARES_MANY = (0.9, 0.7, 0.5, 0.25, 0.1)
+_SHARES_MANY = (0.91, 0.7, 0.5, 0.25, 0.1)
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 1  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
