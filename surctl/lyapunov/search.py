@@ -194,6 +194,8 @@ def _proved(
             k = high - 1 if high == len(levels) else (low + high) // 2
         else:
             decision, high = trial, k
+            if trial.verdict == "refuted" and level is None:
+                bound = _lower(d, candidate.function, bound, trial)
             k = k // 2 if proved is None else (low + high) // 2
     if proved is not None:
         volume = candidate.volume * (levels[low] / bound.level) ** (len(d.states) / 2)
@@ -203,6 +205,14 @@ def _proved(
     if level is not None and decision is not None and decision.verdict == "refuted":
         verdict = "refuted"
     return StabilityResult(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)
+
+
+def _lower(d: Dynamics, function: Node, bound: Falsified, decision: Decision) -> Falsified:
+    """Return the counterexample of a refuted claim if its level is less than the least known one."""
+    point = dict(decision.counterexample)
+    x = np.array([point.get(name, np.nan) for name in d.names])
+    value = float(d.compiled(function)(x, d.corners()[:, 0]))
+    return Falsified(value, point, "decrease", confirmed=True) if 0 < value < bound.level else bound
 
 
 def _flat(d: Dynamics, function: Node) -> str:
