@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ _SAMPLES, _STARTS = 2048, 8
 _POWERS = (1, 2, 3, 4)
 _FIRST = 0.6  # share of the remaining time for a choice of bounds that is not the last one
 _FLAT = 1e-3  # least ratio of a quadratic bound near the equilibrium to the same bound far from it
-_SHARES_TRIED = (1e-3, 1e-6, 1e-9, 0.3)  # shares of the least sampled ratio that are tried as factor of a lower bound
+_SHARES_TRIED = (1e-3, 0.3, 1e-6, 1e-9)  # shares of the least sampled ratio that are tried as factor of a lower bound
 _EASY = 0.5  # share of the remaining time for an inequality that is not the last one
 _CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
@@ -93,13 +94,20 @@ def decide_motion(
         name, point = refuted
         seconds = time.perf_counter() - began
         return Decision(claim, "refuted", {}, f"{name}: fails at {_point(point)}", point, seconds)
-    reason = ""
+    reason, refused = "", math.inf
     attempts = list(_attempts(claim))
     for number, attempt in enumerate(attempts):
+        if attempt.factor >= refused:
+            continue  # a smaller bound does not hold
         rest = time_limit - (time.process_time() - worked)
         # a choice of bounds that cannot be proved leaves time for the next one
         until = time.process_time() + rest * (1.0 if number == len(attempts) - 1 else _FIRST)
-        proofs, reason = _proofs(attempt.inequalities, until, seed, progress)
+        failing = next((one for one in attempt.inequalities if _refuted(one, seed) is not None), None)
+        if failing is not None:
+            refused = attempt.factor
+            reason = reason or f"{failing.name}: not by a provable margin"
+            continue
+        proofs, reason = _proofs(attempt.inequalities, until, progress)
         if not reason:
             document = seal(claim.kind, claim.plain(), attempt.evidence | {"proofs": proofs})
             checked = check_document(document)
@@ -110,14 +118,10 @@ def decide_motion(
 
 
 def _proofs(
-    inequalities: Sequence[Claim], until: float, seed: int, progress: Callable[[str], None] | None
+    inequalities: Sequence[Claim], until: float, progress: Callable[[str], None] | None
 ) -> tuple[list[Any], str]:
     """Return the cases of the proof of each inequality; or the reason why one of them is not proved."""
     proofs: list[Any] = []
-    for inequality in inequalities:
-        counterexample = _refuted(inequality, seed)
-        if counterexample is not None:
-            return [], f"{inequality.name}: the bound fails at {_point(counterexample)}"
     for k, inequality in enumerate(inequalities):
         left = until - time.process_time()
         if left <= 0:
@@ -156,8 +160,10 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
+    # `factor`: size of the bounds that the proof states; if the bounds of an attempt fail, larger ones fail as well
     inequalities: list[Claim]
     evidence: dict[str, Any]
+    factor: float = 0.0
 
 
 def _attempts(claim: DynamicClaim) -> Any:
@@ -166,7 +172,7 @@ def _attempts(claim: DynamicClaim) -> Any:
         yield _Attempt(claim.inequalities(), change)
     elif isinstance(claim, Safety):
         for margin in (1e-3, 1e-6, 1e-9):
-            yield _Attempt(claim.inequalities(margin), change | {"margin": margin})
+            yield _Attempt(claim.inequalities(margin), change | {"margin": margin}, margin)
     else:
         yield from _stability_attempts(claim, change)
 
@@ -185,7 +191,7 @@ def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
             "scales": scales, "positive": positive.to_dict(),
             "decrease": None if decrease is None else decrease.to_dict(),
         }  # fmt: skip
-        yield _Attempt(claim.inequalities(scales, positive, decrease), change | evidence)
+        yield _Attempt(claim.inequalities(scales, positive, decrease), change | evidence, share)
 
 
 def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
