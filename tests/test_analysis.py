@@ -439,3 +439,11 @@ def test_the_study_of_vehicles_with_unequal_masses() -> None:
     [row] = [row for row in table(done.stdout) if row[0] == "`region-turning`"]
     assert float(row[2].split()[0]) >= 0.25 and float(row[3].split()[0]) >= 0.2 and row[10] == "0", done.stderr
     assert done.returncode == 0 and 0.5 < float(row[9]) <= 1
+
+
+def test_the_study_of_stability_problems() -> None:
+    done = run(ANALYSIS / "28_lyapunov" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    verdicts = {row[0].strip("`"): row[4] for row in table(done.stdout) if len(row) == 8}
+    assert verdicts["cubic-spring"] == "proved" and verdicts["coutinho-circle"] == "refuted"
+    assert verdicts["discrete-linear-rate-true"] == "proved" and verdicts["discrete-linear-rate-false"] == "refuted"

@@ -35,6 +35,7 @@ NAMES = {
     "design",
     "export",
     "own-law",
+    "region",
     "tune",
     "verify",
     "what-is-proved",

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 _MOST_CORNERS = 8
 _MOST_TERMS = 130  # polynomials with more terms are not searched
 _SPARE = 0.02  # least decay rate of a candidate, as a share of that of the linearisation
+_BRISK = 20.0  # decay rate of a function that is easy to prove, relative to the least one
 _MARGIN = 1.25  # radius of the grid relative to that of the region
 _ROUNDS = 5
 _GROWTH = 1.01  # relative growth of the volume below which the rounds end
@@ -62,7 +63,7 @@ def candidates(
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     rate = max(rate, _least_rate(d, linear))
     shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
-    part = 0.3 * seconds / max(1, degree - 1)
+    part = (0.06 if len(scales) < 4 else 0.5) * seconds
     template = polynomials(d, 2, scales)
     matrix = (
         None
@@ -77,10 +78,17 @@ def candidates(
         start = sampled_function(template, scales, shaper.corners, half=shaper.half)
     if start is None:
         return
+    if linear.verdict == "stable" and matrix is not None:
+        fast = max(rate, _BRISK * _least_rate(d, linear))
+        brisk = _Shaper(d, scales, fast, seed, half=shaper.half)
+        own = common_quadratic(_shifted(d, linear, fast), scales, discrete=d.discrete)
+        shaped, volume = (start, 0.0) if own is None else brisk.shaped(template, quadratic(d, own), part)
+        if volume > 0:
+            yield Candidate("quadratic with a fast decrease", template.function(shaped), volume)
     coefficients, volume = shaper.shaped(template, start, part)
     label = "quadratic" if len(template.basis) == len(polynomials(d, 2, scales).basis) else "polynomial of degree 4"
     yield Candidate(label, template.function(coefficients), volume)
-    if not volume > 0:
+    if not volume > 0 or len(scales) >= 4:  # the proof of larger regions takes too long
         return
     energy = with_cosines(template, scales)
     if len(energy.basis) > len(template.basis):

@@ -94,19 +94,6 @@ class Stability:
             loss = self._power(scales, decrease)
         return [*claims, _decrease(d, self.function, -loss, inside)]
 
-    def strict(self) -> dict[int, Claim]:
-        """Return the inequalities left < right that the claim states, except at the equilibrium.
-
-        Those of `inequalities` with the same number imply them. The domain is V ≤ (1 − 1e-9) level, within the region.
-        """
-        d, zero = self.dynamics, number(0)
-        inside = [self.function - number(Fraction(repr(float(self.level))) * (1 - Fraction(1, 10**9)))]
-        claims = {0: _claim(f"{d.name}: V is positive", d.states, zero, self.function, inside)}
-        if self.rate is None:
-            count = 1 + 2 * len(d.states)
-            claims[count] = _decrease(d, self.function, zero, inside)
-        return claims
-
     def _power(self, scales: Sequence[float], bound: Power) -> Node:
         total: Node | None = None
         for s, scale in zip(self.dynamics.states, scales, strict=True):
@@ -162,10 +149,6 @@ class Bound:
             "gains": {name: float(gain) for name, gain in self.gains.items()},
         }
 
-    def strict(self) -> dict[int, Claim]:
-        """Return the inequalities left < right that the claim states: none."""
-        return {}
-
     def inequalities(self) -> list[Claim]:
         """Return the inequalities to prove: the region lies in the box, V decays."""
         d = self.dynamics
@@ -213,11 +196,6 @@ class Safety:
             "unsafe": [text_of(g) for g in self.unsafe],
             "multiplier": None if self.multiplier is None else text_of(self.multiplier),
         }
-
-    def strict(self) -> dict[int, Claim]:
-        """Return the inequality left < right that the claim states: B > 0 in the unsafe set."""
-        d = self.dynamics
-        return {1: _claim(f"{d.name}: B in the unsafe set", d.states, number(0), self.function, self.unsafe)}
 
     def inequalities(self, margin: float) -> list[Claim]:
         """Return the inequalities to prove; B is at least `margin` > 0 in the unsafe set."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
-from surctl.lyapunov.refuting import strict_counterexample
+from surctl.lyapunov.falsified import least_level
 from surctl.verification import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.falsifier import search
@@ -25,11 +26,12 @@ __all__ = ["Decision", "decide_motion"]
 Array = NDArray[np.float64]
 
 _SAMPLES, _STARTS = 2048, 8
-_SHARE = 0.5  # share of the least sampled ratio that becomes the factor of a lower bound
 _POWERS = (1, 2, 3, 4)
 _FIRST = 0.6  # share of the remaining time for a choice of bounds that is not the last one
 _FLAT = 1e-3  # least ratio of a quadratic bound near the equilibrium to the same bound far from it
-_SHARES_TRIED = (_SHARE, 0.05, 1e-3)
+_SHARES_TRIED = (1e-3, 0.3, 1e-6, 1e-9)  # shares of the least sampled ratio that are tried as factor of a lower bound
+_EASY = 0.5  # share of the remaining time for an inequality that is not the last one
+_CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
 
 
@@ -87,80 +89,90 @@ def decide_motion(
     """
     began, worked = time.perf_counter(), time.process_time()
     _require_sound(claim)
-    refuted: tuple[Claim, Mapping[str, float]] | None = None
-    reason = ""
+    refuted = _refutation(claim, seed)
+    if refuted is not None:
+        name, point = refuted
+        seconds = time.perf_counter() - began
+        return Decision(claim, "refuted", {}, f"{name}: fails at {_point(point)}", point, seconds)
+    reason, refused = "", math.inf
     attempts = list(_attempts(claim))
     for number, attempt in enumerate(attempts):
+        if attempt.factor >= refused:
+            continue  # a smaller bound does not hold
         rest = time_limit - (time.process_time() - worked)
         # a choice of bounds that cannot be proved leaves time for the next one
         until = time.process_time() + rest * (1.0 if number == len(attempts) - 1 else _FIRST)
-        proofs: list[Any] = []
-        reason = ""
-        for k, inequality in enumerate(attempt.inequalities):
-            counterexample = _refuted(inequality, seed)
-            if counterexample is not None:
-                reason = f"{inequality.name}: a bound of the proof fails at {_point(counterexample)}"
-                if attempt.decisive[k]:
-                    refuted = _of_claim(claim, k, inequality, counterexample, seed)
-                break
-        if refuted:
-            break
-        if reason:
+        failing = next((one for one in attempt.inequalities if _refuted(one, seed) is not None), None)
+        if failing is not None:
+            refused = attempt.factor
+            reason = reason or f"{failing.name}: not by a provable margin"
             continue
-        for k, inequality in enumerate(attempt.inequalities):
-            left = until - time.process_time()
-            if left <= 0:
-                reason = "the time limit was reached"
-                break
-            # the last inequality, about the change of the function, is the hardest
-            share = left if k == len(attempt.inequalities) - 1 else 0.3 * left
-            proof = prove(inequality, time_limit=share + 1.0, progress=progress)
-            if proof.certificate is None:
-                reason = f"{inequality.name}: {proof.remaining}"
-                break
-            proofs.append(proof.certificate["cases"])
+        proofs, reason = _proofs(attempt.inequalities, until, progress)
         if not reason:
             document = seal(claim.kind, claim.plain(), attempt.evidence | {"proofs": proofs})
             checked = check_document(document)
             if checked.accepted:
                 return Decision(claim, "proved", document, "", {}, time.perf_counter() - began)
             reason = f"the checker rejects the proof: {checked.reason}"
-    seconds = time.perf_counter() - began
-    if refuted:
-        inequality, point = refuted
-        return Decision(claim, "refuted", {}, f"{inequality.name}: fails at {_point(point)}", point, seconds)
-    return Decision(claim, "unknown", {}, reason, {}, seconds)
+    return Decision(claim, "unknown", {}, reason, {}, time.perf_counter() - began)
 
 
-def _of_claim(
-    claim: DynamicClaim, k: int, inequality: Claim, counterexample: Mapping[str, float], seed: int
-) -> tuple[Claim, Mapping[str, float]] | None:
-    """Return inequality k with a counterexample to the claim; None if only the bound of the proof fails."""
-    strict = claim.strict().get(k)
-    if strict is None:
-        return inequality, counterexample
-    rest = {s.name: s.equilibrium for s in claim.dynamics.states} if isinstance(claim, Stability) else {}
-    point = strict_counterexample(strict, counterexample, rest, search=lambda one: _refuted(one, seed))
-    return None if point is None else (strict, point)
+def _proofs(
+    inequalities: Sequence[Claim], until: float, progress: Callable[[str], None] | None
+) -> tuple[list[Any], str]:
+    """Return the cases of the proof of each inequality; or the reason why one of them is not proved."""
+    proofs: list[Any] = []
+    for k, inequality in enumerate(inequalities):
+        left = until - time.process_time()
+        if left <= 0:
+            return [], "the time limit was reached"
+        # the last inequality, about the change of the function, is the hardest
+        share = left if k == len(inequalities) - 1 else _EASY * left
+        proof = prove(inequality, time_limit=share, progress=progress)
+        if proof.certificate is None:
+            return [], f"{inequality.name}: {proof.remaining}"
+        proofs.append(proof.certificate["cases"])
+    return proofs, ""
+
+
+def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float]] | None:
+    """Return the name of an inequality that certainly fails, and where; None if no counterexample was found."""
+    if isinstance(claim, Bound):
+        inequalities = claim.inequalities()
+    elif isinstance(claim, Safety):
+        inequalities = claim.inequalities(0.0)
+    else:
+        nothing = Power(0.0, 1)
+        inequalities = claim.inequalities(
+            [1.0] * len(claim.dynamics.states), nothing, None if claim.rate is not None else nothing
+        )
+    for inequality in inequalities:
+        point = _refuted(inequality, seed)
+        if point is not None:
+            return inequality.name, point
+    if isinstance(claim, Stability):
+        # rays see what samples miss: a region that barely touches the set where V does not decrease
+        least = least_level(claim.dynamics, claim.function, claim.rate, seed=seed)
+        if least.confirmed and 0 < least.level < claim.level:
+            return f"{claim.dynamics.name}: {_CAUSES[least.cause]}", least.values
+    return None
 
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    # `decisive[k]`: whether a counterexample to inequality k refutes the claim, or only this choice of bounds
+    # `factor`: size of the bounds that the proof states; if the bounds of an attempt fail, larger ones fail as well
     inequalities: list[Claim]
-    decisive: list[bool]
     evidence: dict[str, Any]
+    factor: float = 0.0
 
 
 def _attempts(claim: DynamicClaim) -> Any:
     change = {"change": text_of(claim.dynamics.change(claim.function))}
     if isinstance(claim, Bound):
-        inequalities = claim.inequalities()
-        yield _Attempt(inequalities, [True] * len(inequalities), change)
+        yield _Attempt(claim.inequalities(), change)
     elif isinstance(claim, Safety):
         for margin in (1e-3, 1e-6, 1e-9):
-            inequalities = claim.inequalities(margin)
-            yield _Attempt(inequalities, [True, margin == 1e-9, True], change | {"margin": margin})
+            yield _Attempt(claim.inequalities(margin), change | {"margin": margin}, margin)
     else:
         yield from _stability_attempts(claim, change)
 
@@ -174,17 +186,12 @@ def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
         positive = _lower_bound(values, square, share)
         decrease = None if claim.rate is not None else _lower_bound(loss, square, share)
         if positive is None or (claim.rate is None and decrease is None):
-            # no positive definite bound exists: state a tiny one, which the falsifier refutes
-            positive = positive or Power(1e-9, 1)
-            decrease = decrease or (None if claim.rate is not None else Power(1e-9, 1))
-        inequalities = claim.inequalities(scales, positive, decrease)
-        last = share == _SHARES_TRIED[-1] or positive.factor <= 1e-9
-        decisive = [last, *[True] * (len(inequalities) - 2), claim.rate is not None or last]
+            continue  # a proof has nothing to state
         evidence = {
             "scales": scales, "positive": positive.to_dict(),
             "decrease": None if decrease is None else decrease.to_dict(),
         }  # fmt: skip
-        yield _Attempt(inequalities, decisive, change | evidence)
+        yield _Attempt(claim.inequalities(scales, positive, decrease), change | evidence, share)
 
 
 def _sampled(claim: Stability) -> tuple[Array, Array, Array]:

@@ -19,7 +19,9 @@ from surctl.verification.formula import Node, text_of
 
 __all__ = ["StabilityResult", "find_stability"]
 
-_SHARES = (0.99, 0.95, 0.9, 0.75, 0.5, 0.25, 0.1)
+_SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
+_FIRST, _PART = 6, 0.4  # index of the share that is tried first; share of the remaining time for one level
+_HALF, _GOOD = 0.5, 0.5  # share of the time for a function that is not the last; ratio that makes others unnecessary
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
@@ -150,10 +152,10 @@ def find_stability(
     best = None
     for k, (candidate, bound) in enumerate(trials):
         rest = until - time.process_time()
-        share = rest / (len(trials) - k)
+        share = rest if k == len(trials) - 1 else _HALF * rest
         result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress)
-        best = result if best is None or result.verdict == "proved" else best
-        if result.verdict == "proved" or until < time.process_time():
+        best = result if best is None or result.volume > best.volume else best
+        if (result.verdict == "proved" and result.ratio >= _GOOD) or until < time.process_time():
             break
     assert best is not None
     if rate == "largest" and best.verdict == "proved":
@@ -178,23 +180,39 @@ def _proved(
         reason = "V is not positive in the box" if bound.level < 0 else _flat(d, candidate.function)
         return replace(_none("unknown", reason, began), label=candidate.label, falsified=bound)
     levels = [level] if level is not None else [_short(share * bound.level) for share in _SHARES]
-    decision = None
-    for k, value in enumerate(levels):
-        left = until - time.process_time()
-        if left <= 0:
-            break
-        # higher levels come first, but each leaves time for the lower ones
-        share = left if k == len(levels) - 1 else 0.4 * left
-        decision = decide_motion(Stability(d, candidate.function, value, rate), time_limit=share, seed=seed)
-        _say(progress, f"{candidate.label}: level {value:.4g} {decision.verdict} {decision.reason}")
-        if decision.verdict == "proved":
-            volume = candidate.volume * (value / bound.level) ** (len(d.states) / 2)
-            return StabilityResult("proved", "", decision, bound, candidate.label, volume, 0.0)
+    decision: Decision | None = None
+    proved: Decision | None = None
+    low, high, k = -1, len(levels), min(_FIRST, len(levels) - 1)
+    while low < k < high and (left := until - time.process_time()) > 0:
+        # a proof that fails takes all its time, so each level leaves time for the next one
+        share = left if k == 0 and proved is None else _PART * left
+        trial = decide_motion(Stability(d, candidate.function, levels[k], rate), time_limit=share, seed=seed)
+        _say(progress, f"{candidate.label}: level {levels[k]:.4g} {trial.verdict} {trial.reason}")
+        if trial.verdict == "proved":
+            proved, low = trial, k
+            # the largest level first, then between
+            k = high - 1 if high == len(levels) else (low + high) // 2
+        else:
+            decision, high = trial, k
+            if trial.verdict == "refuted" and level is None:
+                bound = _lower(d, candidate.function, bound, trial)
+            k = k // 2 if proved is None else (low + high) // 2
+    if proved is not None:
+        volume = candidate.volume * (levels[low] / bound.level) ** (len(d.states) / 2)
+        return StabilityResult("proved", "", proved, bound, candidate.label, volume, 0.0)
     verdict: Literal["refuted", "unknown"] = "unknown"
     reason = "the time limit was reached" if decision is None else decision.reason
     if level is not None and decision is not None and decision.verdict == "refuted":
         verdict = "refuted"
     return StabilityResult(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)
+
+
+def _lower(d: Dynamics, function: Node, bound: Falsified, decision: Decision) -> Falsified:
+    """Return the counterexample of a refuted claim if its level is less than the least known one."""
+    point = dict(decision.counterexample)
+    x = np.array([point.get(name, np.nan) for name in d.names])
+    value = float(d.compiled(function)(x, d.corners()[:, 0]))
+    return Falsified(value, point, "decrease", confirmed=True) if 0 < value < bound.level else bound
 
 
 def _flat(d: Dynamics, function: Node) -> str:

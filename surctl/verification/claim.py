@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-
-if TYPE_CHECKING:
-    from surctl.verification.proving.statement import Statement
+from surctl.verification.formula import Statement
 
 __all__ = ["Claim", "Motion", "Variable", "VerdictWord"]
 

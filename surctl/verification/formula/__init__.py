@@ -4,6 +4,7 @@ from surctl.verification.formula.derivative import derivative, substitute
 from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
 from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse, parse_relation
 from surctl.verification.formula.reader import from_casadi
+from surctl.verification.formula.statement import Statement
 from surctl.verification.formula.symbolic import to_casadi
 from surctl.verification.formula.text import text_of
 
@@ -11,6 +12,7 @@ __all__ = [
     "FUNCTIONS",
     "IDENTIFIER",
     "Node",
+    "Statement",
     "derivative",
     "from_casadi",
     "number",

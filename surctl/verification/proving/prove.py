@@ -26,7 +26,7 @@ _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.
 """The rounds of the search: for each round, the largest number of boxes and the share of the slack that it may use. The
 first round tries an exact proof; all forms are tried in short rounds before the last round uses the remaining time."""
 
-_SHORT, _SHARE = 3, 0.4
+_SHORT, _SHARE = 3, 0.5
 """Largest number of rounds before sums of squares are tried, and their largest share of the remaining time."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots

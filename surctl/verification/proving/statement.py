@@ -6,43 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-import numpy as np
-from numpy.typing import NDArray
-
 from surctl.verification.claim import Claim
-from surctl.verification.formula import Node, from_casadi, number, parse, rebuilt, text_of, variable
+from surctl.verification.formula import Node, Statement, from_casadi, number, parse, rebuilt, text_of, variable
 from surctl.verification.formula.node import BRANCHING
 
 __all__ = ["Case", "Statement", "cases_of", "statement_of"]
 
 MOST_BRANCHES = 5
 """The largest number of min, max, abs and select in a claim that is split into cases."""
-
-
-@dataclass(frozen=True, eq=False)
-class Statement:
-    """The statement left ≤ right on the part of a box where no constraint is positive.
-
-    Attributes:
-        names: names of the n variables.
-        lower: lower bounds (n,).
-        upper: upper bounds (n,).
-        left: expression of the left side.
-        right: expression of the right side.
-        constraints: expressions of the constraints.
-    """
-
-    names: tuple[str, ...]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    left: Node
-    right: Node
-    constraints: tuple[Node, ...]
-
-    @property
-    def parts(self) -> tuple[Node, ...]:
-        """All expressions of the statement: left, right and the constraints."""
-        return (self.left, self.right, *self.constraints)
 
 
 @dataclass(frozen=True, eq=False)
