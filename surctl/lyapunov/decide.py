@@ -18,7 +18,7 @@ from surctl.lyapunov.falsified import least_level
 from surctl.verification import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.falsifier import search
-from surctl.verification.formula import text_of
+from surctl.verification.formula import ordered, text_of
 from surctl.verification.proving import prove
 
 __all__ = ["Decision", "decide_motion"]
@@ -77,7 +77,8 @@ def decide_motion(
         progress: function that receives a line of progress from time to time.
 
     Raises:
-        InputError: the equilibrium is not one, V is not 0 there or has kinks, or the level is not positive.
+        InputError: the equilibrium is not one, V is not 0 there or has kinks, the level is not positive, or a rate may
+            jump.
 
     Example:
         >>> from surctl.lyapunov import Dynamics, Stability, State, decide_motion
@@ -262,6 +263,10 @@ def _require_sound(claim: DynamicClaim) -> None:
         d.change(claim.function)
     except UnsupportedOperation as error:
         raise InputError(error.problem, key=f"{d.name}.function", remedy=error.remedy) from None
+    for s, rate in zip(d.states, d.rates, strict=True):
+        if not d.discrete and any(node.op == "select" for node in ordered(rate)):
+            remedy = "write continuous dynamics with min, max or abs"
+            raise InputError("contains select, so that the rate may jump", key=f"{d.name}.{s.name}", remedy=remedy)
     if isinstance(claim, Safety):
         return
     if isinstance(claim, Stability):
