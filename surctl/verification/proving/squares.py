@@ -270,7 +270,7 @@ class _Problem:
         boxes = [(f"l{name[1:]}", name) for (name,) in ends if name[0] == "h"]
         constraints = [name for name in self._factors if name[0] == "c"]
         pairs = [*itertools.combinations(constraints, 2)]
-        levels = []
+        levels: list[tuple[int, list[tuple[str, ...]]]] = [(first, [])]  # many claims hold everywhere
         for degree in range(first, min(first + 2 * _LEVELS, _HIGHEST + 1), 2):
             # with few factors, the matrices are smaller
             if known:
