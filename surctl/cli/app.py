@@ -21,7 +21,7 @@ from surctl.cli.output import Stopped
 from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
 from surctl.cli.sonar_replay import sonar_replay
-from surctl.cli.streams import failed_write, prepare_stdout
+from surctl.cli.streams import discard_stdout, failed_write, prepare_stdout
 from surctl.cli.study import study
 from surctl.cli.sweep import sweep
 from surctl.cli.tune import tune
@@ -95,6 +95,7 @@ def main() -> None:
         if lost is None:
             raise
         _print_message(lost)
+        discard_stdout()
         status = 1
     except (KeyboardInterrupt, click.Abort):
         _print_message("stopped before a result was finished")

@@ -7,8 +7,9 @@ import errno
 import io
 import os
 import sys
+from contextlib import suppress
 
-__all__ = ["failed_write", "is_utf8", "prepare_stdout"]
+__all__ = ["discard_stdout", "failed_write", "is_utf8", "prepare_stdout"]
 
 _ESCAPE = "surctl-escape"
 _LOSES_TEXT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
@@ -38,6 +39,14 @@ def failed_write(error: OSError) -> str | None:
     where = f"{error.filename}: " if error.filename else ""
     reason = os.strerror(error.errno).lower()
     return f"{where}the output cannot be written ({reason}); free disk space, or write to another place"
+
+
+def discard_stdout() -> None:
+    """Let later writes to stdout succeed without effect: after a failed write, Python writes the rest at its end."""
+    with suppress(OSError, ValueError):  # a stream in memory has no descriptor
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stdout.fileno())
+        os.close(nothing)
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:

@@ -87,3 +87,16 @@ def test_a_process_on_a_full_disk_ends_with_that_line_alone(tmp_path: Path) -> N
         command = [sys.executable, "-m", "surctl", "verify", "v1-printed", "--show", "--json"]
         done = subprocess.run(command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1) and "no space left" in done.stderr
+
+
+def test_what_was_not_written_is_not_written_again_at_the_end(tmp_path: Path) -> None:
+    # Python writes the rest of a buffer at its end, and reports a second failure there
+    code = (
+        "import sys; from surctl.cli.streams import discard_stdout\n"
+        "try:\n    sys.stdout.buffer.raw.write(b'x')\nexcept OSError:\n    discard_stdout()\n"
+        "sys.stdout.write('the rest')\n"
+    )
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
