@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from surctl.verification.falsifier import search
 from surctl.verification.formula import ordered, text_of
 from surctl.verification.proving import prove
 
-__all__ = ["Decision", "decide_motion"]
+__all__ = ["Decision", "decide_motion", "prove_motion"]
 
 Array = NDArray[np.float64]
 
@@ -95,6 +95,17 @@ def decide_motion(
         name, point = refuted
         seconds = time.perf_counter() - began
         return Decision(claim, "refuted", {}, f"{name}: fails at {_point(point)}", point, seconds)
+    left = time_limit - (time.process_time() - worked)
+    return replace(
+        prove_motion(claim, time_limit=left, seed=seed, progress=progress), seconds=time.perf_counter() - began
+    )
+
+
+def prove_motion(
+    claim: DynamicClaim, *, time_limit: float, seed: int = 0, progress: Callable[[str], None] | None = None
+) -> Decision:
+    """Prove a claim as `decide_motion`, without a search for counterexamples."""
+    began, worked = time.perf_counter(), time.process_time()
     reason, refused = "", math.inf
     attempts = list(_attempts(claim))
     for number, attempt in enumerate(attempts):
@@ -103,7 +114,7 @@ def decide_motion(
         rest = time_limit - (time.process_time() - worked)
         # a choice of bounds that cannot be proved leaves time for the next one
         until = time.process_time() + rest * (1.0 if number == len(attempts) - 1 else _FIRST)
-        failing = next((one for one in attempt.bounded if _refuted(one, seed) is not None), None)
+        failing = next((one for one in attempt.bounded if _refuted(one, seed, few=True) is not None), None)
         if failing is not None:
             refused = attempt.factor
             reason = reason or f"{failing.name}: not by a provable margin"

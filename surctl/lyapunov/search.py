@@ -11,7 +11,7 @@ import numpy as np
 
 from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
-from surctl.lyapunov.decide import Decision, decide_motion
+from surctl.lyapunov.decide import Decision, decide_motion, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
@@ -21,7 +21,7 @@ __all__ = ["StabilityResult", "find_stability"]
 
 _SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 6, 0.4  # index of the share that is tried first; share of the remaining time for one level
-_HALF, _GOOD = 0.5, 0.5  # share of the time for a function that is not the last; ratio that makes others unnecessary
+_HALF = 0.4  # share of the remaining time for a function that is not the last
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
@@ -147,16 +147,16 @@ def find_stability(
         return _none("unknown", reason, began)
     simplest = trials[0]
     trials.sort(key=lambda trial: -trial[0].volume * (trial[1].level > 0))
-    # the largest regions, and the function that is easiest to prove
-    trials = [*(trial for trial in trials[:_TRIED] if trial is not simplest), simplest]
+    # first the function that is easiest to prove, then those with the largest regions
+    trials = [simplest, *(trial for trial in trials[:_TRIED] if trial is not simplest)]
     best = None
     for k, (candidate, bound) in enumerate(trials):
         rest = until - time.process_time()
+        if best is not None and rest <= 0:
+            break
         share = rest if k == len(trials) - 1 else _HALF * rest
         result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress)
         best = result if best is None or result.volume > best.volume else best
-        if (result.verdict == "proved" and result.ratio >= _GOOD) or until < time.process_time():
-            break
     assert best is not None
     if rate == "largest" and best.verdict == "proved":
         best = _with_rate(best, max(until - time.process_time(), _LARGEST * time_limit), seed, progress)
@@ -186,7 +186,10 @@ def _proved(
     while low < k < high and (left := until - time.process_time()) > 0:
         # a proof that fails takes all its time, so each level leaves time for the next one
         share = left if k == 0 and proved is None else _PART * left
-        trial = decide_motion(Stability(d, candidate.function, levels[k], rate), time_limit=share, seed=seed)
+        claim = Stability(d, candidate.function, levels[k], rate)
+        # a level below the least one with a counterexample need not be refuted again
+        decide = decide_motion if level is not None else prove_motion
+        trial = decide(claim, time_limit=share, seed=seed)
         _say(progress, f"{candidate.label}: level {levels[k]:.4g} {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
             proved, low = trial, k
@@ -194,8 +197,6 @@ def _proved(
             k = high - 1 if high == len(levels) else (low + high) // 2
         else:
             decision, high = trial, k
-            if trial.verdict == "refuted" and level is None:
-                bound = _lower(d, candidate.function, bound, trial)
             k = k // 2 if proved is None else (low + high) // 2
     if proved is not None:
         volume = candidate.volume * (levels[low] / bound.level) ** (len(d.states) / 2)
@@ -205,14 +206,6 @@ def _proved(
     if level is not None and decision is not None and decision.verdict == "refuted":
         verdict = "refuted"
     return StabilityResult(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)
-
-
-def _lower(d: Dynamics, function: Node, bound: Falsified, decision: Decision) -> Falsified:
-    """Return the counterexample of a refuted claim if its level is less than the least known one."""
-    point = dict(decision.counterexample)
-    x = np.array([point.get(name, np.nan) for name in d.names])
-    value = float(d.compiled(function)(x, d.corners()[:, 0]))
-    return Falsified(value, point, "decrease", confirmed=True) if 0 < value < bound.level else bound
 
 
 def _flat(d: Dynamics, function: Node) -> str:
