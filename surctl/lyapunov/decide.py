@@ -108,6 +108,8 @@ def prove_motion(
     began, worked = time.perf_counter(), time.process_time()
     reason, refused = "", math.inf
     attempts = list(_attempts(claim))
+    if not attempts:
+        reason = "no strict bound exists: at some states of the region, V is not positive or does not decrease"
     for number, attempt in enumerate(attempts):
         if attempt.factor >= refused:
             continue  # a smaller bound does not hold
