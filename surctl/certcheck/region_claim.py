@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.document import Rejected
 
-__all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "record"]
+__all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "read_top", "record"]
 
 _LARGEST = 10**9
 
@@ -108,6 +108,19 @@ def _pair(value: Any, where: str, *, above: bool = False) -> tuple[Fraction, Fra
     return low, high
 
 
+def read_top(claim: Any, system: str, excludes: Sequence[str]) -> Mapping[str, Any]:
+    """Return the entries of a claim about this system; raise Rejected unless its texts and digests are as expected."""
+    top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle", "sha256_law"), "claim")
+    if top["system"] != system:
+        raise Rejected(f"claim.system {top['system']!r} is not known; known: {system}")
+    if top["excludes"] != list(excludes):
+        raise Rejected("claim.excludes differs from the text that this checker expects")
+    for key in ("sha256_vehicle", "sha256_law"):
+        if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
+            raise Rejected(f"claim.{key} is not a SHA-256")
+    return top
+
+
 def read_claim(claim: Any) -> CruiseClaim:
     """Return the claim of a certificate.
 
@@ -115,14 +128,7 @@ def read_claim(claim: Any) -> CruiseClaim:
         Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated restrictions are not
             those of this kind of claim.
     """
-    top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle", "sha256_law"), "claim")
-    if top["system"] != "cruise":
-        raise Rejected(f"claim.system {top['system']!r} is not known; known: cruise")
-    if top["excludes"] != list(EXCLUDES):
-        raise Rejected("claim.excludes differs from the text that this checker expects")
-    for key in ("sha256_vehicle", "sha256_law"):
-        if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
-            raise Rejected(f"claim.{key} is not a SHA-256")
+    top = read_top(claim, "cruise", EXCLUDES)
     vehicle = record(
         top["vehicle"],
         (

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
 from typing import Any
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import number, record
+from surctl.certcheck.region_claim import number, read_top, record
 
 __all__ = ["EXCLUDES", "Pair", "TurningClaim", "factors", "read_claim"]
 
@@ -104,14 +103,7 @@ def read_claim(claim: Any) -> TurningClaim:
         Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated restrictions are not
             those of this kind of claim.
     """
-    top = record(claim, ("system", "excludes", "vehicle", "law", "motion", "sha256_vehicle", "sha256_law"), "claim")
-    if top["system"] != "turning-cruise":
-        raise Rejected(f"claim.system {top['system']!r} is not known; known: turning-cruise")
-    if top["excludes"] != list(EXCLUDES):
-        raise Rejected("claim.excludes differs from the text that this checker expects")
-    for key in ("sha256_vehicle", "sha256_law"):
-        if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
-            raise Rejected(f"claim.{key} is not a SHA-256")
+    top = read_top(claim, "turning-cruise", EXCLUDES)
     vehicle = record(
         top["vehicle"],
         ("mass_factor", "drag_factor", "mass_asymmetry", "drag_asymmetry", "thrust_n",

@@ -14,7 +14,8 @@ from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
 from surctl.lyapunov.claims import DynamicClaim, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics, Range, State
-from surctl.verification.formula import FUNCTIONS, IDENTIFIER, Node, number, ordered, parse, parse_relation, variable
+from surctl.verification.claim_file import VariableTable
+from surctl.verification.formula import Node, is_name, number, ordered, parse, parse_relation, variable
 
 __all__ = ["KINDS", "Problem", "is_problem", "load_problem"]
 
@@ -22,14 +23,7 @@ KINDS = ("lyapunov", "barrier")
 """The values of `kind` in files about dynamics."""
 
 
-class _RangeTable(Strict):
-    lower: StrictFloat
-    upper: StrictFloat
-    unit: StrictStr = "1"
-    meaning: StrictStr = ""
-
-
-class _StateTable(_RangeTable):
+class _StateTable(VariableTable):
     rate: StrictStr | None = None
     next: StrictStr | None = None
     equilibrium: StrictFloat = 0.0
@@ -47,7 +41,7 @@ class _ProblemTable(Strict):
     constants: dict[str, StrictFloat] = Field(default_factory=dict)
     definitions: dict[str, StrictStr] = Field(default_factory=dict)
     states: dict[str, _StateTable]
-    parameters: dict[str, _RangeTable] = Field(default_factory=dict)
+    parameters: dict[str, VariableTable] = Field(default_factory=dict)
     barrier: StrictStr | None = None
     initial: tuple[StrictStr, ...] = ()
     unsafe: tuple[StrictStr, ...] = ()
@@ -231,7 +225,7 @@ def _known(table: _ProblemTable, path: Path) -> dict[str, Node]:
     for group in ("states", "parameters", "constants", "definitions"):
         for name, entry in getattr(table, group).items():
             key = f"{group}.{name}"
-            if not IDENTIFIER.fullmatch(name) or name in (*FUNCTIONS, "pi"):
+            if not is_name(name):
                 remedy = "use letters, digits and _, begin with a letter, and do not use a name of the grammar"
                 raise InputError("is not a name for an expression", file=path, key=key, remedy=remedy)
             if name in known:

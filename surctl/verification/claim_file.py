@@ -14,10 +14,9 @@ from surctl.errors import InputError
 from surctl.files import Strict, load_model, quoted
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.formula import (
-    FUNCTIONS,
-    IDENTIFIER,
     Node,
     from_casadi,
+    is_name,
     number,
     parse,
     parse_relation,
@@ -27,10 +26,12 @@ from surctl.verification.formula import (
 )
 from surctl.verification.proving import statement_of
 
-__all__ = ["load_claim", "write_claim"]
+__all__ = ["VariableTable", "load_claim", "write_claim"]
 
 
-class _VariableTable(Strict):
+class VariableTable(Strict):
+    """A variable of a file: its bounds, unit and meaning."""
+
     lower: StrictFloat
     upper: StrictFloat
     unit: StrictStr = "1"
@@ -58,7 +59,7 @@ class _ClaimTable(Strict):
     constraints: tuple[StrictStr, ...] = ()
     tolerance: StrictFloat = Field(default=1e-9, ge=0.0, le=1e-3)
     constants: dict[str, StrictFloat] = Field(default_factory=dict)
-    variables: dict[str, _VariableTable]
+    variables: dict[str, VariableTable]
     witnesses: tuple[dict[str, StrictFloat], ...] = ()
     motion: _MotionTable | None = None
 
@@ -136,7 +137,7 @@ def load_claim(path: Path) -> Claim:
     return claim
 
 
-def _variable(name: str, symbol: ca.SX, entry: _VariableTable) -> Variable:
+def _variable(name: str, symbol: ca.SX, entry: VariableTable) -> Variable:
     return Variable(name, symbol, entry.unit, entry.lower, entry.upper, entry.meaning)
 
 
@@ -145,7 +146,7 @@ def _checked_names(table: _ClaimTable, path: Path) -> list[str]:
         raise InputError("is empty", file=path, key="variables", remedy="give at least one variable with bounds")
     for kind, group in (("variables", table.variables), ("constants", table.constants)):
         for name in group:
-            if not IDENTIFIER.fullmatch(name) or name in (*FUNCTIONS, "pi"):
+            if not is_name(name):
                 remedy = "use letters, digits and _, begin with a letter, and do not use a name of the grammar"
                 raise InputError("is not a name for an expression", file=path, key=f"{kind}.{name}", remedy=remedy)
     both = sorted(set(table.variables) & set(table.constants))
@@ -185,7 +186,7 @@ def write_claim(claim: Claim) -> str:
         errata = ["E8", "E9"]
     """
     for v in claim.variables:
-        if not IDENTIFIER.fullmatch(v.name) or v.name in (*FUNCTIONS, "pi"):
+        if not is_name(v.name):
             raise InputError("is not a name for an expression", key=f"{claim.name}.{v.name}", remedy="rename it")
     stated = statement_of(claim)
     lines = [

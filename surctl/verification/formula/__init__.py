@@ -2,7 +2,7 @@
 
 from surctl.verification.formula.derivative import derivative, substitute
 from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
-from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, parse, parse_relation
+from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, is_name, parse, parse_relation
 from surctl.verification.formula.reader import from_casadi
 from surctl.verification.formula.statement import Statement
 from surctl.verification.formula.symbolic import to_casadi
@@ -15,6 +15,7 @@ __all__ = [
     "Statement",
     "derivative",
     "from_casadi",
+    "is_name",
     "number",
     "ordered",
     "parse",

@@ -24,7 +24,7 @@ from fractions import Fraction
 from surctl.errors import InputError, nearest
 from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered
 
-__all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "parse", "parse_relation"]
+__all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "is_name", "parse", "parse_relation"]
 
 FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "log", "max", "min", "select", "sin", "sinh", "sqrt",
@@ -40,6 +40,11 @@ _TOKEN = re.compile(
 )
 _LARGEST_POWER, _LARGEST_EXPONENT, _MOST_DIGITS = 64, 320, 400
 _LONGEST = 30  # most digits of numerator and denominator of an exponent
+
+
+def is_name(name: str) -> bool:
+    """Return whether an expression may use the name for a variable or a constant."""
+    return IDENTIFIER.fullmatch(name) is not None and name not in (*FUNCTIONS, "pi")
 
 
 def parse(text: str, known: Mapping[str, Node], *, file: object = None, key: str | None = None) -> Node:
