@@ -21,7 +21,7 @@ from surctl.verification.falsifier import search
 from surctl.verification.formula import ordered, text_of
 from surctl.verification.proving import prove
 
-__all__ = ["Decision", "decide_motion", "prove_motion"]
+__all__ = ["Decision", "decide_motion", "prove_motion", "short"]
 
 Array = NDArray[np.float64]
 
@@ -201,7 +201,7 @@ def _attempts(claim: DynamicClaim) -> Any:
 
 def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
     d = claim.dynamics
-    scales = [_short(max(s.upper - s.equilibrium, s.equilibrium - s.lower), up=True) for s in d.states]
+    scales = [short(max(s.upper - s.equilibrium, s.equilibrium - s.lower), up=True) for s in d.states]
     inside, values, loss = _sampled(claim)
     square = (((inside - d.equilibrium[:, None]) / np.array(scales)[:, None]) ** 2).sum(axis=0)
     for share in _SHARES_TRIED:
@@ -246,18 +246,18 @@ def _lower_bound(values: Array, square: Array, share: float) -> Power | None:
         ratio = values / square**power
         least = float(ratio.min())
         if least > 0 and least >= _FLAT * float(np.median(ratio)):
-            return Power(_short(share * least), power)
+            return Power(short(share * least), power)
     least = float((values / square).min())
-    return Power(_short(share * least), 1) if least > 0 else None
+    return Power(short(share * least), 1) if least > 0 else None
 
 
-def _short(value: float, *, up: bool = False) -> float:
-    """Return a positive number of three digits, not above `value` (not below it if `up`)."""
+def short(value: float, *, digits: int = 3, up: bool = False) -> float:
+    """Return a positive number of few digits, not above `value` (not below it if `up`); 1 for 0."""
     if value == 0:
         return 1.0
-    size = 10.0 ** (np.floor(np.log10(value)) - 2)
-    digits = np.ceil(value / size) if up else np.floor(value / size)
-    return float(f"{digits * size:.6g}")
+    size = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
+    count = np.ceil(value / size) if up else np.floor(value / size)
+    return float(f"{count * size:.6g}")
 
 
 def _refuted(claim: Claim, seed: int, *, few: bool = False) -> Mapping[str, float] | None:

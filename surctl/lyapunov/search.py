@@ -11,7 +11,7 @@ import numpy as np
 
 from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
-from surctl.lyapunov.decide import Decision, decide_motion, prove_motion
+from surctl.lyapunov.decide import Decision, decide_motion, prove_motion, short
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
@@ -179,7 +179,7 @@ def _proved(
     if not bound.level > 0:
         reason = "V is not positive in the box" if bound.level < 0 else _flat(d, candidate.function)
         return replace(_none("unknown", reason, began), label=candidate.label, falsified=bound)
-    levels = [level] if level is not None else [_short(share * bound.level) for share in _SHARES]
+    levels = [level] if level is not None else [short(share * bound.level, digits=4) for share in _SHARES]
     decision: Decision | None = None
     proved: Decision | None = None
     low, high, k = -1, len(levels), min(_FIRST, len(levels) - 1)
@@ -232,7 +232,7 @@ def _with_rate(
         left = until - time.process_time()
         if left <= 0:
             break
-        trial = decide_motion(replace(claim, rate=_short(share * most)), time_limit=0.5 * left, seed=seed)
+        trial = decide_motion(replace(claim, rate=short(share * most, digits=4)), time_limit=0.5 * left, seed=seed)
         _say(progress, f"rate {share * most:.3g}: {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
             return replace(outcome, decision=trial)
@@ -256,12 +256,6 @@ def _sampled_rate(claim: Stability) -> float:
 
 def _none(verdict: Literal["refuted", "unknown"], reason: str, began: float) -> StabilityResult:
     return StabilityResult(verdict, reason, None, None, "", 0.0, time.perf_counter() - began)
-
-
-def _short(value: float) -> float:
-    """Return a number of four digits that is not above a positive value."""
-    size = 10.0 ** (np.floor(np.log10(value)) - 3)
-    return float(f"{np.floor(value / size) * size:.6g}")
 
 
 def _say(progress: Callable[[str], None] | None, text: str) -> None:
