@@ -43,6 +43,11 @@ _GUARDED = (
 )  # fmt: skip
 _STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
 _LIMITS = ("Fu_max", "Fv_max")
+_EQUATION_3 = {
+    "radius", "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "Fu_max", "Fv_max",
+    "Fw_max", "Fr_max", "thrust_lag",
+}  # fmt: skip
+"""The parameters of equation (3); the certificates about the motion of the vehicle cover no further terms."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,7 @@ class _Comparison:
         elif expected != stated_sha256(self.claim):
             self.differs.append(f"claim {name!r} is not the one for the bundle's gains, vehicle and cruise speed")
         elif name.startswith("braking-"):
+            self._terms()
             for variable in self.claim["variables"]:
                 if variable["name"] in _VARIABLES:
                     ends = variable["lower"], variable["upper"]
@@ -281,6 +287,11 @@ class _Comparison:
             self.differs.append(f"vehicle: SHA-256 {certified} certified, {vehicle[:12]} exported")
         if self.manifest.ranges is None:
             self._unknown("ranges of the vehicle")
+        self._terms()
+
+    def _terms(self) -> None:
+        if terms := sorted(set(self.manifest.values) - _EQUATION_3):
+            self.differs.append(f"vehicle: it has {', '.join(terms)}, which the certificate does not cover")
 
     def _vehicle(self, vehicle: Mapping[str, Any]) -> None:
         for what, key, names in _ALIKE:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from surctl.control import Gains
     from surctl.simulation import Case, SafetyClaim
     from surctl.simulation.campaign import Campaign, Plan
+    from surctl.verification import Inapplicable
 
 __all__ = ["CampaignOptions", "campaign_options", "simulate_again"]
 
@@ -208,17 +209,22 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
     return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
 
 
-def _claim(case: Case) -> SafetyClaim:
+def _claim(case: Case) -> SafetyClaim | Inapplicable:
     # for the unchanged scenario and the vehicle's parameter ranges
     from math import inf
 
+    from surctl.errors import NotApplicable
     from surctl.simulation import safety_claim, turn_rate
+    from surctl.verification import Inapplicable
 
     sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
     believed = case.model or case.vehicle
     turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar")
     kind: dict[str, Any] = {"barrier": case.barrier, "movers": case.movers}
-    return safety_claim(case.scenario, believed, case.gains, **kind, detection=sees, turning=turning)
+    try:
+        return safety_claim(case.scenario, believed, case.gains, **kind, detection=sees, turning=turning)
+    except NotApplicable as reason:
+        return Inapplicable.of("no contact", reason)
 
 
 def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
@@ -230,7 +236,9 @@ def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
     claim = BARRIER in law_source(case.law).parts
     lines += campaign.summary.lines(claim=claim)
     if claim and campaign.summary.violated:
-        lines.append(f"  the no-contact claim: {_claim(case).statement}")
+        stated = _claim(case)
+        text = stated.sentence if isinstance(stated, Inapplicable) else stated.statement
+        lines.append(f"  the no-contact claim: {text}")
     for place, k in enumerate(table.worst(worst)):
         time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]
         broken = f", violated: {', '.join(table.broken[k])}" if table.broken[k] else ""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from surctl.errors import NotApplicable
     from surctl.simulation import SafetyClaim
     from surctl.vehicle import Vehicle
-    from surctl.verification import Claim, Verdict
+    from surctl.verification import Claim, Inapplicable, Verdict
     from surctl.verification.stack import StackConditions
 
 __all__ = ["claim_line", "verify"]
@@ -208,9 +208,10 @@ def verify(
     others = [*regions.claims, *braked.claims, *(one.to_dict() for one in refused if named)]
     failures += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]
     if safety is not None:
-        lines += safety.lines()
+        lines += [f"no contact: {safety.sentence}"] if isinstance(safety, Inapplicable) else safety.lines()
         result["safety"] = safety.to_dict()
-        failures += [] if safety.holds else [f"the no-contact claim does not hold ({safety.shortfall})"]
+        if not (isinstance(safety, Inapplicable) or safety.holds):
+            failures.append(f"the no-contact claim does not hold ({safety.shortfall})")
     if failures:
         lines.append(f"exit status 1, because {'; '.join(failures)}")
         result["failures"] = failures
@@ -252,11 +253,12 @@ def _safety(
     barrier: str,
     movers: str,
     spread: float | None,
-) -> SafetyClaim:
+) -> SafetyClaim | Inapplicable:
 
     from surctl.control import BARRIER_NAMES, MOVERS, load_gains
-    from surctl.errors import InputError, nearest
+    from surctl.errors import InputError, NotApplicable, nearest
     from surctl.simulation import load_scenario, safety_claim, turn_rate
+    from surctl.verification import Inapplicable
 
     for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
         if value not in known:
@@ -266,7 +268,10 @@ def _safety(
     kind: dict[str, Any] = {"barrier": barrier, "movers": movers}
     values = load_gains(gains)
     turning = turn_rate(mission, vehicle, values, sonar=True)
-    return safety_claim(mission, vehicle, values, **kind, detection=sight, spread=spread, turning=turning)
+    try:
+        return safety_claim(mission, vehicle, values, **kind, detection=sight, spread=spread, turning=turning)
+    except NotApplicable as reason:
+        return Inapplicable.of("no contact", reason)
 
 
 def _draw(

@@ -201,9 +201,10 @@ def brakes_of(
 
     limits = ("Fu_max", "Fv_max")
     most = [vehicle[n] if spread is not None else _ends(vehicle, n, None)[1] for n in limits]
+    most += [vehicle[name] for axis, name in vehicle.form.reverse() if axis < 2]
     return Brakes(
         ends("m11", "m22"),
-        share * min(vehicle[name] for name in limits),
+        share * float(min(vehicle.thrust_limit[:2])),
         max(most),
         vehicle["thrust_lag"],
         ends("Xu", "Yv"),

@@ -29,7 +29,7 @@ from surctl.report.loops import LoopResponse, plot_bode, plot_nyquist, plot_pole
 from surctl.report.sweep_plots import plot_parallel
 from surctl.report.words import file_size, number
 from surctl.tuning import SweepTable
-from surctl.vehicle import PARAMETERS, Vehicle
+from surctl.vehicle import Vehicle, parameter_spec
 
 __all__ = ["export_section", "gains_section", "loops_section", "sweep_section", "time_section", "vehicle_section"]
 
@@ -62,7 +62,8 @@ def _parameters(vehicle: Vehicle) -> Table:
     rows = []
     for name, p in vehicle.parameters.items():
         span = "–" if p.range is None else f"{number(p.range[0])} to {number(p.range[1])}"
-        meaning = PARAMETERS[name].meaning
+        spec = parameter_spec(name)
+        meaning = spec.meaning if spec else ""
         value = Cell(number(p.value, digits=6), number=True)
         rows.append((Cell(name, code=True), meaning, value, p.unit, span, p.provenance))
     heads = ("parameter", "meaning", "value", "unit", "range (same unit)", "provenance")

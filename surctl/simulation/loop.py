@@ -127,7 +127,8 @@ class Loop:
     ) -> None:
         self.stepper = stepper
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
-        self.plant, self.limit = plant_parameters(vehicle), vehicle.thrust_limit
+        self.plant, self.limit = plant_parameters(vehicle), vehicle.thrust_range[1]
+        self.move = advanced(vehicle.form)
         self.sensors = world.scenario.sensors
         self.station = self.sensors.equipment.station
         self.array = self.sensors.array_on(world.hull)
@@ -234,7 +235,7 @@ class Loop:
                     "force": self.world.force(time + k * FIRING),
                 }
             )
-            (self.state,) = advanced()(self.state, thrust, d, self.plant)
+            (self.state,) = self.move(self.state, thrust, d, self.plant)
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)

@@ -22,7 +22,7 @@ from surctl.simulation.column import BAND, FOOTPRINT
 from surctl.simulation.margin import Bound, mass_difference, munk, turned
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.toml_text import toml_text
-from surctl.vehicle import Vehicle
+from surctl.vehicle import Vehicle, check_equation_3
 
 __all__ = ["Figure", "SafetyClaim", "safety_claim"]
 
@@ -156,6 +156,9 @@ def safety_claim(
             that the margin covers. With None, the function takes the mass difference of the vehicle, see
             `mass_difference`.
 
+    Raises:
+        NotApplicable: the vehicle has terms beyond equation (3) of the paper.
+
     Example:
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario, safety_claim
@@ -167,6 +170,7 @@ def safety_claim(
         simple: False, needs 0.053 m, has 0.05 m
         inertia: True, needs 0.019 m, has 0.05 m
     """
+    check_equation_3(vehicle, reverse=True)
     difference = mass_difference(vehicle, spread) if difference is None else difference
     watch, share = watch or Watch(), LEAST_THRUST if barrier == "simple" else gains["brake"]
     d = scenario.disturbance

@@ -10,21 +10,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import on_vectors
-from surctl.vehicle import build_plant
+from surctl.vehicle import PlantForm, build_plant
 
 __all__ = ["advance", "advanced"]
 
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
 
-@cache
-def advance() -> ca.Function:
+_PAPER = PlantForm()
+
+
+def advance(form: PlantForm = _PAPER) -> ca.Function:
     """Return a CasADi function that integrates the plant over 25 ms by RK4, in steps of 10, 10 and 5 ms.
 
     The function computes the new plant state from the plant state x, the commanded thrust, the disturbance d and the
     plant parameters p.
+
+    Args:
+        form: the optional terms of the vehicle's dynamics, `Vehicle.form`.
     """
-    ode = build_plant().ode
+    return _advance(form)
+
+
+@cache
+def _advance(form: PlantForm) -> ca.Function:
+    ode = build_plant(form).ode
     x, tau, d, p = (ca.SX.sym(n, ode.numel_in(i)) for i, n in enumerate(("x", "tau", "d", "p")))
     state = x
     for h in _RK4_STEPS:
@@ -36,7 +46,11 @@ def advance() -> ca.Function:
     return ca.Function("advance", [x, tau, d, p], [state], {"cse": True})
 
 
-@cache
-def advanced() -> Callable[..., list[NDArray[np.float64]]]:
+def advanced(form: PlantForm = _PAPER) -> Callable[..., list[NDArray[np.float64]]]:
     """Return `advance` as a function of NumPy vectors."""
-    return on_vectors(advance())
+    return _advanced(form)
+
+
+@cache
+def _advanced(form: PlantForm) -> Callable[..., list[NDArray[np.float64]]]:
+    return on_vectors(_advance(form))

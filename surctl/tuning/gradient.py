@@ -24,7 +24,7 @@ from surctl.errors import InputError
 from surctl.ir import Instruction, Program, lower, to_casadi
 from surctl.sensing import SonarArray
 from surctl.simulation import Case, World, advance, build_world, law_numbers
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_parameters
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, PlantForm, plant_parameters
 from surctl.world import Box, Disc
 
 __all__ = ["SURROGATES", "DifferentiableRun", "prepare"]
@@ -139,11 +139,11 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
     p = law_numbers(scenario, case.gains, case.model or case.vehicle)
     start = np.concatenate([PLANT_STATE.pack({"eta": scenario.start_pose}), law.initial_state()])
     plant = [*plant_parameters(case.vehicle), *scenario.disturbance.current_m_per_s, *scenario.target]
-    limit = case.vehicle.thrust_limit
+    limit = case.vehicle.thrust_range[1]
     bias = world.thrust(np.zeros(4), limit)
     drive = [*(world.thrust(np.ones(4), limit) - bias), *bias]
     fixed = (start, _data(world, steps=steps, dt=law.dt).T, p, np.array([*plant, case.vehicle["radius"], *drive]))
-    return DifferentiableRun(case, tuple(names), steps, fixed, *_functions(law, tuple(names), steps))
+    return DifferentiableRun(case, tuple(names), steps, fixed, *_functions(law, tuple(names), steps, case.vehicle.form))
 
 
 def _data(world: World, *, steps: int, dt: float) -> Array:
@@ -163,9 +163,9 @@ def _data(world: World, *, steps: int, dt: float) -> Array:
 
 
 @cache
-def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Function, ca.Function]:
+def _functions(law: Law, names: tuple[str, ...], steps: int, form: PlantForm) -> tuple[ca.Function, ca.Function]:
     # (gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient
-    step, _ = _step(law)
+    step, _ = _step(law, form)
     gains, weights = ca.MX.sym("gains", len(names)), ca.MX.sym("weights", len(SURROGATES))
     start, p, plant = (ca.MX.sym(n, step.size1_in(i)) for n, i in (("start", 0), ("p", 2), ("plant", 3)))
     data = ca.MX.sym("data", step.size1_in(1), steps)
@@ -186,7 +186,7 @@ def _functions(law: Law, names: tuple[str, ...], steps: int) -> tuple[ca.Functio
 
 
 @cache
-def _step(law: Law) -> tuple[ca.Function, ca.Function]:
+def _step(law: Law, form: PlantForm) -> tuple[ca.Function, ca.Function]:
     """Return two functions of a control step: one computes the next state and cost terms, one the branch number.
 
     Both have the arguments state, data of the step, gains p, and plant parameters.
@@ -197,7 +197,7 @@ def _step(law: Law) -> tuple[ca.Function, ca.Function]:
     state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
     data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
     # plant parameters, current x, y, target x, y, hull radius, gains and biases of the thrust
-    ends = np.cumsum([0, advance().size1_in(3), 2, 2, 1, 4, 4]).tolist()
+    ends = np.cumsum([0, advance(form).size1_in(3), 2, 2, 1, 4, 4]).tolist()
     p, world = ca.SX.sym("p", law.gains.size), ca.SX.sym("plant", ends[-1])
     plant, current, target, hull, gain, bias = ca.vertsplit(world, ends)
     body, memory = state[: PLANT_STATE.size], state[PLANT_STATE.size :]
@@ -222,7 +222,7 @@ def _step(law: Law) -> tuple[ca.Function, ca.Function]:
     after, delivered = body, gain * tau + bias
     for half in range(_HALVES):
         force = data[CONTACT_SLOTS * _ROW + 2 * half : CONTACT_SLOTS * _ROW + 2 * half + 2]
-        after = advance()(after, delivered, PLANT_DISTURBANCE.join(_disturbance(current, force)), plant)
+        after = advance(form)(after, delivered, PLANT_DISTURBANCE.join(_disturbance(current, force)), plant)
     y_e = telemetry[law.telemetry_slice("path_error")][1]
     going = ca.sqrt(ca.sumsqr(position - target))
     terms = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *clearances)

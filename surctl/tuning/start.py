@@ -98,7 +98,7 @@ def lqr_start(
     state_weights, thrust = _weights("q", q, 1 / np.square(_DEVIATION)), _weights("r", r, 1 / vehicle.thrust_limit**2)
     plant = linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     A = np.asarray(plant.A)[:8, :8]
-    B = np.vstack([np.zeros((4, 4)), np.diag(1 / vehicle.mass)])
+    B = np.vstack([np.zeros((4, 4)), np.linalg.inv(vehicle.inertia)])
     best: tuple[float, dict[str, float]] = 0.0, {}
     for doubling in range(_MOST):
         state = state_weights * _OUTER**doubling
@@ -140,7 +140,7 @@ def _fit(
     from scipy.optimize import least_squares
 
     scale = 1 / np.sqrt(q)[None] / vehicle.thrust_limit[:, None]
-    flat = plant_parameters(vehicle)[None]
+    flat, form = plant_parameters(vehicle)[None], vehicle.form
     # entries of K that depend on some gain; the cascade cannot change the other entries
     reachable = build_cascade(vehicle, dict.fromkeys(CASCADE_GAINS, 1.0), cruise=cruise, dt=dt).K != 0
 
@@ -148,7 +148,7 @@ def _fit(
         gains: Mapping[str, NDArray[np.float64]] = {
             n: np.exp(v)[None] for n, v in zip(CASCADE_GAINS, logs, strict=True)
         }
-        gain_matrix = build_cascades(flat, gains, cruise=np.array([cruise]), dt=dt, model=flat).K[0]
+        gain_matrix = build_cascades(flat, gains, cruise=np.array([cruise]), dt=dt, model=flat, form=form).K[0]
         return np.asarray(((gain_matrix - K) * scale)[reachable], dtype=float)
 
     fitted = least_squares(missed, np.zeros(len(CASCADE_GAINS)), bounds=(np.log(1e-3), np.log(1e2)))

@@ -6,6 +6,8 @@ from surctl.vehicle.dynamics import (
     PLANT_STATE,
     Plant,
     build_plant,
+    check_equation_3,
+    plant_layout,
     plant_parameters,
     steady_speed,
     trim_thrust,
@@ -17,7 +19,8 @@ from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, MotionLog, read_motion_log
-from surctl.vehicle.parameters import LIBRARY, PARAMETERS, Parameter, Vehicle, load_vehicle
+from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
+from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
 from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
@@ -31,20 +34,26 @@ __all__ = [
     "PLANT_DISTURBANCE",
     "PLANT_PARAMETERS",
     "PLANT_STATE",
+    "TERMS",
     "Frame",
     "Identified",
     "MotionLog",
     "Parameter",
+    "ParameterSpec",
     "Plant",
+    "PlantForm",
     "Vehicle",
     "build_plant",
+    "check_equation_3",
     "check_frame",
     "identify",
     "jacobian",
     "linearise",
     "load_vehicle",
+    "parameter_spec",
     "planar_rotation",
     "plant_jacobians",
+    "plant_layout",
     "plant_parameters",
     "plant_system",
     "read_motion_log",

@@ -1,5 +1,10 @@
 """The dynamics, equation (3) of the paper, with current, optional heave drag, thrust limits and thrust lag.
 
+A vehicle may have further terms (`PlantForm`): a full inertia matrix, drag on one axis by the velocity of another one,
+constant forces, and less thrust astern than ahead. The momentum is then M ν, and the body that turns at r about the
+vertical axis feels C(ν)ν = (−r p_y, r p_x, 0, u p_y − v p_x) with (p_x, p_y) the first two entries of M ν (Kirchhoff's
+equations; Fossen 2021, equation 6.44). Each form is a function of its own, so equation (3) costs no more than before.
+
 Added mass is part of the inertia matrix that the model inverts. A model that instead feeds back the added-mass force
 from a delayed acceleration diverges if the added mass exceeds the dry mass, as the added mass of this robot does.
 """
@@ -13,9 +18,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import NotApplicable
 from surctl.ir import Layout, Port
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.parameters import Vehicle
+from surctl.vehicle.specs import PlantForm
 
 __all__ = [
     "PLANT_DISTURBANCE",
@@ -23,6 +30,8 @@ __all__ = [
     "PLANT_STATE",
     "Plant",
     "build_plant",
+    "check_equation_3",
+    "plant_layout",
     "plant_parameters",
     "steady_speed",
     "trim_thrust",
@@ -52,8 +61,27 @@ PLANT_PARAMETERS = Layout(
 )
 
 
+PAPER = PlantForm()
+"""Equation (3) of the paper, without optional terms."""
+
+
+def plant_layout(form: PlantForm = PAPER) -> Layout:
+    """Return the layout of the plant's parameters: `PLANT_PARAMETERS`, followed by the optional terms of the form.
+
+    Example:
+        >>> from surctl.vehicle import PlantForm, plant_layout
+        >>> plant_layout().size, plant_layout(PlantForm(("m24", "Yr"))).port("terms").shape
+        (17, (2,))
+    """
+    if not form.terms:
+        return PLANT_PARAMETERS
+    return Layout((*PLANT_PARAMETERS.ports, Port("terms", (len(form.terms),), "SI", ", ".join(form.terms))))
+
+
 def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Return the parameters of a vehicle as a flat vector (17,) with the layout `PLANT_PARAMETERS`.
+    """Return the parameters of a vehicle as a flat vector with the layout `plant_layout(vehicle.form)`.
+
+    The vector has 17 entries, and one more for each optional term of the vehicle.
 
     Example:
         >>> from surctl.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters
@@ -61,15 +89,59 @@ def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
         >>> numbers.size, PLANT_PARAMETERS.split(numbers)["mass"].tolist()
         (17, [50.0, 50.0, 50.0, 0.6])
     """
-    return PLANT_PARAMETERS.pack(
-        {
-            "mass": vehicle.mass,
-            "linear_drag": vehicle.linear_drag,
-            "quadratic_drag": vehicle.quadratic_drag,
-            "thrust_limit": vehicle.thrust_limit,
-            "thrust_lag": vehicle["thrust_lag"],
-        }
-    )
+    form = vehicle.form
+    values: dict[str, object] = {
+        "mass": vehicle.mass,
+        "linear_drag": vehicle.linear_drag,
+        "quadratic_drag": vehicle.quadratic_drag,
+        "thrust_limit": vehicle.thrust_range[1],
+        "thrust_lag": vehicle["thrust_lag"],
+    }
+    if form.terms:
+        values["terms"] = [vehicle[name] for name in form.terms]
+    return plant_layout(form).pack(values)
+
+
+def _terms(p: dict[str, ca.SX], form: PlantForm) -> dict[str, ca.SX]:
+    return {name: p["terms"][k] for k, name in enumerate(form.terms)}
+
+
+def _load(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    # C(ν)ν + D(ν)ν (4,) [N, N m] for the velocity ν through the water
+    terms = _terms(p, form)
+    drag = damping_force(nu, p)
+    for axis, by, name in form.drag():
+        speed = nu[by[0]] if len(by) == 1 else ca.fabs(nu[by[0]]) * nu[by[1]]
+        drag[axis] += terms[name] * speed
+    couplings = form.inertia()
+    if not couplings:
+        return coriolis_force(nu, p) + drag
+    momentum = p["mass"] * nu
+    for i, j, name in couplings:
+        momentum[i] += terms[name] * nu[j]
+        momentum[j] += terms[name] * nu[i]
+    turning = nu[0] * momentum[1] - nu[1] * momentum[0]
+    return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning) + drag
+
+
+def _constant(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    # constant force (4,) [N, N m] in the heading frame
+    force, terms = ca.SX.zeros(4), _terms(p, form)
+    for axis, name in form.constant():
+        force[axis] += terms[name]
+    return force
+
+
+def _acceleration(load: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    # M⁻¹ load, by LDLᵀ, in which the zeros of M cost nothing
+    couplings = form.inertia()
+    if not couplings:
+        return load / p["mass"]
+    inertia, terms = ca.diag(p["mass"]), _terms(p, form)
+    for i, j, name in couplings:
+        inertia[i, j] = inertia[j, i] = terms[name]
+    diagonal, transposed, permutation = ca.ldl(inertia)
+    return ca.ldl_solve(load, diagonal, transposed, permutation)
 
 
 def damping_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
@@ -85,11 +157,11 @@ def coriolis_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
 
 @dataclass(frozen=True)
 class Plant:
-    """The differential equation of the vehicle, with every parameter as an input.
+    """The differential equation of a vehicle, with every parameter as an input.
 
     Attributes:
-        ode: function that computes ẋ (12,) from state x (12,), tau_command (4,), disturbance d (7,) and parameters p
-            (17,); `PLANT_STATE`, `PLANT_DISTURBANCE` and `PLANT_PARAMETERS` name their entries.
+        ode: function that computes ẋ (12,) from state x (12,), tau_command (4,), disturbance d (7,) and parameters p;
+            `PLANT_STATE`, `PLANT_DISTURBANCE` and `plant_layout` name their entries.
         jacobians: function with the arguments of `ode` that computes exact ∂ẋ/∂x (12, 12) and ∂ẋ/∂tau_command (12, 4).
     """
 
@@ -97,21 +169,31 @@ class Plant:
     jacobians: ca.Function
 
 
-@cache
-def build_plant() -> Plant:
-    """Return the differential equation of the vehicle, equations (1)–(3) of the paper.
+def build_plant(form: PlantForm = PAPER) -> Plant:
+    """Return the differential equation of a vehicle; without optional terms, equations (1)–(3) of the paper.
 
     A constant irrotational current enters as ν_r = ν − ν_c in every hydrodynamic and inertial term (Fossen 2021,
     property 10.1). In the body frame {B}, the current vector ν_c rotates at −r, opposite to the vehicle's yaw rate r.
+
+    Args:
+        form: the optional terms, `Vehicle.form`.
     """
+    return _plant(form)
+
+
+@cache
+def _plant(form: PlantForm) -> Plant:
     x, state = PLANT_STATE.symbols("x")
     d, disturbance = PLANT_DISTURBANCE.symbols("d")
-    p, parameters = PLANT_PARAMETERS.symbols("p")
+    p, parameters = plant_layout(form).symbols("p")
     command = ca.SX.sym("tau_command", 4)
     nu, psi = state["nu"], state["eta"][3]
 
     limit, lag = parameters["thrust_limit"], parameters["thrust_lag"]
-    saturated = ca.fmin(ca.fmax(command, -limit), limit)
+    least = -limit
+    for axis, name in form.reverse():
+        least[axis] = -_terms(parameters, form)[name]
+    saturated = ca.fmin(ca.fmax(command, least), limit)
     lagged = lag > 0
     thrust = ca.if_else(lagged, state["tau"], saturated)
     thrust_rate = ca.if_else(lagged, (saturated - state["tau"]) / ca.fmax(lag, 1e-3), 0)
@@ -121,8 +203,11 @@ def build_plant() -> Plant:
     current_rate = ca.vertcat(nu[3] * current[1], -nu[3] * current[0], 0, 0)
     force = ca.vertcat(to_body @ disturbance["force"][:2], disturbance["force"][2:])
     nu_r = nu - current
-    load = thrust + force - coriolis_force(nu_r, parameters) - damping_force(nu_r, parameters)
-    rate = ca.vertcat(jacobian(psi) @ nu, load / parameters["mass"] + current_rate, thrust_rate)
+    if form.terms:
+        load = thrust + force + _constant(parameters, form) - _load(nu_r, parameters, form)
+    else:  # in the order of equation (3), so that the results of the paper's plant keep their bits
+        load = thrust + force - coriolis_force(nu_r, parameters) - damping_force(nu_r, parameters)
+    rate = ca.vertcat(jacobian(psi) @ nu, _acceleration(load, parameters, form) + current_rate, thrust_rate)
 
     names = ["x", "tau_command", "d", "p"]
     arguments = [x, command, d, p]
@@ -132,8 +217,24 @@ def build_plant() -> Plant:
     )
 
 
+def check_equation_3(vehicle: Vehicle, *, reverse: bool = False) -> None:
+    """Raise NotApplicable if the vehicle has optional terms, because a claim about equation (3) does not cover them.
+
+    Args:
+        vehicle: the vehicle for which the claim is to be checked.
+        reverse: whether the claim covers less thrust astern than ahead.
+    """
+    form = vehicle.form
+    terms = [name for name in form.terms if not (reverse and name in [limit for _, limit in form.reverse()])]
+    if terms:
+        listed = ", ".join(terms[:4]) + (" and further terms" if len(terms) > 4 else "")
+        raise NotApplicable(f"it has {listed}, and the claim assumes equation (3) of the paper, without them")
+
+
 def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the trim thrust τ = C(ν)ν + D(ν)ν (4,) [N, N m], which holds the body velocity ν (4,) in still water.
+
+    The constant forces of the vehicle are subtracted.
 
     Example:
         >>> import numpy as np
@@ -141,17 +242,20 @@ def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64
         >>> trim_thrust(load_vehicle("sur400"), np.array([0.15, 0.0, 0.0, 0.2])).round(3).tolist()
         [0.964, 1.5, 0.0, 0.064]
     """
-    return np.asarray(trim_function()(nu, plant_parameters(vehicle))).reshape(4)
+    return np.asarray(trim_function(vehicle.form)(nu, plant_parameters(vehicle))).reshape(4)
+
+
+def trim_function(form: PlantForm = PAPER) -> ca.Function:
+    """Return a CasADi function of (ν, p) that computes the trim thrust; ν and p may have one column for each plant."""
+    return _trim(form)
 
 
 @cache
-def trim_function() -> ca.Function:
-    """Return a CasADi function of (ν, p) that computes the trim thrust; ν and p may have one column for each plant."""
-    flat, parameters = PLANT_PARAMETERS.symbols("p")
+def _trim(form: PlantForm) -> ca.Function:
+    flat, parameters = plant_layout(form).symbols("p")
     velocity = ca.SX.sym("nu", 4)
-    return ca.Function(
-        "trim", [velocity, flat], [coriolis_force(velocity, parameters) + damping_force(velocity, parameters)]
-    )
+    trim = _load(velocity, parameters, form) - _constant(parameters, form)
+    return ca.Function("trim", [velocity, flat], [trim])
 
 
 def steady_speed(force: float, linear: float, quadratic: float) -> float:

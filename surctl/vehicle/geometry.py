@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import pi
 
 from surctl.errors import InputError
-from surctl.vehicle.parameters import PARAMETERS, Parameter, Vehicle
+from surctl.vehicle.parameters import Parameter, Vehicle
+from surctl.vehicle.specs import PARAMETERS
 
 __all__ = ["sphere"]
 

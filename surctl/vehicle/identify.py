@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.vehicle.dynamics import PLANT_DISTURBANCE, build_plant
 from surctl.vehicle.motion_log import LOG_MOTION, MotionLog
-from surctl.vehicle.parameters import PARAMETERS, Parameter, Vehicle
+from surctl.vehicle.parameters import Parameter, Vehicle
+from surctl.vehicle.specs import PARAMETERS
 
 __all__ = ["FITTED", "Identified", "identify"]
 

@@ -52,7 +52,7 @@ def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), unit
     flow = np.asarray(current, dtype=float)
     if flow.shape != (3,) or not np.isfinite(flow).all():
         raise InputError("must be three finite numbers", key="current", value=current, remedy="give x, y, z in m/s")
-    ode, p, d = build_plant().ode, plant_parameters(vehicle), PLANT_DISTURBANCE.pack({"current": flow})
+    ode, p, d = build_plant(vehicle.form).ode, plant_parameters(vehicle), PLANT_DISTURBANCE.pack({"current": flow})
     size = len(STATE_NAMES) if vehicle["thrust_lag"] > 0 else 8
     whole = np.zeros(len(STATE_NAMES))
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.vehicle.dynamics import (
+    PAPER,
     PLANT_DISTURBANCE,
     build_plant,
     plant_parameters,
@@ -17,8 +18,18 @@ from surctl.vehicle.dynamics import (
     trim_thrust,
 )
 from surctl.vehicle.parameters import Vehicle
+from surctl.vehicle.specs import PlantForm
 
-__all__ = ["SIGNAL_UNITS", "STATE_NAMES", "THRUST_NAMES", "check_trim", "labelled", "linearise", "plant_jacobians"]
+__all__ = [
+    "SIGNAL_UNITS",
+    "STATE_NAMES",
+    "THRUST_NAMES",
+    "can_hold",
+    "check_trim",
+    "labelled",
+    "linearise",
+    "plant_jacobians",
+]
 
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
 THRUST_NAMES = ("Fu_cmd", "Fv_cmd", "Fw_cmd", "Fr_cmd")
@@ -59,7 +70,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
 
     nu = np.asarray(nu, dtype=float)
     check_trim(vehicle, nu)
-    (a,), (b,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], psi=psi)
+    (a,), (b,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], psi=psi, form=vehicle.form)
     keep = len(STATE_NAMES) if vehicle["thrust_lag"] > 0 else 8
     names = labelled(STATE_NAMES[:keep], units=units)
     return control.ss(
@@ -76,14 +87,26 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
 
 def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
     """Raise InputError if the vehicle lacks the thrust to hold the body velocity nu (4,) [m/s, rad/s]."""
-    tau = trim_thrust(vehicle, nu)
-    if np.any(np.abs(tau) >= vehicle.thrust_limit):
+    if not can_hold(trim_thrust(vehicle, nu), *vehicle.thrust_range):
+        tau, (least, most) = trim_thrust(vehicle, nu), vehicle.thrust_range
+        limits = f"the limits are {most.tolist()}"
+        if (least != -most).any():
+            limits = f"the thrust lies between {least.tolist()} and {most.tolist()}"
         raise InputError(
-            f"needs thrust {np.round(tau, 2).tolist()}, but the limits are {vehicle.thrust_limit.tolist()} (N, N m)",
+            f"needs thrust {np.round(tau, 2).tolist()}, but {limits} (N, N m)",
             key="operating point nu",
             value=nu.tolist(),
             remedy="linearise at a slower speed",
         )
+
+
+def can_hold(thrust: NDArray[np.float64], least: NDArray[np.float64], most: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether a thrust (…, 4) lies strictly inside its limits on each axis that has thrust.
+
+    On an axis without thrust, the needed thrust must be zero.
+    """
+    inside: NDArray[np.bool_] = np.all((least < thrust) & (thrust < most) | (thrust == 0) & (least == most), axis=-1)
+    return inside
 
 
 def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:
@@ -92,14 +115,15 @@ def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:
 
 
 def plant_jacobians(
-    parameters: NDArray[np.float64], nu: NDArray[np.float64], *, psi: float = 0.0
+    parameters: NDArray[np.float64], nu: NDArray[np.float64], *, psi: float = 0.0, form: PlantForm = PAPER
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return ∂ẋ/∂x and ∂ẋ/∂τ of n plants, each linearised about its own trimmed motion in still water.
 
     Args:
-        parameters: (n, 17), one plant per row, as `plant_parameters` returns it.
+        parameters: (n, …), one plant per row, as `plant_parameters` returns it.
         nu: (n, 4) body velocity of each plant [m/s, rad/s].
         psi: heading [rad] of all plants.
+        form: the optional terms that all plants have.
 
     Returns:
         Three arrays. A (n, 12, 12): state matrices ∂ẋ/∂x, in the order of `STATE_NAMES`; B (n, 12, 4): input matrices
@@ -115,9 +139,9 @@ def plant_jacobians(
         ((2, 12, 12), [-0.217, -0.2105])
     """
     count = len(nu)
-    tau = np.asarray(trim_function()(nu.T, parameters.T)).T
+    tau = np.asarray(trim_function(form)(nu.T, parameters.T)).T
     x = np.hstack([np.zeros((count, 3)), np.full((count, 1), psi), nu, tau])
-    a, b = build_plant().jacobians(x.T, tau.T, np.tile(PLANT_DISTURBANCE.pack(), (count, 1)).T, parameters.T)
+    a, b = build_plant(form).jacobians(x.T, tau.T, np.tile(PLANT_DISTURBANCE.pack(), (count, 1)).T, parameters.T)
     # CasADi returns the matrices of many calls side by side
     return (
         np.asarray(a).reshape(x.shape[1], count, -1).swapaxes(0, 1),

@@ -15,43 +15,11 @@ from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
+from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
 
-__all__ = ["LIBRARY", "PARAMETERS", "Parameter", "ParameterSpec", "Vehicle", "load_vehicle"]
+__all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
 
 LIBRARY = Path(__file__).parent / "library"
-
-
-@dataclass(frozen=True)
-class ParameterSpec:
-    """The definition of a vehicle parameter: its table in the file, unit, meaning, whether 0 is allowed, default."""
-
-    table: str
-    unit: str
-    meaning: str
-    zero_allowed: bool = False
-    default: float | None = None
-
-
-PARAMETERS: Mapping[str, ParameterSpec] = {
-    "radius": ParameterSpec("hull", "m", "hull radius"),
-    "m11": ParameterSpec("inertia", "kg", "rigid-body plus added mass in surge"),
-    "m22": ParameterSpec("inertia", "kg", "rigid-body plus added mass in sway"),
-    "m33": ParameterSpec("inertia", "kg", "rigid-body plus added mass in heave"),
-    "m44": ParameterSpec("inertia", "kg m^2", "rigid-body plus added moment of inertia about z"),
-    "Xu": ParameterSpec("drag", "N s/m", "linear drag in surge", zero_allowed=True),
-    "Yv": ParameterSpec("drag", "N s/m", "linear drag in sway", zero_allowed=True),
-    "Zw": ParameterSpec("drag", "N s/m", "linear drag in heave (none in the paper)", True, 0.0),
-    "Nr": ParameterSpec("drag", "N m s", "linear drag in yaw", zero_allowed=True),
-    "Xuu": ParameterSpec("drag", "N s^2/m^2", "quadratic drag in surge", zero_allowed=True),
-    "Yvv": ParameterSpec("drag", "N s^2/m^2", "quadratic drag in sway", zero_allowed=True),
-    "Zww": ParameterSpec("drag", "N s^2/m^2", "quadratic drag in heave", zero_allowed=True),
-    "Nrr": ParameterSpec("drag", "N m s^2", "quadratic drag in yaw", zero_allowed=True),
-    "Fu_max": ParameterSpec("thrust", "N", "largest surge force in both directions"),
-    "Fv_max": ParameterSpec("thrust", "N", "largest sway force in both directions"),
-    "Fw_max": ParameterSpec("thrust", "N", "largest heave force in both directions"),
-    "Fr_max": ParameterSpec("thrust", "N m", "largest yaw moment in both directions"),
-    "thrust_lag": ParameterSpec("thrust", "s", "time constant of the first-order thrust lag", True, 0.3),
-}
 
 
 @dataclass(frozen=True)
@@ -66,7 +34,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle: its name, a note, every parameter of equation (3) by name (in SI units), and the name of its file."""
+    """A vehicle: its name, a note, its parameters by name (in SI units), and the name of its file.
+
+    The parameters are those of equation (3) of the paper, followed by the vehicle's optional terms (see `TERMS`).
+    """
 
     name: str
     note: str
@@ -80,9 +51,22 @@ class Vehicle:
         return self.parameters[name].value
 
     @property
+    def form(self) -> PlantForm:
+        """The optional terms that this vehicle has."""
+        return PlantForm.of(self.parameters)
+
+    @property
     def mass(self) -> NDArray[np.float64]:
         """Diagonal (4,) of the inertia matrix M: m11, m22, m33 [kg], m44 [kg m²]."""
         return np.array([self[k] for k in ("m11", "m22", "m33", "m44")])
+
+    @property
+    def inertia(self) -> NDArray[np.float64]:
+        """The symmetric inertia matrix M (4, 4), rigid body and added mass, in kg, kg m and kg m²."""
+        inertia = np.diag(self.mass)
+        for i, j, name in self.form.inertia():
+            inertia[i, j] = inertia[j, i] = self[name]
+        return inertia
 
     @property
     def linear_drag(self) -> NDArray[np.float64]:
@@ -96,8 +80,21 @@ class Vehicle:
 
     @property
     def thrust_limit(self) -> NDArray[np.float64]:
-        """Thrust limits (4,): largest |F_u|, |F_v|, |F_w| [N] and |F_r| [N m]."""
-        return np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
+        """Thrust limits (4,) that hold in both directions: largest |F_u|, |F_v|, |F_w| [N] and |F_r| [N m].
+
+        Where the vehicle has less thrust astern than ahead, the limit is the thrust astern, because a law brakes by it.
+        """
+        least, most = self.thrust_range
+        return np.asarray(np.minimum(-least, most), dtype=float)
+
+    @property
+    def thrust_range(self) -> NDArray[np.float64]:
+        """Least and largest thrust (2, 4) in surge, sway, heave [N] and yaw [N m]; the least thrust is at most 0."""
+        ahead = np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
+        astern = ahead.copy()
+        for axis, name in self.form.reverse():
+            astern[axis] = self[name]
+        return np.array([-astern, ahead])
 
     def steady_yaw(self, share: float) -> float:
         """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case."""
@@ -120,7 +117,7 @@ class Vehicle:
         for name, value in values.items():
             self[name]
             changed[name] = _checked(name, replace(changed[name], value=float(value)), file=self.source or self.name)
-        return replace(self, parameters=changed)
+        return _with_definite_inertia(replace(self, parameters=changed))
 
 
 class _VehicleFile(Strict):
@@ -131,6 +128,7 @@ class _VehicleFile(Strict):
     inertia: dict[str, Quantity | str]
     drag: dict[str, Quantity | str]
     thrust: dict[str, Quantity | str]
+    force: dict[str, Quantity | str] = Field(default_factory=dict)
 
 
 def load_vehicle(name_or_path: str) -> Vehicle:
@@ -158,7 +156,7 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
         )
     model = validate(table, _VehicleFile, file=source)
     parameters: dict[str, Parameter] = {}
-    for section in ("hull", "inertia", "drag", "thrust"):
+    for section in ("hull", "inertia", "drag", "thrust", "force"):
         parameters |= _read_section(section, getattr(model, section), source)
     for name, spec in PARAMETERS.items():
         if name in parameters:
@@ -171,11 +169,28 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
         parameters[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
-    return Vehicle(model.name, model.note, {name: parameters[name] for name in PARAMETERS}, source)
+    ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
+    return _with_definite_inertia(Vehicle(model.name, model.note, ordered, source))
+
+
+def _with_definite_inertia(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle if its inertia matrix is positive definite, as kinetic energy requires; else InputError."""
+    couplings = vehicle.form.inertia()
+    if couplings and np.linalg.eigvalsh(vehicle.inertia)[0] <= 0:
+        i, j, name = max(couplings, key=lambda entry: abs(vehicle[entry[2]]))
+        most, ends = np.sqrt(vehicle.mass[i] * vehicle.mass[j]), f"m{i + 1}{i + 1} m{j + 1}{j + 1}"
+        raise InputError(
+            "makes the inertia matrix indefinite",
+            file=vehicle.source or vehicle.name,
+            key=f"inertia.{name}",
+            value=vehicle[name],
+            remedy=f"alone, its size must be below sqrt({ends}) = {most:.4g} {TERMS[name].unit}",
+        )
+    return vehicle
 
 
 def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:
-    known = [name for name, spec in PARAMETERS.items() if spec.table == section]
+    known = [name for name, spec in (*PARAMETERS.items(), *TERMS.items()) if spec.table == section]
     shared = table.get("provenance")
     if shared is not None and (not isinstance(shared, str) or not shared.strip()):
         raise InputError(
@@ -202,7 +217,7 @@ def _read_section(section: str, table: Mapping[str, Quantity | str], source: str
 
 
 def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
-    spec = PARAMETERS[name]
+    spec = _spec(name)
     try:
         return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
     except ValidationError:
@@ -218,14 +233,15 @@ def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
 
 
 def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
-    spec = PARAMETERS[name]
+    spec = _spec(name)
     key, value = f"{spec.table}.{name}", parameter.value
-    if not np.isfinite(value) or value < 0 or (value == 0 and not spec.zero_allowed):
+    if not np.isfinite(value) or (value < 0 and not spec.signed) or (value == 0 and not spec.zero_allowed):
         bound = "must be at least 0" if spec.zero_allowed else "must be greater than 0"
+        bound = "must be finite" if spec.signed else bound
         raise InputError(bound, file=file, key=key, value=value, remedy=f"{spec.meaning}, in {spec.unit}")
     if parameter.range is not None:
         low, high = parameter.range
-        if not (0 <= low <= high):
+        if not ((spec.signed or low >= 0) and low <= high and np.isfinite([low, high]).all()):
             raise InputError(
                 "is not a range", file=file, key=f"{key}.range", value=parameter.range, remedy="write [low, high]"
             )
@@ -238,3 +254,9 @@ def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
                 remedy="widen the range or correct the value",
             )
     return parameter
+
+
+def _spec(name: str) -> ParameterSpec:
+    spec = parameter_spec(name)
+    assert spec is not None  # the callers have checked the name
+    return spec

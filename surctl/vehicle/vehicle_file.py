@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from surctl.files import quoted
-from surctl.vehicle.parameters import PARAMETERS, Vehicle
+from surctl.vehicle.parameters import Vehicle
+from surctl.vehicle.specs import PARAMETERS, TERMS
 
 __all__ = ["write_vehicle"]
 
@@ -20,9 +21,10 @@ def write_vehicle(vehicle: Vehicle) -> str:
         60.0
     """
     lines = ['kind = "vehicle"', f"name = {quoted(vehicle.name)}", f"note = {quoted(vehicle.note)}"]
-    for table in dict.fromkeys(spec.table for spec in PARAMETERS.values()):
+    specs = {name: spec for name, spec in (*PARAMETERS.items(), *TERMS.items()) if name in vehicle.parameters}
+    for table in dict.fromkeys(spec.table for spec in specs.values()):
         lines += ["", f"[{table}]"]
-        for name, spec in PARAMETERS.items():
+        for name, spec in specs.items():
             if spec.table != table:
                 continue
             known = vehicle.parameters[name]

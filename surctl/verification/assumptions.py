@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from surctl.control import Gains
 from surctl.errors import NotApplicable
-from surctl.vehicle import PARAMETERS, Vehicle
+from surctl.vehicle import PARAMETERS, Vehicle, check_equation_3
 
 __all__ = ["check_alike", "check_no_integral"]
 
@@ -18,13 +18,14 @@ _ALIKE: Mapping[str, tuple[str, str]] = {
 
 
 def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = False) -> None:
-    """Raise NotApplicable unless surge and sway have equal mass and equal drag.
+    """Raise NotApplicable unless surge and sway have equal mass and equal drag, without terms beyond equation (3).
 
     Args:
         vehicle: the vehicle for which the claim is to be checked.
         mass_alone: whether to compare only the masses, so that surge and sway may have different drag.
         ranges: whether to require equal parameter ranges too, because the claim uses the ranges of surge for both axes.
     """
+    check_equation_3(vehicle)
     for what, (surge, sway) in list(_ALIKE.items())[: 1 if mass_alone else None]:
         unit = "" if PARAMETERS[surge].unit == "1" else f" {PARAMETERS[surge].unit}"
         if vehicle[surge] != vehicle[sway]:

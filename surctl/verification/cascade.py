@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from surctl.control import CASCADE, law_source
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout
-from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
+from surctl.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
+from surctl.vehicle.dynamics import PAPER
 from surctl.vehicle.linearise import check_trim
 
 __all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive", "has_cascade"]
@@ -130,6 +131,7 @@ def build_cascade(
         dt=dt,
         model=plant_parameters(model or vehicle)[None],
         delay=delay,
+        form=vehicle.form,
     )
     return Cascade(many.A[0], many.B[0], many.C[0], many.K[0])
 
@@ -142,19 +144,22 @@ def build_cascades(
     dt: float,
     model: NDArray[np.float64],
     delay: float | None = None,
+    form: PlantForm = PAPER,
 ) -> Cascade:
     """Build the cascades of n parameter points at once; see `build_cascade`.
 
     All n cascades must have the same order: all or none have thrust lag, and all or none have integral action.
 
     Args:
-        plant: (n, 17) plant parameters in the order of `plant_parameters`; the caller must check that the thrust of
+        plant: (n, …) plant parameters in the order of `plant_parameters`; the caller must check that the thrust of
             each plant suffices for the cruise speed.
         gains: the gains `CASCADE_GAINS` by name, and k_i for integral action, each an array (n,).
         cruise: cruise speed U (n,) [m/s].
         dt: control period [s].
-        model: (n, 17) parameters of the controller's model, in the order of `plant`.
+        model: (n, …) parameters of the controller's model, in the order of `plant_parameters`; the controller ignores
+            the optional terms of its model.
         delay: loop delay [s], as in `build_cascade`.
+        form: the optional terms that all plants have.
 
     Raises:
         InputError: a gain is missing or not positive, or the cascades have different orders.
@@ -177,7 +182,7 @@ def build_cascades(
             )
     nu = np.zeros((len(cruise), 4))
     nu[:, 0] = cruise
-    A, B, _ = plant_jacobians(plant, nu)
+    A, B, _ = plant_jacobians(plant, nu, form=form)
     # the first states of the plant are its outputs; without thrust lag there are no thrust states
     keep = A.shape[-1] if lag[0] > 0 else _OUTPUTS
     C = np.broadcast_to(np.eye(_OUTPUTS, keep), (len(nu), _OUTPUTS, keep))

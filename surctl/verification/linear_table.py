@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.simulation import MetricSpec
-from surctl.vehicle import PARAMETERS, PLANT_PARAMETERS, Vehicle, plant_parameters
-from surctl.vehicle.dynamics import trim_function
+from surctl.vehicle import PARAMETERS, PLANT_PARAMETERS, TERMS, PlantForm, Vehicle, plant_parameters
+from surctl.vehicle.dynamics import PAPER, trim_function
+from surctl.vehicle.linearise import can_hold
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascades, check_positive
 from surctl.verification.loops import LOOP_NAMES, broken_loops, crossings_of, shape_of
 from surctl.verification.steps import STEP_NAMES, step_figures
@@ -44,6 +45,7 @@ LINEAR_PARAMETERS: tuple[str, ...] = (
     "scenario.cruise",
     *(f"vehicle.{name}" for name in _PLACES),
     *(f"plant.{name}" for name in _PLACES),
+    *(f"{kind}.{name}" for kind in ("vehicle", "plant") for name in TERMS),
 )
 """The parameters on which the linear metrics depend; no other parameter changes them."""
 
@@ -142,13 +144,17 @@ def linear_table(
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """n operating points: plant and model (n, 17) as in `plant_parameters`, gains (n,), cruise speeds (n,)."""
+    """n operating points: plant and model (n, …) as in `plant_parameters`, gains (n,), cruise speeds (n,).
+
+    `form` has the optional terms of all plants.
+    """
 
     plant: NDArray[np.float64]
     model: NDArray[np.float64]
     gains: Mapping[str, NDArray[np.float64]]
     cruise: NDArray[np.float64]
     dt: float
+    form: PlantForm = PAPER
 
     @property
     def count(self) -> int:
@@ -160,9 +166,12 @@ class Points:
         """Whether the trim thrust at cruise lies strictly inside the thrust limits, (n,)."""
         nu = np.zeros((self.count, 4))
         nu[:, 0] = self.cruise
-        trim = np.asarray(trim_function()(nu.T, self.plant.T)).T
-        inside: NDArray[np.bool_] = np.all(np.abs(trim) < self.plant[:, PLANT_PARAMETERS.slice("thrust_limit")], axis=1)
-        return inside
+        trim = np.asarray(trim_function(self.form)(nu.T, self.plant.T)).T
+        most = self.plant[:, PLANT_PARAMETERS.slice("thrust_limit")]
+        least = -most  # a copy
+        for axis, name in self.form.reverse():
+            least[:, axis] = -self.plant[:, PLANT_PARAMETERS.size + self.form.terms.index(name)]
+        return can_hold(trim, least, most)
 
     def cascade(self, chosen: NDArray[np.intp]) -> Cascade:
         """Build the cascades of the chosen points; all of them must have the same order."""
@@ -172,6 +181,7 @@ class Points:
             cruise=self.cruise[chosen],
             dt=self.dt,
             model=self.model[chosen],
+            form=self.form,
         )
 
 
@@ -201,15 +211,19 @@ def read_points(
     gains = {n: column(known[n] if n in known else base[n]) for n in (*CASCADE_GAINS, "k_i") if n in known or n in base}
     flat = [np.tile(plant_parameters(v), (count, 1)) for v in (vehicle, model or vehicle)]
     for kind, targets in (("vehicle", flat), ("plant", flat[:1])):
-        for name, place in _PLACES.items():
-            key = f"{kind}.{name}"
-            if key in known:
-                checked = column(known[key])
-                _check_parameter(name, key, checked)
-                for target in targets:
-                    target[:, place] = checked
+        for key in [key for key in known if key.startswith(f"{kind}.")]:
+            name = key.removeprefix(f"{kind}.")
+            checked = column(known[key])
+            _check_parameter(name, key, checked)
+            for target, form in zip(targets, (vehicle.form, (model or vehicle).form), strict=False):
+                if name in _PLACES:
+                    target[:, _PLACES[name]] = checked
+                elif name in form.terms:
+                    target[:, PLANT_PARAMETERS.size + form.terms.index(name)] = checked
+                elif target is flat[0]:
+                    raise InputError(f"{vehicle.name} has no such term", key=key, remedy="add it to the vehicle file")
     check_positive({"cruise": column(speed)})
-    return Points(flat[0], flat[1], gains, column(speed), dt)
+    return Points(flat[0], flat[1], gains, column(speed), dt, vehicle.form)
 
 
 def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
@@ -225,10 +239,10 @@ def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
 
 
 def _check_parameter(name: str, key: str, values: NDArray[np.float64]) -> None:
-    spec = PARAMETERS[name]
-    good = np.isfinite(values) & ((values >= 0) if spec.zero_allowed else (values > 0))
+    spec = PARAMETERS.get(name) or TERMS[name]
+    good = np.isfinite(values) & (spec.signed | (values > 0) | (spec.zero_allowed & (values == 0)))
     if not good.all():
-        least = "at least 0" if spec.zero_allowed else "greater than 0"
+        least = "finite" if spec.signed else "at least 0" if spec.zero_allowed else "greater than 0"
         raise InputError(
             f"must be {least}", key=key, value=float(values[~good][0]), remedy=f"{spec.meaning}, in {spec.unit}"
         )

@@ -16,8 +16,7 @@ from surctl.priority import Mode
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.run import Sensing
 from surctl.simulation.scenario import Scenario
-from surctl.vehicle import PARAMETERS as VEHICLE_PARAMETERS
-from surctl.vehicle import Vehicle
+from surctl.vehicle import Vehicle, parameter_spec
 
 __all__ = ["Case", "CaseParameter", "case_parameters", "check_speeds", "check_values"]
 
@@ -129,17 +128,15 @@ def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
         CaseParameter(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
         for name, spec in case.gains.specs.items()
     ]
-    for name, spec in VEHICLE_PARAMETERS.items():
-        known = case.vehicle.parameters[name]
-        listed.append(
-            CaseParameter(
-                f"vehicle.{name}", spec.unit, spec.meaning, known.value, 0.0, inf, not spec.zero_allowed, known.range
+    for name, known in case.vehicle.parameters.items():
+        spec = parameter_spec(name)
+        assert spec is not None  # a vehicle has no other parameters
+        least, above = -inf if spec.signed else 0.0, not spec.zero_allowed
+        only = f"{spec.meaning}, of the simulated vehicle only; the controller keeps its model"
+        for kind, meaning in (("vehicle", spec.meaning), ("plant", only)):
+            listed.append(
+                CaseParameter(f"{kind}.{name}", spec.unit, meaning, known.value, least, inf, above, known.range)
             )
-        )
-        what = f"{spec.meaning}, of the simulated vehicle only; the controller keeps its model"
-        listed.append(
-            CaseParameter(f"plant.{name}", spec.unit, what, known.value, 0.0, inf, not spec.zero_allowed, known.range)
-        )
     listed += _scenario_parameters(case.scenario)
     for obstacle in case.scenario.obstacles:
         listed += _obstacle_parameters(obstacle, case.vehicle)

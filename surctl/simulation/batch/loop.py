@@ -38,7 +38,7 @@ from surctl.simulation.column import LONGEST
 from surctl.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
 from surctl.simulation.sensors import FIRING
 from surctl.simulation.stepping import advance
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout
 
 __all__ = ["Loop", "Structure", "build_loop"]
 
@@ -84,7 +84,7 @@ def build_loop(structure: Structure) -> Loop:
     builder = _Builder(structure, law, state, parameters)
     sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
     # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
-    move = shared_divisors(nearby_angles(lower(advance()), source=0, entry=_HEADING))
+    move = shared_divisors(nearby_angles(lower(advance(structure.form)), source=0, entry=_HEADING))
     outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
     steps = (
         Call(sense, ("s", "w"), outputs[0]),
@@ -101,7 +101,9 @@ def build_loop(structure: Structure) -> Loop:
 
 def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     world = (
-        Port("plant", (PLANT_PARAMETERS.size,), "SI", "parameters of the simulated vehicle, see PLANT_PARAMETERS"),
+        Port(
+            "plant", (plant_layout(structure.form).size,), "SI", "parameters of the simulated vehicle, see plant_layout"
+        ),
         Port("world_hull", (1,), "m", "hull radius of the simulated vehicle"),
         Port("arrival_radius", (1,), "m", "distance to the target that counts as arrived"),
         Port("legs", (1,), "1", "number of legs of the path"),

@@ -15,7 +15,7 @@ from surctl.simulation.batch.case import Case, case_parameters
 from surctl.simulation.batch.loop import Loop, Structure
 from surctl.simulation.numbers import VISITED, law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
-from surctl.vehicle import PLANT_PARAMETERS
+from surctl.vehicle import plant_layout
 
 __all__ = ["Packed", "pack", "structure_of"]
 
@@ -59,6 +59,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         "treats": case.movers,
         "heights": any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
         "depths": case.scenario.depths is not None,
+        "form": case.vehicle.form,
     }
     if case.sensing == "truth":
         return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), **shared)
@@ -149,19 +150,24 @@ class _Filler:
             out[:, layout.slice("visit").start] = VISITED * self.number("scenario.arrival_radius")
         for vector, members in _VECTORS.items():
             for k, member in enumerate(members):
-                out[:, layout.slice(vector).start + k] = self.believed(member)
+                column, reverse = self.believed(member), member.replace("_max", "_reverse")
+                if vector == "thrust_limit" and reverse in (case.model or case.vehicle).parameters:
+                    column = np.minimum(column, self.believed(reverse))  # as in Vehicle.thrust_limit
+                out[:, layout.slice(vector).start + k] = column
         out[:, layout.slice("hull").start] = self.believed("radius")
 
     def _world(self) -> dict[str, list[Columns]]:
         scenario, draws = self.case.scenario, self._draws()
         plant = {vector: [self.actual(m) for m in members] for vector, members in _VECTORS.items()}
         plant["thrust_lag"] = [self.actual("thrust_lag")]
+        form = self.loop.structure.form
+        plant["terms"] = [self.actual(name) for name in form.terms]
         leg = scenario.target - scenario.path.waypoints[-2]
         leg = leg / np.linalg.norm(leg)
         force, slow = self.number("scenario.wave_force"), self.number("scenario.drift_force")
         hull = self.actual("radius")
         columns: dict[str, list[Columns]] = {
-            "plant": [column for port in PLANT_PARAMETERS for column in plant[port.name]],
+            "plant": [column for port in plant_layout(form) for column in plant[port.name]],
             "world_hull": [hull],
             "arrival_radius": [self.number("scenario.arrival_radius")],
             "legs": [np.asarray(float(len(scenario.path.waypoints) - 1))],

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from math import pi
 
 from surctl.control import BARRIER, law_source
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 from surctl.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_distance_with_drag
 from surctl.simulation.batch import Case
 from surctl.simulation.clearance import end_findings
 from surctl.simulation.margin import margin_needed, turn_rate
 from surctl.simulation.world import build_world
+from surctl.vehicle import Vehicle, check_equation_3
 
 __all__ = ["MEANINGS", "assumptions"]
 
@@ -22,6 +23,7 @@ MEANINGS: Mapping[str, str] = {
     "range": "a drawn number is outside its stated range",
     "margin": "braking needs more than the gain margin",
     "hull": "the hull does not fit at the start or at the target",
+    "dynamics": "the vehicle has terms beyond equation (3) of the paper",
 }
 """What a violation of each assumption means, by the name that `assumptions` returns."""
 
@@ -66,8 +68,17 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
         "range": any(p.range is not None and not p.range[0] <= draw[n] <= p.range[1] for n, p in stated.items()),
         "margin": BARRIER in law_source(case.law).parts and not _stops(case, draw),
         "hull": not _fits(case),
+        "dynamics": not (_plain(case.vehicle) and _plain(believed)),
     }
     return tuple(name for name, is_broken in broken.items() if is_broken)
+
+
+def _plain(vehicle: Vehicle) -> bool:
+    try:
+        check_equation_3(vehicle, reverse=True)
+    except NotApplicable:
+        return False
+    return True
 
 
 def _stops(case: Case, draw: Mapping[str, float]) -> bool:

@@ -23,7 +23,7 @@ from surctl.simulation.run import Run, Sensing
 from surctl.simulation.scenario import scenario_from_table
 from surctl.simulation.scenario_table import scenario_table
 from surctl.simulation.toml_text import toml_text
-from surctl.vehicle import PARAMETERS, Vehicle
+from surctl.vehicle import Vehicle, parameter_spec
 from surctl.vehicle.parameters import vehicle_from_table
 
 __all__ = ["Replay", "load_replay", "replay_of"]
@@ -152,7 +152,7 @@ def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
     vehicle = vehicle_from_table(file.vehicle, source=str(path))
     model = None if file.model is None else vehicle_from_table(file.model, source=str(path))
     for name in file.draw:
-        if name not in PARAMETERS:
+        if name not in vehicle.parameters:
             raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="remove it")
     vehicle.with_values(file.draw)
     law = law_ref(file.law, file=path, folder=path.parent, trust=trust)
@@ -183,8 +183,9 @@ def _gains(table: _GainTable, law: str, path: Path) -> Gains:
 
 def _vehicle_table(vehicle: Vehicle) -> dict[str, Any]:
     table: dict[str, Any] = {"kind": "vehicle", "name": vehicle.name, "note": vehicle.note}
-    for name, spec in PARAMETERS.items():
-        known = vehicle.parameters[name]
+    for name, known in vehicle.parameters.items():
+        spec = parameter_spec(name)
+        assert spec is not None  # a vehicle has no other parameters
         entry: dict[str, Any] = {"value": float(known.value), "unit": known.unit, "provenance": known.provenance}
         if known.range is not None:
             entry["range"] = list(known.range)

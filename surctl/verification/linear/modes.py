@@ -241,6 +241,7 @@ def _stable(
         cruise=speeds,
         dt=dt,
         model=np.tile(plant_parameters(model), (count, 1)),
+        form=vehicle.form,
     )
     stable: NDArray[np.bool_] = many.poles[:, 0].real < -_EDGE
     return stable
@@ -288,6 +289,7 @@ def _remedies(
         cruise=np.full(count, cruise),
         dt=dt,
         model=np.tile(plant_parameters(model), (count, 1)),
+        form=vehicle.form,
     )
     good = many.poles[:, 0].real < -_EDGE
     remedies: dict[str, tuple[float, float]] = {}

@@ -9,7 +9,7 @@ from typing import Any
 from surctl.certcheck.turning_claim import EXCLUDES
 from surctl.control import Gains, build_law
 from surctl.errors import InputError, NotApplicable
-from surctl.vehicle import Vehicle
+from surctl.vehicle import Vehicle, check_equation_3
 from surctl.verification.assumptions import check_no_integral
 
 __all__ = ["TurningClaim", "turning_claim"]
@@ -133,9 +133,11 @@ def turning_claim(
         rest: whether the region must also contain a vehicle at rest.
 
     Raises:
-        NotApplicable: integral action is on, or the cruise speed is not below the cap.
+        NotApplicable: the vehicle has terms beyond equation (3), integral action is on, or the cruise speed is not
+            below the cap.
         InputError: a number is out of bounds.
     """
+    check_equation_3(vehicle)
     check_no_integral(gains)
 
     def factors(error: float) -> Pair:
