@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from surctl.errors import InputError
-from surctl.vehicle import Vehicle
+from surctl.vehicle import TERMS, Vehicle
 
 __all__ = ["Corners", "corners"]
 
@@ -59,7 +59,8 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
         InputError: the uncertainty is out of range.
     """
     if uncertainty is None:
-        groups = list(_GROUPS)
+        # each optional term is a group of its own
+        groups = [*_GROUPS, *((name,) for name in (*_terms(vehicle, "inertia"), *_terms(vehicle, "drag")))]
         if alike and _alike(vehicle):
             groups = [_MASSES, *(group for group in groups if not set(group) & set(_MASSES))]
         named = [[name for name in group if vehicle.parameters[name].range is not None] for group in groups]
@@ -105,9 +106,13 @@ def _ends(vehicle: Vehicle, groups: list[list[str]], side: tuple[int, ...]) -> d
 
 
 def _scaled(vehicle: Vehicle, mass: float, drag: float) -> Vehicle:
-    named = dict.fromkeys(("m11", "m22", "m33", "m44"), mass)
-    named |= dict.fromkeys(("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr"), drag)
+    named = dict.fromkeys(("m11", "m22", "m33", "m44", *_terms(vehicle, "inertia")), mass)
+    named |= dict.fromkeys(("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", *_terms(vehicle, "drag")), drag)
     return _with(vehicle, {name: vehicle[name] * factor for name, factor in named.items()})
+
+
+def _terms(vehicle: Vehicle, table: str) -> list[str]:
+    return [name for name in vehicle.form.terms if TERMS[name].table == table]
 
 
 def _with(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
