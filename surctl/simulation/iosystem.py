@@ -15,8 +15,8 @@ from surctl.simulation.loop import Loop
 from surctl.simulation.numbers import law_numbers
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import build_world
-from surctl.vehicle import PLANT_STATE, Vehicle
-from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled
+from surctl.vehicle import Vehicle, plant_state
+from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, TILT_NAMES, labelled
 
 __all__ = ["ClosedLoopSystem", "closed_loop_system"]
 
@@ -89,7 +89,7 @@ def closed_loop_system(
     p = law_numbers(scenario, gains, model or vehicle)
     loop = Loop(world, vehicle, chosen, p, "truth", NoiseStream(seed), chosen.step)
     start = np.concatenate([loop.state, chosen.initial_state()])
-    plant = PLANT_STATE.size
+    plant = plant_state(vehicle.form).size
 
     def moved(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
         step, state = loop.step_from(x[:plant], x[plant:], round(t / chosen.dt), added=u)
@@ -105,7 +105,7 @@ def closed_loop_system(
         output,
         inputs=[f"{name} added" for name in thrust],
         outputs=[*labelled(STATE_NAMES[:8]), *thrust],
-        states=[*labelled(STATE_NAMES), *(f"law_{k}" for k in range(len(start) - plant))],
+        states=[*labelled((*STATE_NAMES, *TILT_NAMES)[:plant]), *(f"law_{k}" for k in range(len(start) - plant))],
         dt=chosen.dt,
         name=scenario.name,
     )

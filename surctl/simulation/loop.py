@@ -23,7 +23,7 @@ from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
 from surctl.simulation.stepping import advanced
 from surctl.simulation.world import Body, World, build_world
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parameters
+from surctl.vehicle import PLANT_DISTURBANCE, Vehicle, plant_parameters, plant_state
 from surctl.world import Disc
 
 __all__ = ["Loop", "Stepper", "simulate"]
@@ -133,7 +133,7 @@ class Loop:
         self.station = self.sensors.equipment.station
         self.array = self.sensors.array_on(world.hull)
         self.firings = firing_plan(self.array)
-        self.state = PLANT_STATE.pack({"eta": world.scenario.start_pose})
+        self.state = plant_state(vehicle.form).pack({"eta": world.scenario.start_pose})
         self.law_state = law.initial_state()
         self.faults = fault_state(self.array)
         self.fresh = np.zeros(self.array.size)

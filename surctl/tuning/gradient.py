@@ -24,7 +24,7 @@ from surctl.errors import InputError
 from surctl.ir import Instruction, Program, lower, to_casadi
 from surctl.sensing import SonarArray
 from surctl.simulation import Case, World, advance, build_world, law_numbers
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, PlantForm, plant_parameters
+from surctl.vehicle import PLANT_DISTURBANCE, PlantForm, plant_parameters, plant_state
 from surctl.world import Box, Disc
 
 __all__ = ["SURROGATES", "DifferentiableRun", "prepare"]
@@ -75,8 +75,8 @@ class DifferentiableRun:
         return np.asarray(self._slope(values, seed, *self._fixed)).ravel()
 
     def track(self, values: Array) -> Array:
-        """Return the plant states (steps, 12) at the end of each control step, in the order of `PLANT_STATE`."""
-        return np.asarray(self._run(values, *self._fixed)[1]).T[:, : PLANT_STATE.size]
+        """Return the plant states (steps, …) at the end of each control step, in the order of `plant_state`."""
+        return np.asarray(self._run(values, *self._fixed)[1]).T[:, : plant_state(self.case.vehicle.form).size]
 
     def branches(self, values: Array) -> Array:
         """Return one number per control step (steps,).
@@ -137,7 +137,7 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
     if len(scenario.obstacles) > CONTACT_SLOTS:
         raise InputError(f"has more than {CONTACT_SLOTS} obstacles", file=scenario.source, key="obstacles")
     p = law_numbers(scenario, case.gains, case.model or case.vehicle)
-    start = np.concatenate([PLANT_STATE.pack({"eta": scenario.start_pose}), law.initial_state()])
+    start = np.concatenate([plant_state(case.vehicle.form).pack({"eta": scenario.start_pose}), law.initial_state()])
     plant = [*plant_parameters(case.vehicle), *scenario.disturbance.current_m_per_s, *scenario.target]
     limit = case.vehicle.thrust_range[1]
     bias = world.thrust(np.zeros(4), limit)
@@ -194,13 +194,14 @@ def _step(law: Law, form: PlantForm) -> tuple[ca.Function, ca.Function]:
     The terms are y_e², thrust², the distance to the target, and the clearances. The branch number is defined by
     `_tally`.
     """
-    state = ca.SX.sym("state", PLANT_STATE.size + law.state.size)
+    size = plant_state(form).size
+    state = ca.SX.sym("state", size + law.state.size)
     data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
     # plant parameters, current x, y, target x, y, hull radius, gains and biases of the thrust
     ends = np.cumsum([0, advance(form).size1_in(3), 2, 2, 1, 4, 4]).tolist()
     p, world = ca.SX.sym("p", law.gains.size), ca.SX.sym("plant", ends[-1])
     plant, current, target, hull, gain, bias = ca.vertsplit(world, ends)
-    body, memory = state[: PLANT_STATE.size], state[PLANT_STATE.size :]
+    body, memory = state[:size], state[size:]
     position = body[:2]
     contacts, clearances = [], []
     for k in range(CONTACT_SLOTS):

@@ -98,7 +98,7 @@ def lqr_start(
     state_weights, thrust = _weights("q", q, 1 / np.square(_DEVIATION)), _weights("r", r, 1 / vehicle.thrust_limit**2)
     plant = linearise(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     A = np.asarray(plant.A)[:8, :8]
-    B = np.vstack([np.zeros((4, 4)), np.linalg.inv(vehicle.inertia)])
+    B = np.vstack([np.zeros((4, 4)), np.linalg.inv(vehicle.inertia)[:4, :4]])
     best: tuple[float, dict[str, float]] = 0.0, {}
     for doubling in range(_MOST):
         state = state_weights * _OUTER**doubling

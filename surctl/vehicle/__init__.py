@@ -9,6 +9,7 @@ from surctl.vehicle.dynamics import (
     check_equation_3,
     plant_layout,
     plant_parameters,
+    plant_state,
     steady_speed,
     trim_thrust,
 )
@@ -55,6 +56,7 @@ __all__ = [
     "plant_jacobians",
     "plant_layout",
     "plant_parameters",
+    "plant_state",
     "plant_system",
     "read_motion_log",
     "sphere",

@@ -23,6 +23,7 @@ from surctl.ir import Layout, Port
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.parameters import Vehicle
 from surctl.vehicle.specs import PlantForm
+from surctl.vehicle.tilt import TILT_STATE, hull_load, tilted_rate
 
 __all__ = [
     "PLANT_DISTURBANCE",
@@ -33,6 +34,7 @@ __all__ = [
     "check_equation_3",
     "plant_layout",
     "plant_parameters",
+    "plant_state",
     "steady_speed",
     "trim_thrust",
 ]
@@ -78,6 +80,17 @@ def plant_layout(form: PlantForm = PAPER) -> Layout:
     return Layout((*PLANT_PARAMETERS.ports, Port("terms", (len(form.terms),), "SI", ", ".join(form.terms))))
 
 
+def plant_state(form: PlantForm = PAPER) -> Layout:
+    """Return the layout of the plant's state: `PLANT_STATE`, followed by `TILT_STATE` if the vehicle rolls and pitches.
+
+    Example:
+        >>> from surctl.vehicle import PlantForm, plant_state
+        >>> plant_state().size, plant_state(PlantForm(("mpp", "mqq", "weight", "buoyancy"))).size
+        (12, 16)
+    """
+    return Layout((*PLANT_STATE.ports, *TILT_STATE.ports)) if form.tilts else PLANT_STATE
+
+
 def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
     """Return the parameters of a vehicle as a flat vector with the layout `plant_layout(vehicle.form)`.
 
@@ -106,20 +119,30 @@ def _terms(p: dict[str, ca.SX], form: PlantForm) -> dict[str, ca.SX]:
     return {name: p["terms"][k] for k, name in enumerate(form.terms)}
 
 
-def _load(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
-    # C(ν)ν + D(ν)ν (4,) [N, N m] for the velocity ν through the water
+def _drag(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    # D(ν)ν (4,), or (6,) with roll and pitch [N, N m], for the velocity ν through the water
     terms = _terms(p, form)
-    drag = damping_force(nu, p)
+    drag = ca.vertcat(damping_force(nu[:4], p), ca.SX.zeros(nu.numel() - 4))
     for axis, by, name in form.drag():
-        speed = nu[by[0]] if len(by) == 1 else ca.fabs(nu[by[0]]) * nu[by[1]]
-        drag[axis] += terms[name] * speed
-    couplings = form.inertia()
-    if not couplings:
+        drag[axis] += terms[name] * (nu[by[0]] if len(by) == 1 else ca.fabs(nu[by[0]]) * nu[by[1]])
+    return drag
+
+
+def _inertia(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    # M (4, 4), or (6, 6) with roll and pitch
+    inertia = ca.diagcat(ca.diag(p["mass"]), ca.SX(2, 2)) if form.tilts else ca.diag(p["mass"])
+    terms = _terms(p, form)
+    for i, j, name in form.inertia():
+        inertia[i, j] = inertia[j, i] = terms[name]
+    return inertia
+
+
+def _load(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
+    # C(ν)ν + D(ν)ν (4,) [N, N m] for the velocity ν through the water, without roll and pitch
+    drag = _drag(nu, p, form)
+    if not form.inertia():
         return coriolis_force(nu, p) + drag
-    momentum = p["mass"] * nu
-    for i, j, name in couplings:
-        momentum[i] += terms[name] * nu[j]
-        momentum[j] += terms[name] * nu[i]
+    momentum = _inertia(p, form) @ nu
     turning = nu[0] * momentum[1] - nu[1] * momentum[0]
     return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning) + drag
 
@@ -134,14 +157,23 @@ def _constant(p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
 
 def _acceleration(load: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
     # M⁻¹ load, by LDLᵀ, in which the zeros of M cost nothing
-    couplings = form.inertia()
-    if not couplings:
+    if not form.inertia():
         return load / p["mass"]
-    inertia, terms = ca.diag(p["mass"]), _terms(p, form)
-    for i, j, name in couplings:
-        inertia[i, j] = inertia[j, i] = terms[name]
-    diagonal, transposed, permutation = ca.ldl(inertia)
+    diagonal, transposed, permutation = ca.ldl(_inertia(p, form))
     return ca.ldl_solve(load, diagonal, transposed, permutation)
+
+
+def _tilted(
+    nu: ca.SX, tilt: ca.SX, current: ca.SX, thrust: ca.SX, outer: ca.SX, p: dict[str, ca.SX], form: PlantForm
+) -> tuple[ca.SX, ca.SX]:
+    # ν̇ and the rate of roll, pitch, p, q; `outer` is the force of waves and the like in the heading frame
+    terms, inertia = _terms(p, form), _inertia(p, form)
+
+    def acceleration(through: ca.SX, rotation: ca.SX) -> ca.SX:
+        load = hull_load(through, inertia @ through, thrust, outer, rotation, terms) - _drag(through, p, form)
+        return _acceleration(load, p, form)
+
+    return tilted_rate(nu, tilt, current, acceleration)
 
 
 def damping_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
@@ -160,9 +192,9 @@ class Plant:
     """The differential equation of a vehicle, with every parameter as an input.
 
     Attributes:
-        ode: function that computes ẋ (12,) from state x (12,), tau_command (4,), disturbance d (7,) and parameters p;
-            `PLANT_STATE`, `PLANT_DISTURBANCE` and `plant_layout` name their entries.
-        jacobians: function with the arguments of `ode` that computes exact ∂ẋ/∂x (12, 12) and ∂ẋ/∂tau_command (12, 4).
+        ode: function that computes ẋ (n,) from state x (n,), tau_command (4,), disturbance d (7,) and parameters p;
+            `plant_state`, `PLANT_DISTURBANCE` and `plant_layout` name their entries; n is 12, with roll and pitch 16.
+        jacobians: function with the arguments of `ode` that computes exact ∂ẋ/∂x (n, n) and ∂ẋ/∂tau_command (n, 4).
     """
 
     ode: ca.Function
@@ -183,7 +215,7 @@ def build_plant(form: PlantForm = PAPER) -> Plant:
 
 @cache
 def _plant(form: PlantForm) -> Plant:
-    x, state = PLANT_STATE.symbols("x")
+    x, state = plant_state(form).symbols("x")
     d, disturbance = PLANT_DISTURBANCE.symbols("d")
     p, parameters = plant_layout(form).symbols("p")
     command = ca.SX.sym("tau_command", 4)
@@ -203,11 +235,16 @@ def _plant(form: PlantForm) -> Plant:
     current_rate = ca.vertcat(nu[3] * current[1], -nu[3] * current[0], 0, 0)
     force = ca.vertcat(to_body @ disturbance["force"][:2], disturbance["force"][2:])
     nu_r = nu - current
-    if form.terms:
+    if form.tilts:
+        outer = force + _constant(parameters, form)
+        moved, tilted = _tilted(nu, state["tilt"], current[:3], thrust, outer, parameters, form)
+        rate = ca.vertcat(jacobian(psi) @ nu, moved, thrust_rate, tilted)
+    elif form.terms:
         load = thrust + force + _constant(parameters, form) - _load(nu_r, parameters, form)
+        rate = ca.vertcat(jacobian(psi) @ nu, _acceleration(load, parameters, form) + current_rate, thrust_rate)
     else:  # in the order of equation (3), so that the results of the paper's plant keep their bits
         load = thrust + force - coriolis_force(nu_r, parameters) - damping_force(nu_r, parameters)
-    rate = ca.vertcat(jacobian(psi) @ nu, _acceleration(load, parameters, form) + current_rate, thrust_rate)
+        rate = ca.vertcat(jacobian(psi) @ nu, load / parameters["mass"] + current_rate, thrust_rate)
 
     names = ["x", "tau_command", "d", "p"]
     arguments = [x, command, d, p]
@@ -234,7 +271,8 @@ def check_equation_3(vehicle: Vehicle, *, reverse: bool = False) -> None:
 def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the trim thrust τ = C(ν)ν + D(ν)ν (4,) [N, N m], which holds the body velocity ν (4,) in still water.
 
-    The constant forces of the vehicle are subtracted.
+    The constant forces of the vehicle are subtracted. A vehicle that rolls and pitches has the trim thrust at the
+    attitude that it takes up.
 
     Example:
         >>> import numpy as np
@@ -245,17 +283,36 @@ def trim_thrust(vehicle: Vehicle, nu: NDArray[np.float64]) -> NDArray[np.float64
     return np.asarray(trim_function(vehicle.form)(nu, plant_parameters(vehicle))).reshape(4)
 
 
+@cache
 def trim_function(form: PlantForm = PAPER) -> ca.Function:
     """Return a CasADi function of (ν, p) that computes the trim thrust; ν and p may have one column for each plant."""
-    return _trim(form)
+    arguments = ca.MX.sym("nu", 4), ca.MX.sym("p", plant_layout(form).size)
+    return ca.Function("trim", list(arguments), [_trim(form)(*arguments)[0]])
+
+
+@cache
+def trim_tilt(form: PlantForm) -> ca.Function:
+    """Return a CasADi function of (ν, p) that computes `TILT_STATE` of the trimmed motion with that velocity."""
+    arguments = ca.MX.sym("nu", 4), ca.MX.sym("p", plant_layout(form).size)
+    return ca.Function("tilt", list(arguments), [_trim(form)(*arguments)[1]])
 
 
 @cache
 def _trim(form: PlantForm) -> ca.Function:
+    # trim thrust and attitude
     flat, parameters = plant_layout(form).symbols("p")
     velocity = ca.SX.sym("nu", 4)
-    trim = _load(velocity, parameters, form) - _constant(parameters, form)
-    return ca.Function("trim", [velocity, flat], [trim])
+    if not form.tilts:
+        trim = _load(velocity, parameters, form) - _constant(parameters, form)
+        return ca.Function("trim", [velocity, flat], [trim, ca.SX.zeros(4)])
+    free = ca.SX.sym("free", 8)  # thrust, attitude
+    outer = _constant(parameters, form)
+    moved, tilted = _tilted(velocity, free[4:], ca.SX.zeros(3), free[:4], outer, parameters, form)
+    missed = ca.Function("missed", [free, velocity, flat], [ca.vertcat(moved, tilted)])
+    solver = ca.rootfinder("solver", "newton", missed, {"error_on_fail": False, "abstol": 1e-12})
+    arguments = ca.MX.sym("nu", 4), ca.MX.sym("p", flat.numel())
+    root = solver(ca.MX.zeros(8), *arguments)
+    return ca.Function("trim", list(arguments), [root[:4], root[4:]])
 
 
 def steady_speed(force: float, linear: float, quadratic: float) -> float:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant_parameters
-from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled
+from surctl.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant_parameters, plant_state
+from surctl.vehicle.linearise import THRUST_NAMES, labelled, state_names, states_kept
 from surctl.vehicle.parameters import Vehicle
 
 __all__ = ["plant_system"]
@@ -31,8 +31,7 @@ def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), unit
         units: whether to append units to the signal names, as in "u [m/s]".
 
     Returns:
-        The system with inputs `THRUST_NAMES`, and with states and outputs `STATE_NAMES`; without thrust lag, states and
-        outputs are only the first 8 of `STATE_NAMES`.
+        The system with inputs `THRUST_NAMES`, and with states and outputs `state_names(vehicle)`.
 
     Raises:
         InputError: the current does not consist of three finite numbers.
@@ -53,15 +52,15 @@ def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), unit
     if flow.shape != (3,) or not np.isfinite(flow).all():
         raise InputError("must be three finite numbers", key="current", value=current, remedy="give x, y, z in m/s")
     ode, p, d = build_plant(vehicle.form).ode, plant_parameters(vehicle), PLANT_DISTURBANCE.pack({"current": flow})
-    size = len(STATE_NAMES) if vehicle["thrust_lag"] > 0 else 8
-    whole = np.zeros(len(STATE_NAMES))
+    keep = states_kept(vehicle.form, lagged=vehicle["thrust_lag"] > 0)
+    whole = np.zeros(plant_state(vehicle.form).size)
 
     def rate(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
         state = whole.copy()
-        state[:size] = x
-        return np.asarray(ode(state, u, d, p)).reshape(-1)[:size]
+        state[keep] = x
+        return np.asarray(ode(state, u, d, p)).reshape(-1)[keep]
 
-    names = labelled(STATE_NAMES[:size], units=units)
+    names = labelled(state_names(vehicle), units=units)
     return control.nlsys(
         rate, None, inputs=labelled(THRUST_NAMES, units=units), outputs=names, states=names, name=vehicle.name
     )

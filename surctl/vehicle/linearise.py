@@ -14,8 +14,10 @@ from surctl.vehicle.dynamics import (
     PLANT_DISTURBANCE,
     build_plant,
     plant_parameters,
+    plant_state,
     trim_function,
     trim_thrust,
+    trim_tilt,
 )
 from surctl.vehicle.parameters import Vehicle
 from surctl.vehicle.specs import PlantForm
@@ -24,19 +26,35 @@ __all__ = [
     "SIGNAL_UNITS",
     "STATE_NAMES",
     "THRUST_NAMES",
+    "TILT_NAMES",
     "can_hold",
     "check_trim",
     "labelled",
     "linearise",
     "plant_jacobians",
+    "state_names",
+    "states_kept",
 ]
 
+TILT_NAMES = ("phi", "theta", "p", "q")
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
 THRUST_NAMES = ("Fu_cmd", "Fv_cmd", "Fw_cmd", "Fr_cmd")
 SIGNAL_UNITS = dict(
     zip(
-        (*STATE_NAMES, *THRUST_NAMES),
-        ("m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s", *2 * ("N", "N", "N", "N m")),
+        (*STATE_NAMES, *THRUST_NAMES, *TILT_NAMES),
+        (
+            "m",
+            "m",
+            "m",
+            "rad",
+            "m/s",
+            "m/s",
+            "m/s",
+            "rad/s",
+            *2 * ("N", "N", "N", "N m"),
+            *2 * ("rad",),
+            *2 * ("rad/s",),
+        ),
         strict=True,
     )
 )
@@ -53,8 +71,8 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
         units: whether to append units to the signal names, as in "u [m/s]".
 
     Returns:
-        The StateSpace system with inputs `THRUST_NAMES`, and with states and outputs `STATE_NAMES`, in the units
-        `SIGNAL_UNITS`. If `thrust_lag` is 0, the system does not contain the four thrust states.
+        The StateSpace system with inputs `THRUST_NAMES`, and with states and outputs `state_names(vehicle)`, in the
+        units `SIGNAL_UNITS`.
 
     Raises:
         InputError: the operating point needs more thrust than the vehicle has.
@@ -71,18 +89,32 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
     nu = np.asarray(nu, dtype=float)
     check_trim(vehicle, nu)
     (a,), (b,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], psi=psi, form=vehicle.form)
-    keep = len(STATE_NAMES) if vehicle["thrust_lag"] > 0 else 8
-    names = labelled(STATE_NAMES[:keep], units=units)
+    keep = states_kept(vehicle.form, lagged=vehicle["thrust_lag"] > 0)
+    names = labelled(state_names(vehicle), units=units)
     return control.ss(
-        a[:keep, :keep],
-        b[:keep],
-        np.eye(keep),
-        np.zeros((keep, 4)),
+        a[np.ix_(keep, keep)],
+        b[keep],
+        np.eye(len(keep)),
+        np.zeros((len(keep), 4)),
         states=names,
         outputs=names,
         inputs=labelled(THRUST_NAMES, units=units),
         name=vehicle.name,
     )
+
+
+def states_kept(form: PlantForm, *, lagged: bool) -> list[int]:
+    """Return the places of a plant's states that have dynamics: without thrust lag, the thrust has none."""
+    return [k for k in range(plant_state(form).size) if lagged or not 8 <= k < len(STATE_NAMES)]
+
+
+def state_names(vehicle: Vehicle) -> tuple[str, ...]:
+    """Return the names of the states of a vehicle's plant: `STATE_NAMES`, and `TILT_NAMES` if it rolls and pitches.
+
+    If `thrust_lag` is 0, there are no thrust states.
+    """
+    names = (*STATE_NAMES, *TILT_NAMES)
+    return tuple(names[k] for k in states_kept(vehicle.form, lagged=vehicle["thrust_lag"] > 0))
 
 
 def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
@@ -100,12 +132,17 @@ def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
         )
 
 
+_NONE = 1e-9  # [N, N m] rounding of a thrust that is zero
+
+
 def can_hold(thrust: NDArray[np.float64], least: NDArray[np.float64], most: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return whether a thrust (…, 4) lies strictly inside its limits on each axis that has thrust.
 
     On an axis without thrust, the needed thrust must be zero.
     """
-    inside: NDArray[np.bool_] = np.all((least < thrust) & (thrust < most) | (thrust == 0) & (least == most), axis=-1)
+    inside: NDArray[np.bool_] = np.all(
+        (least < thrust) & (thrust < most) | (np.abs(thrust) < _NONE) & (least == most), axis=-1
+    )
     return inside
 
 
@@ -126,7 +163,8 @@ def plant_jacobians(
         form: the optional terms that all plants have.
 
     Returns:
-        Three arrays. A (n, 12, 12): state matrices ∂ẋ/∂x, in the order of `STATE_NAMES`; B (n, 12, 4): input matrices
+        Three arrays. A (n, 12, 12): state matrices ∂ẋ/∂x, in the order of `STATE_NAMES`, and (n, 16, 16) with the
+        further states `TILT_NAMES` for vehicles that roll and pitch; B (n, 12, 4) or (n, 16, 4): input matrices
         ∂ẋ/∂τ, with columns in the order of `THRUST_NAMES`; trim thrust (n, 4) [N, N m]. If the trim thrust of a plant
         exceeds a thrust limit, its matrix B describes no possible motion.
 
@@ -140,7 +178,8 @@ def plant_jacobians(
     """
     count = len(nu)
     tau = np.asarray(trim_function(form)(nu.T, parameters.T)).T
-    x = np.hstack([np.zeros((count, 3)), np.full((count, 1), psi), nu, tau])
+    tilt = np.asarray(trim_tilt(form)(nu.T, parameters.T)).T if form.tilts else np.zeros((count, 0))
+    x = np.hstack([np.zeros((count, 3)), np.full((count, 1), psi), nu, tau, tilt])
     a, b = build_plant(form).jacobians(x.T, tau.T, np.tile(PLANT_DISTURBANCE.pack(), (count, 1)).T, parameters.T)
     # CasADi returns the matrices of many calls side by side
     return (

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
-from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
+from surctl.vehicle.specs import NEEDED_TO_TILT, PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
 
 __all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
 
@@ -62,8 +62,11 @@ class Vehicle:
 
     @property
     def inertia(self) -> NDArray[np.float64]:
-        """The symmetric inertia matrix M (4, 4), rigid body and added mass, in kg, kg m and kg m²."""
-        inertia = np.diag(self.mass)
+        """The symmetric inertia matrix M (4, 4), rigid body and added mass, in kg, kg m and kg m².
+
+        The matrix of a vehicle that rolls and pitches is (6, 6), in the order (u, v, w, r, p, q).
+        """
+        inertia = np.diag([*self.mass, *([0.0, 0.0] if self.form.tilts else [])])
         for i, j, name in self.form.inertia():
             inertia[i, j] = inertia[j, i] = self[name]
         return inertia
@@ -117,7 +120,7 @@ class Vehicle:
         for name, value in values.items():
             self[name]
             changed[name] = _checked(name, replace(changed[name], value=float(value)), file=self.source or self.name)
-        return _with_definite_inertia(replace(self, parameters=changed))
+        return _possible(replace(self, parameters=changed))
 
 
 class _VehicleFile(Strict):
@@ -129,6 +132,7 @@ class _VehicleFile(Strict):
     drag: dict[str, Quantity | str]
     thrust: dict[str, Quantity | str]
     force: dict[str, Quantity | str] = Field(default_factory=dict)
+    attitude: dict[str, Quantity | str] = Field(default_factory=dict)
 
 
 def load_vehicle(name_or_path: str) -> Vehicle:
@@ -156,7 +160,7 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
         )
     model = validate(table, _VehicleFile, file=source)
     parameters: dict[str, Parameter] = {}
-    for section in ("hull", "inertia", "drag", "thrust", "force"):
+    for section in ("hull", "inertia", "drag", "thrust", "force", "attitude"):
         parameters |= _read_section(section, getattr(model, section), source)
     for name, spec in PARAMETERS.items():
         if name in parameters:
@@ -170,18 +174,32 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
             )
         parameters[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
     ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
-    return _with_definite_inertia(Vehicle(model.name, model.note, ordered, source))
+    return _possible(Vehicle(model.name, model.note, ordered, source))
 
 
-def _with_definite_inertia(vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle if its inertia matrix is positive definite, as kinetic energy requires; else InputError."""
-    couplings = vehicle.form.inertia()
+def _possible(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle if its terms describe a body; else raise InputError.
+
+    Kinetic energy requires a positive definite inertia matrix, and roll and pitch need inertia, weight and buoyancy.
+    """
+    form, file = vehicle.form, vehicle.source or vehicle.name
+    for name in NEEDED_TO_TILT if form.tilts else ():
+        if name not in form.terms:
+            spec = TERMS[name]
+            raise InputError(
+                "is missing in a vehicle with other terms of roll and pitch",
+                file=file,
+                key=f"{spec.table}.{name}",
+                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
+            )
+    couplings = [entry for entry in form.inertia() if entry[0] != entry[1]]
     if couplings and np.linalg.eigvalsh(vehicle.inertia)[0] <= 0:
-        i, j, name = max(couplings, key=lambda entry: abs(vehicle[entry[2]]))
-        most, ends = np.sqrt(vehicle.mass[i] * vehicle.mass[j]), f"m{i + 1}{i + 1} m{j + 1}{j + 1}"
+        own = np.diag(vehicle.inertia)
+        i, j, name = max(couplings, key=lambda entry: vehicle[entry[2]] ** 2 / (own[entry[0]] * own[entry[1]]))
+        most, ends = np.sqrt(own[i] * own[j]), " ".join(("m11", "m22", "m33", "m44", "mpp", "mqq")[k] for k in (i, j))
         raise InputError(
             "makes the inertia matrix indefinite",
-            file=vehicle.source or vehicle.name,
+            file=file,
             key=f"inertia.{name}",
             value=vehicle[name],
             remedy=f"alone, its size must be below sqrt({ends}) = {most:.4g} {TERMS[name].unit}",

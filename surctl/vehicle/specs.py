@@ -8,18 +8,22 @@ The optional terms extend equation (3) to craft whose motions are coupled (Fosse
   the drag |u| v on sway, i.e. a damping that grows with the forward speed.
 - `X0`, `Y0`, `Z0`, `N0`: constant force and moment, such as trim or net buoyancy.
 - `Fu_reverse`, …: the largest thrust astern, where it differs from the largest thrust ahead.
+- `weight`, `buoyancy`, the centres of both, and the inertia `mpp`, `mqq` about the axes of roll and pitch: the vehicle
+  then rolls and pitches (six degrees of freedom), with inertia and drag about the axes of the hull. K and M are the
+  moments of roll and pitch, p and q the angular velocities: `Kp`, `Mqq`, `muq` (the coupling of surge and pitch), ….
 
 A coefficient of drag is positive if it opposes positive motion, so it is the negative of the hydrodynamic derivative
-of the same name (Y_r = −`Yr`). All vectors are in the heading frame: x ahead and y to the left, both horizontal, z up.
+of the same name (Y_r = −`Yr`). All vectors are in the heading frame: x ahead and y to the left, both horizontal, z up;
+those of a vehicle that rolls and pitches are in the frame of its hull.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations_with_replacement, product
 
-__all__ = ["AXES", "PARAMETERS", "TERMS", "ParameterSpec", "PlantForm", "parameter_spec"]
+__all__ = ["AXES", "NEEDED_TO_TILT", "PARAMETERS", "TERMS", "ParameterSpec", "PlantForm", "parameter_spec"]
 
 
 @dataclass(frozen=True)
@@ -65,20 +69,27 @@ PARAMETERS: Mapping[str, ParameterSpec] = {
 }
 """The parameters of equation (3) of the paper, by name."""
 
-AXES = ("surge", "sway", "heave", "yaw")
+AXES = ("surge", "sway", "heave", "yaw", "roll", "pitch")
 
-_FORCES, _VELOCITIES = "XYZN", "uvwr"
+_FORCES, _VELOCITIES = "XYZNKM", "uvwrpq"
+_TURNING = 3  # axes from this one on are angular
+_LETTERS = "uvwpqr"  # order of the axes in the names of couplings with roll and pitch
 
 
 def _inertia(i: int, j: int) -> tuple[str, ParameterSpec]:
-    # metres appear once for each index of yaw
-    unit = ("kg", "kg m", "kg m^2")[(i == 3) + (j == 3)]
+    # metres appear once for each angular axis
+    unit = ("kg", "kg m", "kg m^2")[(i >= _TURNING) + (j >= _TURNING)]
+    if i == j:
+        meaning = f"rigid-body plus added moment of inertia about the axis of {AXES[i]}"
+        return f"m{2 * _VELOCITIES[i]}", ParameterSpec("inertia", unit, meaning)
     meaning = f"coupling of {AXES[i]} and {AXES[j]} in the inertia matrix"
-    return f"m{i + 1}{j + 1}", ParameterSpec("inertia", unit, meaning, True, signed=True)
+    letters = sorted((_VELOCITIES[i], _VELOCITIES[j]), key=_LETTERS.index)
+    name = f"m{i + 1}{j + 1}" if max(i, j) <= _TURNING else "m" + "".join(letters)
+    return name, ParameterSpec("inertia", unit, meaning, True, signed=True)
 
 
 def _drag(force: int, by: tuple[int, ...]) -> tuple[str, ParameterSpec]:
-    metres = (force == 3) - sum(axis != 3 for axis in by)
+    metres = (force >= _TURNING) - sum(axis < _TURNING for axis in by)
     time = "s" if len(by) == 1 else "s^2"
     unit = "N m " + time if metres == 1 else "N " + time + {0: "", -1: "/m", -2: "/m^2"}[metres]
     letters = [_VELOCITIES[axis] for axis in by]
@@ -88,21 +99,27 @@ def _drag(force: int, by: tuple[int, ...]) -> tuple[str, ParameterSpec]:
 
 
 def _terms() -> dict[str, ParameterSpec]:
-    terms = dict(_inertia(i, j) for i, j in combinations(range(4), 2))
-    for count in (1, 2):
-        for force, *by in product(range(4), repeat=1 + count):
-            name, spec = _drag(force, tuple(by))
-            if name not in PARAMETERS:
-                terms[name] = spec
-    for force, axis in enumerate(AXES):
-        unit = "N m" if force == 3 else "N"
-        what = "moment" if force == 3 else "force"
+    terms: dict[str, ParameterSpec] = {}
+    for axes in (4, 6):  # the terms of roll and pitch come last
+        entries = [_inertia(i, j) for i, j in combinations_with_replacement(range(axes), 2) if i != j or i > _TURNING]
+        for count in (1, 2):
+            entries += [_drag(force, tuple(by)) for force, *by in product(range(axes), repeat=1 + count)]
+        terms |= {name: spec for name, spec in entries if name not in PARAMETERS and name not in terms}
+    for force, axis in enumerate(AXES[:4]):
+        unit = "N m" if force == _TURNING else "N"
+        what = "moment" if force == _TURNING else "force"
         name = f"{_FORCES[force]}0"
         terms[name] = ParameterSpec("force", unit, f"constant {what} in {axis}", True, signed=True)
-    for limit, axis in zip(("Fu", "Fv", "Fw", "Fr"), AXES, strict=True):
+    for limit, axis in zip(("Fu", "Fv", "Fw", "Fr"), AXES[:4], strict=True):
         spec = PARAMETERS[f"{limit}_max"]
         meaning = f"largest thrust in {axis} in the negative direction, if it differs from {limit}_max"
         terms[f"{limit}_reverse"] = ParameterSpec("thrust", spec.unit, meaning, True)
+    terms["weight"] = ParameterSpec("attitude", "N", "weight of the vehicle with the water that it carries")
+    terms["buoyancy"] = ParameterSpec("attitude", "N", "buoyancy of the submerged vehicle")
+    for letter, what in (("g", "centre of gravity"), ("b", "centre of buoyancy"), ("t", "point of attack of thrust")):
+        for axis in "xyz":
+            meaning = f"{axis} of the {what} in the frame of the hull"
+            terms[f"{axis}{letter}"] = ParameterSpec("attitude", "m", meaning, True, signed=True)
     return terms
 
 
@@ -122,6 +139,13 @@ def parameter_spec(name: str) -> ParameterSpec | None:
     return PARAMETERS.get(name) or TERMS.get(name)
 
 
+_TILT = {name for name, spec in TERMS.items() if spec.table == "attitude" or set(name) & set("KMpq")}
+"""The terms of vehicles that roll and pitch."""
+
+NEEDED_TO_TILT = ("mpp", "mqq", "weight", "buoyancy")
+"""The terms without which roll and pitch have no dynamics."""
+
+
 @dataclass(frozen=True)
 class PlantForm:
     """Which optional terms the dynamics of a vehicle contain; without any, they are equation (3) of the paper.
@@ -138,9 +162,20 @@ class PlantForm:
         given = set(names)
         return PlantForm(tuple(name for name in TERMS if name in given))
 
+    @property
+    def tilts(self) -> bool:
+        """Whether the vehicle rolls and pitches."""
+        return any(name in _TILT for name in self.terms)
+
     def inertia(self) -> list[tuple[int, int, str]]:
-        """Return the couplings of the inertia matrix as (row, column, name)."""
-        return [(int(name[1]) - 1, int(name[2]) - 1, name) for name in self.terms if TERMS[name].table == "inertia"]
+        """Return the entries of the inertia matrix beside m11 to m44 as (row, column, name), row ≤ column."""
+
+        def axis(letter: str) -> int:
+            return int(letter) - 1 if letter.isdigit() else _VELOCITIES.index(letter)
+
+        names = [name for name in self.terms if TERMS[name].table == "inertia"]
+        ends = [(axis(name[1]), axis(name[2]), name) for name in names]
+        return [(min(i, j), max(i, j), name) for i, j, name in ends]
 
     def drag(self) -> list[tuple[int, tuple[int, ...], str]]:
         """Return the terms of drag as (axis of the force, axes of the velocities, name)."""

@@ -23,7 +23,7 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
 from surctl.vehicle.dynamics import PAPER
-from surctl.vehicle.linearise import check_trim
+from surctl.vehicle.linearise import check_trim, states_kept
 
 __all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive", "has_cascade"]
 
@@ -183,10 +183,10 @@ def build_cascades(
     nu = np.zeros((len(cruise), 4))
     nu[:, 0] = cruise
     A, B, _ = plant_jacobians(plant, nu, form=form)
-    # the first states of the plant are its outputs; without thrust lag there are no thrust states
-    keep = A.shape[-1] if lag[0] > 0 else _OUTPUTS
-    C = np.broadcast_to(np.eye(_OUTPUTS, keep), (len(nu), _OUTPUTS, keep))
-    A, B = A[:, :keep, :keep], B[:, :keep]
+    # the first states of the plant are its outputs
+    keep = states_kept(form, lagged=lag[0] > 0)
+    C = np.broadcast_to(np.eye(_OUTPUTS, len(keep)), (len(nu), _OUTPUTS, len(keep)))
+    A, B = A[:, keep][:, :, keep], B[:, keep]
     if delay != 0:
         A, B, C = _delayed(A, B, C, 1.5 * dt if delay is None else delay)
     model_values = {name: _columns(model, PLANT_PARAMETERS, name) for name in ("mass", "linear_drag", "quadratic_drag")}

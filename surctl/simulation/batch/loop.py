@@ -38,7 +38,7 @@ from surctl.simulation.column import LONGEST
 from surctl.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
 from surctl.simulation.sensors import FIRING
 from surctl.simulation.stepping import advance
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
 
 __all__ = ["Loop", "Structure", "build_loop"]
 
@@ -140,7 +140,7 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     return (
         Port("done", (1,), "1", "1 when the run has ended"),
         Port("step", (1,), "1", "number of the control period"),
-        Port("plant", (PLANT_STATE.size,), "SI", "state of the plant, see PLANT_STATE"),
+        Port("plant", (plant_state(structure.form).size,), "SI", "state of the plant, see plant_state"),
         Port("law", (law.state.size,), "SI", "the law's state"),
         *(Listening(structure, law).ports() if structure.sensing == "sonar" else ()),
         Port("clear", (1,), "1", "1 after the hull was clear of the walls once"),
@@ -211,7 +211,13 @@ class _Builder:
     def between(self) -> Program:
         # second sonar firing and clearances, 25 ms after the beginning of the control step
         w, parameters = self.parameters.symbols("w")
-        sizes = {"plant_between": PLANT_STATE.size, "step": 1, "normals": 1, "uniforms": 1, "echoes": 1}
+        sizes = {
+            "plant_between": plant_state(self.structure.form).size,
+            "step": 1,
+            "normals": 1,
+            "uniforms": 1,
+            "echoes": 1,
+        }
         if self.sonar:
             listening = self.listening
             sizes |= {"normals": listening.normals, "uniforms": listening.uniforms, "echoes": listening.echoes.size}
@@ -241,7 +247,7 @@ class _Builder:
             "x_next": law.state.size,
             "status": 1,
             "telemetry": law.outputs.size - 4,
-            "plant_next": PLANT_STATE.size,
+            "plant_next": plant_state(self.structure.form).size,
             "echoes_next": self.listening.echoes.size if sonar else 1,
             "fresh_next": self.structure.equipment.array.size if sonar else 1,
             "late": self._late.size,

@@ -15,7 +15,7 @@ from surctl.simulation.batch.case import Case, case_parameters
 from surctl.simulation.batch.loop import Loop, Structure
 from surctl.simulation.numbers import VISITED, law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
-from surctl.vehicle import plant_layout
+from surctl.vehicle import plant_layout, plant_state
 
 __all__ = ["Packed", "pack", "structure_of"]
 
@@ -122,7 +122,12 @@ class _Filler:
 
     def states(self) -> Columns:
         layout, case = self.loop.state, self.case
-        first = layout.pack({"plant": [*case.scenario.start_pose, *[0.0] * 8], "law": self.loop.law.initial_state()})
+        first = layout.pack(
+            {
+                "plant": plant_state(case.vehicle.form).pack({"eta": case.scenario.start_pose}),
+                "law": self.loop.law.initial_state(),
+            }
+        )
         out = np.tile(first, (len(self.seeds), 1))
         out[:, layout.slice("plant").start + 2] = self.number("scenario.depth")
         if "noise" in layout:

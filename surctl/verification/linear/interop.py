@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.vehicle import Vehicle
-from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled
+from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled, state_names
 from surctl.verification.cascade import Cascade, build_cascade
 from surctl.verification.linear.places import open_loop
 from surctl.verification.linear.sampled import check_delay, open_transition
@@ -188,7 +188,7 @@ def _broken(places: Sequence[int]) -> list[str]:
 
 
 def _states(vehicle: Vehicle, cascade: Cascade) -> list[str]:
-    plant = labelled(STATE_NAMES[: 12 if vehicle["thrust_lag"] > 0 else 8])
+    plant = labelled(state_names(vehicle))
     inner = [f"xi_{name}" for name in LOOP_NAMES[: cascade.K.shape[0] - _AXES]]
     lags = cascade.A.shape[0] - len(plant) - len(inner)
     late = [f"{name}_delay_{k}" for name in THRUST_NAMES for k in range(1, lags // _AXES + 1)]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.vehicle import Vehicle, plant_parameters
-from surctl.vehicle.linearise import STATE_NAMES
+from surctl.vehicle.linearise import STATE_NAMES, state_names
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascade, build_cascades
 
 __all__ = ["Mode", "bearable_speed", "cap_above_bearable", "slowest_mode"]
@@ -248,7 +248,7 @@ def _stable(
 
 
 def _names(cascade: Cascade, vehicle: Vehicle, gains: Mapping[str, float]) -> list[str]:
-    plant = STATE_NAMES[: 12 if vehicle["thrust_lag"] > 0 else 8]
+    plant = state_names(vehicle)
     integral = 4 if gains.get("k_i", 0.0) > 0 else 0
     delay = len(cascade.A) - len(plant) - integral
     return [*plant, *["delay"] * delay, *["integral"] * integral]
