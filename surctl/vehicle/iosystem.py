@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant_parameters, plant_state
-from surctl.vehicle.linearise import THRUST_NAMES, labelled, state_names, states_kept
+from surctl.vehicle.linearise import THRUST_NAMES, dynamic_states, labelled, state_names
 from surctl.vehicle.parameters import Vehicle
 
 __all__ = ["plant_system"]
@@ -52,7 +52,7 @@ def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), unit
     if flow.shape != (3,) or not np.isfinite(flow).all():
         raise InputError("must be three finite numbers", key="current", value=current, remedy="give x, y, z in m/s")
     ode, p, d = build_plant(vehicle.form).ode, plant_parameters(vehicle), PLANT_DISTURBANCE.pack({"current": flow})
-    keep = states_kept(vehicle.form, lagged=vehicle["thrust_lag"] > 0)
+    keep = dynamic_states(vehicle.form, lagged=vehicle["thrust_lag"] > 0)
     whole = np.zeros(plant_state(vehicle.form).size)
 
     def rate(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:

@@ -29,11 +29,11 @@ __all__ = [
     "TILT_NAMES",
     "can_hold",
     "check_trim",
+    "dynamic_states",
     "labelled",
     "linearise",
     "plant_jacobians",
     "state_names",
-    "states_kept",
 ]
 
 TILT_NAMES = ("phi", "theta", "p", "q")
@@ -89,7 +89,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
     nu = np.asarray(nu, dtype=float)
     check_trim(vehicle, nu)
     (a,), (b,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], psi=psi, form=vehicle.form)
-    keep = states_kept(vehicle.form, lagged=vehicle["thrust_lag"] > 0)
+    keep = dynamic_states(vehicle.form, lagged=vehicle["thrust_lag"] > 0)
     names = labelled(state_names(vehicle), units=units)
     return control.ss(
         a[np.ix_(keep, keep)],
@@ -103,7 +103,7 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
     )
 
 
-def states_kept(form: PlantForm, *, lagged: bool) -> list[int]:
+def dynamic_states(form: PlantForm, *, lagged: bool) -> list[int]:
     """Return the places of a plant's states that have dynamics: without thrust lag, the thrust has none."""
     return [k for k in range(plant_state(form).size) if lagged or not 8 <= k < len(STATE_NAMES)]
 
@@ -114,7 +114,7 @@ def state_names(vehicle: Vehicle) -> tuple[str, ...]:
     If `thrust_lag` is 0, there are no thrust states.
     """
     names = (*STATE_NAMES, *TILT_NAMES)
-    return tuple(names[k] for k in states_kept(vehicle.form, lagged=vehicle["thrust_lag"] > 0))
+    return tuple(names[k] for k in dynamic_states(vehicle.form, lagged=vehicle["thrust_lag"] > 0))
 
 
 def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:

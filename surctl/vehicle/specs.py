@@ -159,8 +159,8 @@ class PlantForm:
     @staticmethod
     def of(names: Iterable[str]) -> PlantForm:
         """Return the form with the optional terms among some parameter names."""
-        given = set(names)
-        return PlantForm(tuple(name for name in TERMS if name in given))
+        present = set(names)
+        return PlantForm(tuple(name for name in TERMS if name in present))
 
     @property
     def tilts(self) -> bool:

@@ -23,7 +23,7 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
 from surctl.vehicle.dynamics import PAPER
-from surctl.vehicle.linearise import check_trim, states_kept
+from surctl.vehicle.linearise import check_trim, dynamic_states
 
 __all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive", "has_cascade"]
 
@@ -184,7 +184,7 @@ def build_cascades(
     nu[:, 0] = cruise
     A, B, _ = plant_jacobians(plant, nu, form=form)
     # the first states of the plant are its outputs
-    keep = states_kept(form, lagged=lag[0] > 0)
+    keep = dynamic_states(form, lagged=lag[0] > 0)
     C = np.broadcast_to(np.eye(_OUTPUTS, len(keep)), (len(nu), _OUTPUTS, len(keep)))
     A, B = A[:, keep][:, :, keep], B[:, keep]
     if delay != 0:
