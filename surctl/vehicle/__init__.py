@@ -13,7 +13,7 @@ from surctl.vehicle.dynamics import (
     steady_speed,
     trim_thrust,
 )
-from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, swap_body, swap_pose
+from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, heading_velocity, swap_body, swap_pose
 from surctl.vehicle.geometry import sphere
 from surctl.vehicle.identify import FITTED, Identified, identify
 from surctl.vehicle.iosystem import plant_system
@@ -47,6 +47,7 @@ __all__ = [
     "build_plant",
     "check_equation_3",
     "check_frame",
+    "heading_velocity",
     "identify",
     "jacobian",
     "linearise",

@@ -18,6 +18,7 @@ from surctl.vehicle import (
     Parameter,
     Vehicle,
     build_plant,
+    heading_velocity,
     linearise,
     load_vehicle,
     plant_parameters,
@@ -115,6 +116,21 @@ def test_six_degrees_of_freedom_equal_an_independent_integration() -> None:
     np.testing.assert_allclose(x[12:14], [np.arctan2(turn[2, 1], turn[2, 2]), -np.arcsin(turn[2, 0])], atol=1e-7)
     np.testing.assert_allclose(x[14:], end[15:17], atol=1e-7)
     assert abs(x[13]) > 0.02  # the vehicle does pitch
+
+
+def test_the_velocity_of_the_hull_is_converted_to_the_heading_frame() -> None:
+    roll, pitch, body = 0.4, -0.6, np.array([0.3, -0.2, 0.1, 0.2, -0.1, 0.3])
+    level = rotation(roll, pitch, 0)
+    nu = heading_velocity(body[:3], body[3:], roll=roll, pitch=pitch)
+    np.testing.assert_allclose(nu[:3], level @ body[:3], rtol=1e-12)
+    # the rate of the heading, by the rotation matrix
+    turn, step = rotation(roll, pitch, 0.7), 1e-6
+    after = turn @ (np.eye(3) + step * skew(body[3:]))
+    assert nu[3] == pytest.approx((np.arctan2(after[1, 0], after[0, 0]) - 0.7) / step, abs=1e-5)
+    many = heading_velocity(np.tile(body[:3], (5, 1)), np.tile(body[3:], (5, 1)), roll=np.full(5, roll), pitch=pitch)
+    np.testing.assert_allclose(many, np.tile(nu, (5, 1)))
+    with pytest.raises(InputError, match="pitch = 20: must be within 90 degrees"):
+        heading_velocity(body[:3], body[3:], roll=0.0, pitch=20.0)
 
 
 def test_energy_is_conserved_without_drag() -> None:

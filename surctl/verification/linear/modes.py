@@ -262,8 +262,9 @@ def _without(
     munk, coriolis = closed.copy(), closed.copy()
     munk[_YAW, [_SURGE, _SWAY]] -= cascade.A[_YAW, [_SURGE, _SWAY]]
     coriolis[[_SURGE, _SWAY], _YAW] -= cascade.A[[_SURGE, _SWAY], _YAW]
-    slowest["Munk moment (m22 - m11) u v"] = _slowest(munk)
-    slowest["Coriolis force m11 u r"] = _slowest(coriolis)
+    coupled = bool(vehicle.form.terms)  # the slopes then include coupled inertia and drag
+    slowest["yaw moment by surge and sway" if coupled else "Munk moment (m22 - m11) u v"] = _slowest(munk)
+    slowest["surge and sway force by yaw" if coupled else "Coriolis force m11 u r"] = _slowest(coriolis)
     slowest["loop delay"] = _slowest(build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=0.0).closed)
     if vehicle["thrust_lag"] > 0:
         instant = vehicle.with_values({"thrust_lag": 0.0})
