@@ -5,7 +5,7 @@ NED has x north, y east, z down, and ψ clockwise from north. FRD has x forward,
 2.1). `swap_pose` and `swap_body` convert in both directions, because the conversion is its own inverse.
 
 {B} is the heading frame: it turns with the heading alone, so its x and y axes stay horizontal when the hull rolls or
-pitches. A sensor on the hull, such as a Doppler velocity log, measures in the frame of the hull: see `heading_velocity`.
+pitches. A sensor on the hull, such as a Doppler velocity log, measures in the frame of the hull (`heading_velocity`).
 """
 
 from __future__ import annotations

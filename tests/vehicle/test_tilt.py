@@ -129,7 +129,7 @@ def test_the_velocity_of_the_hull_is_converted_to_the_heading_frame() -> None:
     assert nu[3] == pytest.approx((np.arctan2(after[1, 0], after[0, 0]) - 0.7) / step, abs=1e-5)
     many = heading_velocity(np.tile(body[:3], (5, 1)), np.tile(body[3:], (5, 1)), roll=np.full(5, roll), pitch=pitch)
     np.testing.assert_allclose(many, np.tile(nu, (5, 1)))
-    with pytest.raises(InputError, match="pitch = 20: must be within 90 degrees"):
+    with pytest.raises(InputError, match="pitch = 20.0: must be within 90 degrees"):
         heading_velocity(body[:3], body[3:], roll=0.0, pitch=20.0)
 
 
