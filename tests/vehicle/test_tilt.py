@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.simulation import Case, advance, load_scenario, simulate, simulate_batch
+from surctl.simulation.tilting import tilt_findings
 from surctl.vehicle import (
     PLANT_DISTURBANCE,
     TERMS,
@@ -129,7 +130,7 @@ def test_the_velocity_of_the_hull_is_converted_to_the_heading_frame() -> None:
     assert nu[3] == pytest.approx((np.arctan2(after[1, 0], after[0, 0]) - 0.7) / step, abs=1e-5)
     many = heading_velocity(np.tile(body[:3], (5, 1)), np.tile(body[3:], (5, 1)), roll=np.full(5, roll), pitch=pitch)
     np.testing.assert_allclose(many, np.tile(nu, (5, 1)))
-    with pytest.raises(InputError, match="pitch = 20.0: must be within 90 degrees"):
+    with pytest.raises(InputError, match=r"pitch = 20\.0: must be within 90 degrees"):
         heading_velocity(body[:3], body[3:], roll=0.0, pitch=20.0)
 
 
@@ -207,3 +208,27 @@ def test_both_loops_fly_a_vehicle_that_rolls_and_pitches() -> None:
 def test_roll_and_pitch_need_inertia_weight_and_buoyancy() -> None:
     with pytest.raises(InputError, match=r"attitude\.buoyancy: is missing in a vehicle with other terms of roll"):
         boat({"mpp": 0.3, "mqq": 0.3, "weight": 100.0}).with_values({"mpp": 0.4})
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"buoyancy": 10.0 * G}, None),
+        ({"weight": 170.0}, "bluerov2-wu sinks: 56.2 N act on it vertically, and the heave thrust reaches 40 N"),
+        ({"zg": 0.01, "xb": 0.0}, "bluerov2-wu capsizes: its centre of gravity is not below its centre of buoyancy"),
+        ({"zt": 0.10}, "full thrust tilts bluerov2-wu by 61 deg in pitch, because it acts 0.1 m from the centre"),
+        ({"xg": 0.02}, "at the cruise speed of 0.2 m/s bluerov2-wu is tilted by"),
+    ],
+)
+def test_lint_finds_tilt_and_lacking_buoyancy(values: dict[str, float], text: str | None) -> None:
+    vehicle = boat({**TILT, "zt": 0.0, **values})
+    texts = [f.text for f in tilt_findings(load_scenario("tank-static"), vehicle)]
+    assert (texts == []) if text is None else any(text in line for line in texts)
+
+
+def test_lint_finds_net_buoyancy_without_roll_and_pitch() -> None:
+    plain = load_vehicle("bluerov2-wu")
+    light = replace(plain, parameters={**plain.parameters, "Z0": Parameter(41.0, "N", None, "test")})
+    (finding,) = tilt_findings(load_scenario("tank-static"), light)
+    assert finding.text.startswith("bluerov2-wu rises: 41 N act on it vertically, and the heave thrust reaches 40 N")
+    assert not tilt_findings(load_scenario("tank-static"), plain)
