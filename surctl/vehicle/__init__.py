@@ -1,5 +1,6 @@
 """The vehicle: parameters, equations (1)–(3) of the paper (kinematics, dynamics), linearisation, identification."""
 
+from surctl.vehicle.attainable import Attainable, attainable
 from surctl.vehicle.dynamics import (
     PLANT_DISTURBANCE,
     PLANT_PARAMETERS,
@@ -18,9 +19,11 @@ from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, MotionLog, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, PARAMETERS, Parameter, Vehicle, load_vehicle
+from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Swivel, Thruster
 from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
+    "DEFAULT_ORDER",
     "FITTED",
     "FRAMES",
     "FRAME_TEXT",
@@ -31,12 +34,17 @@ __all__ = [
     "PLANT_DISTURBANCE",
     "PLANT_PARAMETERS",
     "PLANT_STATE",
+    "Actuators",
+    "Attainable",
     "Frame",
     "Identified",
     "MotionLog",
     "Parameter",
     "Plant",
+    "Swivel",
+    "Thruster",
     "Vehicle",
+    "attainable",
     "build_plant",
     "check_frame",
     "identify",

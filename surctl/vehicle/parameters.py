@@ -15,6 +15,8 @@ from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
+from surctl.vehicle.thruster_file import common_lag, largest_forces, read_actuators
+from surctl.vehicle.thrusters import Actuators
 
 __all__ = ["LIBRARY", "PARAMETERS", "Parameter", "ParameterSpec", "Vehicle", "load_vehicle"]
 
@@ -66,12 +68,17 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A vehicle: its name, a note, every parameter of equation (3) by name (in SI units), and the name of its file."""
+    """A vehicle: its name, a note, every parameter of equation (3) by name (in SI units), and the name of its file.
+
+    `actuators` holds the thrusters and the order of their allocation; None: the vehicle file describes no thrusters,
+    and each axis has its own force limit.
+    """
 
     name: str
     note: str
     parameters: Mapping[str, Parameter]
     source: str = ""
+    actuators: Actuators | None = None
 
     def __getitem__(self, name: str) -> float:
         """Return the value of a parameter in its SI unit; for an unknown name, raise InputError with a similar name."""
@@ -110,8 +117,9 @@ class Vehicle:
         return float(2 * moment / max(linear + np.sqrt(linear**2 + 4 * quadratic * moment), 1e-6))
 
     def digest(self) -> str:
-        """Return the SHA-256 of all parameter names and values, without provenance and ranges."""
+        """Return the SHA-256 of all parameter names and values and the thrusters, without provenance and ranges."""
         numbers = json.dumps({name: p.value for name, p in self.parameters.items()}, sort_keys=True)
+        numbers += "" if self.actuators is None else self.actuators.text()
         return hashlib.sha256(numbers.encode()).hexdigest()
 
     def with_values(self, values: Mapping[str, float]) -> Vehicle:
@@ -130,7 +138,9 @@ class _VehicleFile(Strict):
     hull: dict[str, Quantity | str]
     inertia: dict[str, Quantity | str]
     drag: dict[str, Quantity | str]
-    thrust: dict[str, Quantity | str]
+    thrust: dict[str, Quantity | str] = Field(default_factory=dict)
+    thruster: list[dict[str, Any]] = Field(default_factory=list)
+    allocation: dict[str, Any] | None = None
 
 
 def load_vehicle(name_or_path: str) -> Vehicle:
@@ -160,6 +170,8 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
     parameters: dict[str, Parameter] = {}
     for section in ("hull", "inertia", "drag", "thrust"):
         parameters |= _read_section(section, getattr(model, section), source)
+    actuators = read_actuators(model.thruster, model.allocation, source=source)
+    parameters |= _of_thrusters(actuators, model.thruster, parameters, source)
     for name, spec in PARAMETERS.items():
         if name in parameters:
             continue
@@ -171,7 +183,21 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
         parameters[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
-    return Vehicle(model.name, model.note, {name: parameters[name] for name in PARAMETERS}, source)
+    return Vehicle(model.name, model.note, {name: parameters[name] for name in PARAMETERS}, source, actuators)
+
+
+def _of_thrusters(
+    actuators: Actuators | None, tables: list[dict[str, Any]], stated: Mapping[str, Parameter], source: str
+) -> dict[str, Parameter]:
+    # the parameters of [thrust] that follow from the thrusters, where the file does not state them
+    if actuators is None:
+        return {}
+    said = "follows from the thrusters: the largest value with 0 on all other axes"
+    derived = {name: Parameter(v, PARAMETERS[name].unit, None, said) for name, v in largest_forces(actuators).items()}
+    known = stated.get("thrust_lag")
+    lag = common_lag(tables, known=None if known is None else known.value, source=source)
+    derived |= {} if lag is None else {"thrust_lag": Parameter(lag, "s", None, "lag of every thruster")}
+    return {name: _checked(name, known, file=source) for name, known in derived.items() if name not in stated}
 
 
 def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:
