@@ -43,10 +43,22 @@ class Rows:
     fixed: Array
     absent: NDArray[np.bool_]
 
+    def part(self, columns: tuple[int, ...]) -> Rows:
+        """Return the rows that restrict some of the unknowns, which no row connects to the other unknowns."""
+        used = np.abs(self.normals[:, columns]).max(axis=1) > _ZERO
+        return Rows(
+            self.normals[np.ix_(used, columns)], self.above[used], self.below[used], self.fixed[used], self.absent[used]
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class LevelRows:
-    """One level of the allocation: its name, its axes, the axes of the higher levels, and its rows."""
+    """A level of the allocation, or a part of one that the thrusters serve independently of its other axes.
+
+    Attributes:
+        name: name of the level. axes: its entries of (F_u, F_v, F_w, F_r).
+        known: entries of the higher levels. rows: rows on the level's entries, for the known ones.
+    """
 
     name: str
     axes: tuple[int, ...]
@@ -82,8 +94,13 @@ class Design:
     @cached_property
     def null(self) -> Array:
         """Orthonormal basis (N, d) of the force components that produce neither force nor yaw moment."""
-        _, values, rows = np.linalg.svd(self.matrix)
-        return _clean(rows[int((values > _RANK * values[0]).sum()) :].T)
+        columns = []
+        for group in _groups(np.abs(self.matrix) > _ZERO):
+            _, values, rows = np.linalg.svd(self.matrix[:, group])
+            inner = np.zeros((self.matrix.shape[1], len(group) - int((values > _RANK).sum())))
+            inner[list(group)] = rows[len(group) - inner.shape[1] :].T
+            columns.append(inner)
+        return _clean(np.hstack(columns))
 
     @property
     def full(self) -> bool:
@@ -96,7 +113,9 @@ class Design:
         levels: list[LevelRows] = []
         known: tuple[int, ...] = ()
         for name, axes in self.actuators.levels:
-            levels.append(LevelRows(name, axes, known, self._level(known, axes)))
+            rows = self._level(known, axes)
+            for group in _groups(np.abs(rows.normals) > _ZERO):
+                levels.append(LevelRows(name, tuple(axes[k] for k in group), known, rows.part(group)))
             known += axes
         return tuple(levels)
 
@@ -127,13 +146,19 @@ class Design:
                 above.append(one * bound)
                 below.append(one * thruster.reverse)
                 absent.append(thruster.swivel is not None)
-        return Rows(
-            np.array(normals), np.array(above), np.array(below), np.zeros((len(normals), 0)), np.array(absent)
-        )
+        return Rows(np.array(normals), np.array(above), np.array(below), np.zeros((len(normals), 0)), np.array(absent))
 
     @cached_property
-    def effort(self) -> Rows:
-        """Rows of the last level: the limits, on coordinates (d,) in the null space, for known forces (4,)."""
+    def effort(self) -> tuple[tuple[tuple[int, ...], Rows], ...]:
+        """The last level in independent parts: coordinates in the null space, and the limits on them.
+
+        The known numbers of the rows are the forces (4,) of the higher levels.
+        """
+        rows = self._effort
+        return tuple((group, rows.part(group)) for group in _groups(np.abs(rows.normals) > _ZERO))
+
+    @cached_property
+    def _effort(self) -> Rows:
         limits = self.limits
         inner = limits.normals @ self.null
         length = np.linalg.norm(inner, axis=1)
@@ -143,6 +168,16 @@ class Design:
             for part in (inner, limits.above, limits.below, limits.normals @ self.inverse)
         )
         return Rows(inner, above, below, outer, limits.absent[used])
+
+
+def _groups(connected: NDArray[np.bool_]) -> list[tuple[int, ...]]:
+    """Return the groups of columns (of a boolean matrix) that no row with entries in two groups connects."""
+    groups: list[set[int]] = []
+    for column in range(connected.shape[1]):
+        rows = connected[:, column]
+        joined = [g for g in groups if (connected[:, list(g)].any(axis=1) & rows).any()]
+        groups = [g for g in groups if g not in joined] + [{column}.union(*joined)]
+    return [tuple(sorted(group)) for group in sorted(groups, key=min)]
 
 
 def _clean(matrix: Array) -> Array:

@@ -12,23 +12,26 @@ import casadi as ca
 import numpy as np
 
 from surctl.allocation.design import Design, LevelRows, Rows
-from surctl.ir import Block, Call, Loop, Program, Routine, Step, lower, without_libm
+from surctl.ir import Block, Call, Loop, Program, Real, Routine, Step, lower, without_libm
 from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.kernel import lanes_of, search
-from surctl.priority.solver.precision import FLOAT64, Precision
+from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
 from surctl.vehicle import Actuators, Thruster
 
 __all__ = ["allocation_block"]
 
+_SLABS = 6  # strips up to which a nearest point in the plane is computed directly, without a search
+_PARALLEL = 1e-9
 
-def allocation_block(actuators: Actuators, precision: Precision = FLOAT64) -> Block:
-    """Return the block that allocates (F_u, F_v, F_w, F_r) to the thrusters.
+
+def allocation_block(actuators: Actuators, real: Real = "float64") -> Block:
+    """Return the block that allocates (F_u, F_v, F_w, F_r) to the thrusters, with the tolerances of a number type.
 
     Inputs: wrench (4,) [N, N m]; working (n,), 1 for each thruster that works. Outputs: achieved (4,), the force and
     yaw moment that the thrusters produce; components (N,) [N], the force components of all thrusters; commands (n,) in
     [−1, 1]; angles (k,) [rad] of the swivelling thrusters, absent without any.
     """
-    return without_libm(_Builder(Design(actuators), precision).build())
+    return without_libm(_Builder(Design(actuators), FLOAT64 if real == "float64" else FLOAT32).build(), real)
 
 
 class _Builder:
@@ -39,15 +42,16 @@ class _Builder:
 
     def build(self) -> Routine:
         slow, finish = self._slow(), self._finish()
+        outputs = ("achieved", "components", "commands", *(("angles",) if self.design.actuators.swivels else ()))
         steps: tuple[Step, ...] = (
             Call(self._fast(), ("wrench", "working"), ("w", "t_first", "done_first")),
             Loop(
                 slow, 1, carried=("t_first", "done_first"), results=("t", "done"), fixed=("w", "working"), until=1
             ),
-            Call(finish, ("t", "working"), tuple(name for name, _ in finish.outputs)),
+            Call(finish, ("t", "working"), outputs),
         )  # fmt: skip
         inputs = (("wrench", 4), ("working", self.count))
-        return Routine("allocate", inputs, steps, tuple(name for name, _ in finish.outputs))
+        return Routine("allocate", inputs, steps, outputs)
 
     def _fast(self) -> Program:
         """Scale the wrench and compute the smallest forces; the last output is 1 if they solve all levels."""
@@ -76,7 +80,9 @@ class _Builder:
             at = f"w{k}"
         steps += self._effort(at)
         one = ca.SX.sym("done")
-        steps.append(Call(_program("allocated", {"done": one}, {"done": ca.SX(1) + 0 * one}), ("done",), ("done_next",)))
+        steps.append(
+            Call(_program("allocated", {"done": one}, {"done": ca.SX(1) + 0 * one}), ("done",), ("done_next",))
+        )
         inputs = (("t", self.size), ("done", 1), ("w", 4), ("working", self.count))
         return Routine("allocate_levels", inputs, tuple(steps), ("t_next", "done_next"))
 
@@ -86,7 +92,7 @@ class _Builder:
         known = ca.vertcat(*(w[k] for k in level.known))
         inputs = {"w": w, "working": working}
         lower_, upper = self._bounds(level.rows, working, known)
-        name = f"allocate_{level.name}"
+        name = f"allocate_{after}"
         if len(level.axes) == 1:
             value = _interval(level.rows.normals[:, 0], lower_, upper, w[level.axes[0]], self.precision)
             return [Call(_program(name, inputs, {"w": _with(w, level.axes, value)}), (before, "working"), (after,))]
@@ -99,23 +105,24 @@ class _Builder:
         ]
 
     def _effort(self, at: str) -> list[Step]:
-        d = self.design
+        d, steps, parts = self.design, list[Step](), dict[str, tuple[int, ...]]()
         w, working = ca.SX.sym("w", 4), ca.SX.sym("working", self.count)
-        inputs, freedom = {"w": w, "working": working}, d.null.shape[1]
-        if freedom == 0:
-            return [Call(_program("allocate_effort", inputs, {"t": _times(d.inverse, w)}), (at, "working"), ("t_next",))]
-        lower_, upper = self._bounds(d.effort, working, w)
-        if freedom == 1:
-            z = _interval(d.effort.normals[:, 0], lower_, upper, ca.SX(0), self.precision)
-            t = _times(d.inverse, w) + _times(d.null, z)
-            return [Call(_program("allocate_effort", inputs, {"t": t}), (at, "working"), ("t_next",))]
-        found, z = ca.SX.sym("w", 4), ca.SX.sym("z", freedom)
-        t = _times(d.inverse, found) + _times(d.null, z)
-        zero = ca.SX.zeros(freedom)
-        return [
-            *self._nearest("allocate_effort", inputs, (at, "working"), d.effort, lower_, upper, zero, "z"),
-            Call(_program("allocate_forces", {"w": found, "z": z}, {"t": t}), (at, "z"), ("t_next",)),
-        ]
+        inputs = {"w": w, "working": working}
+        for k, (group, rows) in enumerate(d.effort):
+            lower_, upper = self._bounds(rows, working, w)
+            name = f"z{k}"
+            parts[name] = group
+            if len(group) == 1:
+                z = _interval(rows.normals[:, 0], lower_, upper, ca.SX(0), self.precision)
+                steps.append(Call(_program(f"allocate_effort{k}", inputs, {"z": z}), (at, "working"), (name,)))
+                continue
+            zero = ca.SX.zeros(len(group))
+            steps += self._nearest(f"allocate_effort{k}", inputs, (at, "working"), rows, lower_, upper, zero, name)
+        z = {name: ca.SX.sym(name, len(group)) for name, group in parts.items()}
+        t = _times(d.inverse, w)
+        for name, group in parts.items():
+            t += _times(d.null[:, group], z[name])
+        return [*steps, Call(_program("allocate_forces", {"w": w, **z}, {"t": t}), (at, *z), ("t_next",))]
 
     def _nearest(
         self,
@@ -129,6 +136,9 @@ class _Builder:
         result: str,
     ) -> list[Step]:
         m, d = rows.normals.shape
+        if d == 2 and m <= _SLABS:
+            point = _polygon(rows.normals, lower_, upper, start, self.precision)
+            return [Call(_program(name, inputs, {"point": point}), arguments, (result,))]
         lanes = self.precision.lanes
         padded = -(-m // lanes) * lanes
         never = self.precision.never
@@ -143,7 +153,10 @@ class _Builder:
         made = tuple(f"{result}_{key}" for key in outputs)
         space = Space(d, d, mapped=False, precision=self.precision)
         rest = tuple(f"{result}_{key}" for key in ("numbers", "multipliers", "status", "count"))
-        return [Call(_program(name, inputs, outputs), arguments, made), Call(search(space, padded), made, (result, *rest))]
+        return [
+            Call(_program(name, inputs, outputs), arguments, made),
+            Call(search(space, padded), made, (result, *rest)),
+        ]
 
     def _bounds(self, rows: Rows, working: ca.SX, known: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift = _times(rows.fixed, known) if rows.fixed.shape[1] else ca.SX.zeros(len(rows.normals))
@@ -164,6 +177,7 @@ class _Builder:
                 continue
             length = ca.sqrt(ca.sumsqr(force))
             most = working[k] * thruster.forward
+            force = ca.if_else(ca.eq(self._without_noise(length), 0), 0, force)
             share = ca.if_else(length > most, most / ca.if_else(length > most, length, 1), 1)
             components.append(share * force)
             commands.append(_command(thruster, self._without_noise(ca.fmin(length, most))))
@@ -176,7 +190,6 @@ class _Builder:
             **({"angles": ca.vertcat(*angles)} if angles else {}),
         }
         return _program("allocate_end", {"t": t, "working": working}, outputs)
-
 
     def _without_noise(self, force: ca.SX) -> ca.SX:
         # a force that is 0 but for rounding must not switch a thruster to the edge of its dead band
@@ -205,12 +218,53 @@ def _command(thruster: Thruster, force: ca.SX) -> ca.SX:
 
 def _interval(normal: np.ndarray, lower_: ca.SX, upper: ca.SX, wish: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
     """Return the number nearest to `wish` between all bounds; each normal is 1 or −1."""
-    low, high = ca.SX(-precision.never), ca.SX(precision.never)
-    for k in range(len(normal)):
-        below, above = (lower_[k], upper[k]) if normal[k] > 0 else (-upper[k], -lower_[k])
+    ends = [(lower_[k], upper[k]) if normal[k] > 0 else (-upper[k], -lower_[k]) for k in range(len(normal))]
+    low, high = ends[0]
+    for below, above in ends[1:]:
         low, high = ca.fmax(low, below), ca.fmin(high, above)
     # bounds that cross by rounding leave one number
     return ca.if_else(low > high, 0.5 * (low + high), ca.fmin(ca.fmax(wish, low), high))
+
+
+def _polygon(normals: np.ndarray, lower_: ca.SX, upper: ca.SX, start: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
+    """Return the point (2,) of a polygon nearest to `start`; the polygon is the intersection of strips.
+
+    If `start` is outside, the nearest point lies on the violated side of a strip: it is the nearest of the points that
+    `start` is projected to on each violated side, limited to the part of the side inside all other strips.
+    """
+    found, least = start, ca.SX(precision.never)
+    outside = ca.SX(0)
+    for i, normal in enumerate(normals):
+        value = _along(normal, start)
+        above, below = value > upper[i], value < lower_[i]
+        violated = ca.logic_or(above, below)
+        outside = ca.logic_or(outside, violated)
+        foot = start - (value - ca.if_else(above, upper[i], lower_[i])) * ca.DM(normal)
+        side = np.array([-normal[1], normal[0]])
+        low, high, there = ca.SX(-precision.never), ca.SX(precision.never), violated
+        for j, other in enumerate(normals):
+            if j == i:
+                continue
+            rate, at = float(other @ side), _along(other, foot)
+            if abs(rate) < _PARALLEL:
+                slack = ca.fmin(upper[j] - at, at - lower_[j])
+                there = ca.logic_and(there, slack >= -precision.priced)
+                continue
+            ends = (lower_[j] - at) * (1 / rate), (upper[j] - at) * (1 / rate)
+            first, last = ends if rate > 0 else ends[::-1]
+            low, high = ca.fmax(low, first), ca.fmin(high, last)
+        there = ca.logic_and(there, low <= high + precision.priced)
+        place = ca.fmax(ca.fmin(ca.SX(0), high), low)
+        point = foot + place * ca.DM(side)
+        distance = ca.sumsqr(point - start)
+        nearer = ca.logic_and(there, distance < least)
+        found, least = ca.if_else(nearer, point, found), ca.if_else(nearer, distance, least)
+    return ca.if_else(outside, found, start)
+
+
+def _along(normal: np.ndarray, point: ca.SX) -> ca.SX:  # type: ignore[type-arg]
+    terms = [float(a) * point[k] for k, a in enumerate(normal.tolist()) if a != 0.0]
+    return sum(terms[1:], start=terms[0])
 
 
 def _with(w: ca.SX, axes: Sequence[int], values: ca.SX) -> ca.SX:

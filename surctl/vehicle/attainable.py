@@ -144,7 +144,7 @@ def _normals(edges: Array, q: int) -> Array:
         )
     groups = np.array(list(combinations(range(len(edges)), q - 1)))
     _, values, rows = np.linalg.svd(edges[groups])
-    normals = rows[values[:, -1] > _FLAT ** 0.5 * 1e-2, -1, :]
+    normals = rows[values[:, -1] > _FLAT**0.5 * 1e-2, -1, :]
     normals[np.abs(normals) < 1e-12] = 0.0
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     first = np.take_along_axis(normals, np.argmax(np.abs(normals) > 1e-9, axis=1)[:, None], axis=1)

@@ -260,9 +260,7 @@ def _check_order(order: tuple[str, ...]) -> None:
         if name not in ORDERS:
             raise InputError("is not a level", value=name, remedy=nearest(name, ORDERS))
     if order[-1:] != ("effort",) or order.count("effort") > 1 or len(order) < 2:
-        raise InputError(
-            "must end with effort", value=list(order), remedy='write ["yaw", "force", "effort"]'
-        )
+        raise InputError("must end with effort", value=list(order), remedy='write ["yaw", "force", "effort"]')
     axes = [axis for name in order for axis in ORDERS[name]]
     for axis, name in enumerate(_AXES):
         if axes.count(axis) != 1:

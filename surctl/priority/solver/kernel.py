@@ -29,7 +29,17 @@ from surctl.priority.solver.dual_step import (
 from surctl.priority.solver.elimination import as_matrix
 from surctl.priority.solver.precision import FLOAT64, Precision
 
-__all__ = ["CAP", "OPEN_CAP", "certificate", "in_blocks", "kernel", "lanes_of", "reduced_kernel", "row_by_row", "search"]
+__all__ = [
+    "CAP",
+    "OPEN_CAP",
+    "certificate",
+    "in_blocks",
+    "kernel",
+    "lanes_of",
+    "reduced_kernel",
+    "row_by_row",
+    "search",
+]
 
 CAP = 40
 """Largest number of iterations."""

@@ -10,6 +10,7 @@ from surctl.priority import Mode
 from surctl.sensing import Equipment
 from surctl.simulation.batch.bodies import BodyKind
 from surctl.simulation.run import Sensing
+from surctl.vehicle import Actuators
 
 __all__ = ["Structure"]
 
@@ -27,6 +28,7 @@ class Structure:
         heights: whether some obstacle ends above the floor or below the surface.
         depths: whether the mission allows other depths than the depth of the path.
         barrier, treats: the options `barrier` and `movers` of `build_law`.
+        actuators: the thrusters to which the law allocates its thrust; None: each axis has its own limit.
     """
 
     law: str
@@ -44,6 +46,7 @@ class Structure:
     treats: Movers = "predict"
     heights: bool = False
     depths: bool = False
+    actuators: Actuators | None = None
 
     @property
     def may_fail(self) -> bool:
