@@ -114,8 +114,8 @@ class Design:
         known: tuple[int, ...] = ()
         for name, axes in self.actuators.levels:
             rows = self._level(known, axes)
-            for group in _groups(np.abs(rows.normals) > _ZERO):
-                levels.append(LevelRows(name, tuple(axes[k] for k in group), known, rows.part(group)))
+            groups = _groups(np.abs(rows.normals) > _ZERO)
+            levels += [LevelRows(name, tuple(axes[k] for k in group), known, rows.part(group)) for group in groups]
             known += axes
         return tuple(levels)
 

@@ -6,6 +6,7 @@ after a thruster has failed, each level is solved in turn by the least-distance 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import casadi as ca
@@ -79,10 +80,8 @@ class _Builder:
             steps += self._level(level, at, f"w{k}")
             at = f"w{k}"
         steps += self._effort(at)
-        one = ca.SX.sym("done")
-        steps.append(
-            Call(_program("allocated", {"done": one}, {"done": ca.SX(1) + 0 * one}), ("done",), ("done_next",))
-        )
+        end = _program("allocate_done", {"done": ca.SX.sym("done")}, {"done": ca.SX.ones(1)})
+        steps.append(Call(end, ("done",), ("done_next",)))
         inputs = (("t", self.size), ("done", 1), ("w", 4), ("working", self.count))
         return Routine("allocate_levels", inputs, tuple(steps), ("t_next", "done_next"))
 
@@ -153,10 +152,8 @@ class _Builder:
         made = tuple(f"{result}_{key}" for key in outputs)
         space = Space(d, d, mapped=False, precision=self.precision)
         rest = tuple(f"{result}_{key}" for key in ("numbers", "multipliers", "status", "count"))
-        return [
-            Call(_program(name, inputs, outputs), arguments, made),
-            Call(search(space, padded), made, (result, *rest)),
-        ]
+        prepare = Call(_program(name, inputs, outputs), arguments, made)
+        return [prepare, Call(search(space, padded), made, (result, *rest))]
 
     def _bounds(self, rows: Rows, working: ca.SX, known: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift = _times(rows.fixed, known) if rows.fixed.shape[1] else ca.SX.zeros(len(rows.normals))
@@ -210,7 +207,7 @@ def _command(thruster: Thruster, force: ca.SX) -> ca.SX:
             continue
         size = sign * force
         value = ca.SX(side[-1][0])
-        for (c0, f0), (c1, f1) in reversed(list(zip(side[:-1], side[1:], strict=True))):
+        for (c0, f0), (c1, f1) in reversed(list(itertools.pairwise(side))):
             value = ca.if_else(size < f1, c0 + (size - f0) * ((c1 - c0) / (f1 - f0)), value)
         command = ca.if_else(size > 0, sign * value, command)
     return command

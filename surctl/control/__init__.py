@@ -1,7 +1,7 @@
 """The controller: gain files, velocity control, and control laws (each law is one object)."""
 
-from surctl.control.baselines import Situation
 from surctl.control.allocated import WORKING, with_allocation
+from surctl.control.baselines import Situation
 from surctl.control.build import MODES, build_law, build_law_of
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GAINS, LIBRARY, Gains, GainSpec, load_gains, write_gains

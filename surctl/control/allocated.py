@@ -8,6 +8,7 @@ this axis (anti-windup), and the status contains `SATURATED` if they miss the co
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import casadi as ca
 
@@ -39,6 +40,7 @@ def allocation_outputs(actuators: Actuators) -> tuple[Port, ...]:
     )
 
 
+@cache
 def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -> Law:
     """Return the law with allocation to the thrusters; it has one more input, `working`, and further outputs.
 
@@ -98,9 +100,8 @@ def _together(law: Law, actuators: Actuators, precision: Precision) -> Program:
     for where in actuators.slices:
         part = v["components"][where]
         forces.append(part if part.numel() == 1 else ca.sqrt(ca.sumsqr(part)))
-    telemetry = ca.vertcat(
-        v["telemetry_law"], v["desired"], *forces, v["commands"], *([v["angles"]] if "angles" in v else [])
-    )
+    angles = [v["angles"]] if "angles" in v else []
+    telemetry = ca.vertcat(v["telemetry_law"], v["desired"], *forces, v["commands"], *angles)
     results = [v["achieved"], ca.vertcat(*entries), status, telemetry]
     names = ["tau", "x_next", "status", "telemetry"]
     return lower(ca.Function("allocated", list(v.values()), list(map(ca.densify, results)), list(v), names))

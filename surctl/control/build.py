@@ -175,7 +175,8 @@ def build_law(
         depths,
         cast("Fallback", fallback),
     )
-    return _cached_law(chosen) if actuators is None else _allocated_law(chosen, actuators)
+    built = _cached_law(chosen)
+    return built if actuators is None else with_allocation(built, actuators)
 
 
 @dataclass(frozen=True)
@@ -221,11 +222,6 @@ def _cached_law(chosen: _Configuration) -> Law:
     key = hashlib.sha256(f"{sources}\0{chosen!r}".encode()).hexdigest()
     stored = cached_bytes(key, ".law", build)
     return built[0] if built else law_from(stored)
-
-
-@cache
-def _allocated_law(chosen: _Configuration, actuators: Actuators) -> Law:
-    return with_allocation(_cached_law(chosen), actuators)
 
 
 def build_law_of(source: LawSource) -> Law:

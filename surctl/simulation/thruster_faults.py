@@ -86,7 +86,7 @@ class Thrusters:
         return working_flags(self.actuators, [fault.thruster for fault in self.faults if fault.acts(time)])
 
     def achieved(self, tau: Array, time: float) -> Array:
-        """Return the force and yaw moment (4,) that the thrusters deliver for a command; the lag follows in the plant."""
+        """Return the force and yaw moment (4,) that the thrusters deliver for a command, before the thrust lag."""
         if self.allocate is None:
             return tau
         return self.allocate(tau, self.working(time))[0]

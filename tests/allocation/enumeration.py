@@ -26,7 +26,7 @@ class Enumeration:
         on = np.ones(len(actuators.thrusters)) if working is None else working
         self.low = -on * np.array([t.reverse for t in actuators.thrusters])
         self.high = on * np.array([t.forward for t in actuators.thrusters])
-        choices = [(None,) if False else (None, low, high) for low, high in zip(self.low, self.high, strict=True)]
+        choices = [(None, low, high) for low, high in zip(self.low, self.high, strict=True)]
         choices = [c if c[1] != c[2] else (c[1],) for c in choices]
         forces, efforts = [], []
         for limits in product(*choices):
@@ -45,6 +45,7 @@ class Enumeration:
             row = self.B[3:, free]
             direct = np.linalg.pinv(row)  # of the yaw moment
             rest = np.eye(len(free)) - direct @ row
+            rest[np.abs(rest) < 1e-12] = 0.0
             inverse = rest @ np.linalg.pinv(self.B[:3, free] @ rest, rcond=1e-9)
             own = np.zeros((len(free), 4))
             own[:, 3:] = direct
@@ -74,7 +75,7 @@ class Enumeration:
         M, c = self.force_maps
         forces = M @ goal + c
         achieved = forces @ self.B.T
-        good = self._inside(forces) & (np.abs(achieved[:, 3] - goal[3]) <= 1e-10)
+        good = self._inside(forces) & (np.abs(achieved[:, 3] - goal[3]) <= 1e-9)
         missed = np.where(good, ((achieved[:, :3] - goal[:3]) ** 2).sum(axis=1), np.inf)
         reached = achieved[np.argmin(missed)]
         M, c = self.effort_maps

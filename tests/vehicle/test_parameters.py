@@ -50,8 +50,9 @@ def test_built_in_numbers(name: str) -> None:
     assert vehicle["Fv_max"] == vehicle["Fw_max"] == vehicle["Fu_max"]
 
 
-def test_the_library_holds_these_five_and_no_other() -> None:
-    assert {p.stem for p in LIBRARY.glob("*.toml")} == set(GOLDEN)
+def test_every_other_library_vehicle_describes_its_thrusters() -> None:
+    for path in LIBRARY.glob("*.toml"):
+        assert path.stem in GOLDEN or load_vehicle(path.stem).actuators is not None, path.stem
 
 
 @pytest.mark.parametrize("name", GOLDEN)
