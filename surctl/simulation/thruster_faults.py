@@ -44,6 +44,11 @@ class ThrusterFault:
     start: float = 0.0
     duration: float = inf
 
+    def to_dict(self) -> dict[str, object]:
+        """Return the fault as plain data for JSON; a fault without end has no duration."""
+        duration = None if self.duration == inf else self.duration
+        return {"thruster": self.thruster, "start_s": self.start, "duration_s": duration}
+
     def acts(self, time: float) -> bool:
         """Return whether the thruster has failed at `time` [s]."""
         return self.start - _SLACK <= time < self.start + self.duration - _SLACK

@@ -106,6 +106,11 @@ class Vehicle:
         """Thrust limits (4,): largest |F_u|, |F_v|, |F_w| [N] and |F_r| [N m]."""
         return np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
 
+    @property
+    def thrust_bound(self) -> NDArray[np.float64]:
+        """Bounds (4,) of the thrust that reaches the plant: the thrust limits, or the most that the thrusters give."""
+        return self.thrust_limit if self.actuators is None else self.actuators.most
+
     def steady_yaw(self, share: float) -> float:
         """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case."""
 

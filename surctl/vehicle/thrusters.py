@@ -194,6 +194,12 @@ class Actuators:
         return max(max(thruster.forward, thruster.reverse) for thruster in self.thrusters)
 
     @property
+    def most(self) -> Array:
+        """Bounds (4,) of |F_u|, |F_v|, |F_w| [N] and |F_r| [N m], with every thruster at its limit."""
+        limits = [np.abs(thruster.corners).max(axis=0) for thruster in self.thrusters]
+        return np.asarray(np.abs(self.matrix) @ np.concatenate(limits))
+
+    @property
     def lever(self) -> float:
         """Largest yaw moment per newton [m] of any thruster, or 1 if no thruster turns the vehicle."""
         most = float(np.abs(self.matrix[3]).max())

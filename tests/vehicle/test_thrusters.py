@@ -190,5 +190,5 @@ def test_limits_and_lag_follow_from_the_thrusters(tmp_path: Path) -> None:
     assert vehicle["Fw_max"] == pytest.approx(30)
     assert vehicle["Fr_max"] == pytest.approx(4 * 30 * 2 * c)
     assert vehicle["thrust_lag"] == 0.2
-    with pytest.raises(InputError, match="Fw_max = 0.0: must be greater than 0"):
+    with pytest.raises(InputError, match=r"Fw_max.*must be greater than 0"):
         _read(tmp_path, *tables[:-1], base=base)
