@@ -16,6 +16,7 @@ from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 from surctl.cli.system_export import export_system
 from surctl.cli.system_option import is_system, seconds_option
+from surctl.cli.thruster_options import split_faults
 
 __all__ = ["export"]
 
@@ -163,6 +164,7 @@ def export(
     precision = REALS[REALS.index(real)]
     find_compiler()
     tried, untried = chosen_targets([name.strip() for name in targets.split(",")] if targets else ())
+    faults, _ = split_faults(faults, refused="give the exported step the input `working`, or use surctl simulate")
     sensors = SensorOptions(faults, chances, beam, own_state)
     law = law_ref(law, key="--law")
     sensors.check(law=law, sensing=sensing)
@@ -179,6 +181,7 @@ def export(
         guidance=guidance,
         fallback=fallback,
         depths=mission.depths is not None,
+        actuators=robot.actuators,
     )
     tuned = load_gains(gains, own=law_source(law).gains)
     numbers = law_numbers(mission, tuned, robot)
@@ -193,7 +196,7 @@ def export(
     proof = None
     if prove:
         progress("proving")
-        proof = prove_bundle(shipped, bundle, robot.thrust_limit)
+        proof = prove_bundle(shipped, bundle, robot.thrust_bound)
         bundle = with_proof(bundle, proof)
     files = write_bundle(bundle, out)
     if target == "fmu":

@@ -17,6 +17,7 @@ from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 from surctl.cli.single_run import further_output, linear_part, run_line
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_simulate import simulate_system
+from surctl.cli.thruster_options import split_faults
 
 __all__ = ["simulate"]
 
@@ -121,6 +122,8 @@ def simulate(
         prepare_folder(out)
     law = law_ref(law, key="--law")
     chosen = load_gains(gains, own=law_source(law).gains)
+    alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
+    faults, broken = split_faults(faults, refused=alone)
     sensors = SensorOptions(faults, chances, beam, own_state)
     sensors.check(law=law, sensing=sensing)
     if campaign.any:
@@ -154,6 +157,7 @@ def simulate(
             movers=movers,
             fallback=fallback,
             depths=scenario.depths is not None,
+            actuators=robot.actuators,
         )
         for scenario, robot in zip(plans, vehicles, strict=True)
     ]
@@ -167,9 +171,18 @@ def simulate(
                 for k in range(seed, seed + runs):
                     linked = link.linked(built, p, line, scenario, simulated, seed=k)
                     run = run_simulation(
-                        scenario, simulated, gains=chosen, law=built, sensing=sensing, seed=k, stepper=linked
+                        scenario,
+                        simulated,
+                        gains=chosen,
+                        law=built,
+                        sensing=sensing,
+                        seed=k,
+                        stepper=linked,
+                        thruster_faults=broken,
                     )
                     results.append(run.to_dict() | {"vehicle_from": choice.origin})
+                    if broken:
+                        results[-1]["thruster_faults"] = [fault.to_dict() for fault in broken]
                     if sensing == "sonar":
                         results[-1]["sensors"] = sensor_data(scenario)
                     lines.append(run_line(run))

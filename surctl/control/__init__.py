@@ -1,5 +1,6 @@
 """The controller: gain files, velocity control, and control laws (each law is one object)."""
 
+from surctl.control.allocated import WORKING, with_allocation
 from surctl.control.baselines import Situation
 from surctl.control.build import MODES, build_law, build_law_of
 from surctl.control.decision import Decision, TaskLevel
@@ -39,6 +40,7 @@ __all__ = [
     "SATURATED",
     "SWITCHED",
     "TRAPPED",
+    "WORKING",
     "Barrier",
     "Decision",
     "GainSpec",
@@ -57,5 +59,6 @@ __all__ = [
     "law_ref",
     "law_source",
     "load_gains",
+    "with_allocation",
     "write_gains",
 ]

@@ -9,6 +9,7 @@ from typing import cast, get_args
 
 import casadi as ca
 
+from surctl.control.allocated import with_allocation
 from surctl.control.baselines import Situation
 from surctl.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
@@ -49,6 +50,7 @@ from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, Mode, check_fallback, nsb_symbolic
 from surctl.sensing import Equipment
 from surctl.tasks import LimitRow, VelocityBox
+from surctl.vehicle import Actuators
 
 __all__ = ["MODES", "build_law", "build_law_of"]
 
@@ -79,6 +81,7 @@ def build_law(
     movers: str = "predict",
     depths: bool = False,
     fallback: str = "exact",
+    actuators: Actuators | None = None,
 ) -> Law:
     """Build a law, or load it from the cache; the values of its gains are inputs of the law, not part of it.
 
@@ -107,6 +110,9 @@ def build_law(
         fallback: how modes `filter` and `projected` proceed if they cannot satisfy all limits and task 1: `exact` or
             `bounded`. `bounded` computes a safe command in a fixed number of operations and sets `DEGRADED` in the
             status.
+        actuators: the vehicle's thrusters (`vehicle.actuators`). The law then allocates its thrust to them: `tau` is
+            the force that they achieve together, and the outputs contain their forces and commands (see
+            `control.allocated`). None: `tau` is the commanded force, limited on each axis.
 
     Raises:
         InputError: a name is unknown, or the law does not support the chosen option.
@@ -154,23 +160,23 @@ def build_law(
             )
     contacts = contacts if source.slots is None else source.slots
     depths = depths and "depths" in source.options
-    return _cached_law(
-        _Configuration(
-            law,
-            cast("AvoidanceForm", avoidance),
-            cast("Mode", mode),
-            dt,
-            contacts,
-            sonar,
-            equipment,
-            moving,
-            cast("Guidance", guidance),
-            cast("Barrier", barrier),
-            cast("Movers", movers),
-            depths,
-            cast("Fallback", fallback),
-        )
+    chosen = _Configuration(
+        law,
+        cast("AvoidanceForm", avoidance),
+        cast("Mode", mode),
+        dt,
+        contacts,
+        sonar,
+        equipment,
+        moving,
+        cast("Guidance", guidance),
+        cast("Barrier", barrier),
+        cast("Movers", movers),
+        depths,
+        cast("Fallback", fallback),
     )
+    built = _cached_law(chosen)
+    return built if actuators is None else with_allocation(built, actuators)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from surctl.guidance import AvoidanceForm, Guidance
 from surctl.ir import Block, Layout, Port, on_vectors, runnable, to_casadi
 from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
 from surctl.system import NONFINITE
+from surctl.vehicle import Actuators
 
 __all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep", "Stages"]
 
@@ -130,6 +131,9 @@ class Law:
         perception: the part of the law that runs before the decision, or None. In a law with perception, the inputs x
             and u of `stages` are the state of the decision and the outputs of perception.
         guidance, barrier, movers, fallback: the arguments of `build_law`.
+        base: the law without allocation, or None if the vehicle has no thrusters of its own; `stages`, `problem` and
+            `explained` are those of the base.
+        actuators: the thrusters to which the law allocates its thrust, or None.
     """
 
     name: str
@@ -150,6 +154,8 @@ class Law:
     barrier: Barrier = "simple"
     movers: Movers = "predict"
     fallback: Fallback = "exact"
+    base: Law | None = None
+    actuators: Actuators | None = None
 
     @cached_property
     def function(self) -> ca.Function:
@@ -183,7 +189,7 @@ class Law:
 
         Without a compiler, the routine runs in Python, which gives equal numbers more slowly.
         """
-        closed = self.mode == "nsb" and self.perception is None
+        closed = self.mode == "nsb" and self.perception is None and self.base is None
         return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block)
 
     @cached_property
@@ -208,6 +214,8 @@ class Law:
             InputError: a vector does not have the size of its layout, or the problem contains a non-finite number.
         """
         x, u, p = self._vectors(x, u, p)
+        if self.base is not None:
+            return self.base.problem(x, u[: self.base.inputs.size], p)
         if self.perception is not None:
             x, u = x[: -self.perception.state.size], self.decision_inputs(x, u, p)
         J, references, rows, *_ = self._before(x, u, p)
@@ -235,6 +243,8 @@ class Law:
             InputError: a vector does not have the size of its layout.
         """
         x, u, p = self._vectors(x, u, p)
+        if self.base is not None:
+            return self.base.decision_inputs(x, u[: self.base.inputs.size], p)
         if self.perception is None:
             return u
         anew = [x[self.state.slice("changing")] < -0.5] if "changing" in self.state else []

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from surctl.control.allocated import with_allocation
 from surctl.control.law import Law
 from surctl.control.layers import forgetting
 from surctl.control.perception import PerceptionStage
@@ -78,7 +79,8 @@ def in_real(law: Law, real: Real) -> Law:
     """Return the law with the solver tolerances, and the polynomials for sin, cos and atan2, of number type `real`.
 
     With the tolerances for double, the solver would never stop in float, because the rounding errors of float exceed
-    these tolerances. A law in mode nsb or lexicographic is returned unchanged, because it uses no solver tolerances.
+    these tolerances. Without allocation to thrusters, a law in mode nsb or lexicographic is returned unchanged, because
+    it uses no solver tolerances.
 
     Example:
         >>> import numpy as np
@@ -95,7 +97,14 @@ def in_real(law: Law, real: Real) -> Law:
         float64 [5.0, 0.88]
         float32 [5.0, 0.88]
     """
-    if real == "float64" or law.mode not in ("filter", "projected"):
+    if real == "float64":
+        return law
+    if law.base is not None and law.actuators is not None:
+        base = in_real(law.base, real)
+        if base.mode == "nsb" and base.perception is None:
+            base = replace(base, block=without_libm(base.stages.closed, real))
+        return with_allocation(base, law.actuators, real=real)
+    if law.mode not in ("filter", "projected"):
         return law
     block = limited(
         law.mode,

@@ -81,7 +81,7 @@ def closed_form(law: Law, *, real: Real = "float64", constants: Vector | None = 
         >>> law.gains.size, shipped.gains.size, shipped.block.operations < law.block.operations
         (70, 0, True)
     """
-    closed = law.mode == "nsb" and law.perception is None
+    closed = law.mode == "nsb" and law.perception is None and law.base is None
     if law.perception is not None and constants is not None:
         raise InputError(
             "are only for laws without perception",

@@ -65,6 +65,7 @@ def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Lay
         "yaw_rate": [(-fast[3], fast[3])],
         "samples": [(-_SLACK, echo + _SLACK)],
         "fresh": [(0.0, 1.0)],
+        "working": [(0.0, 1.0)],
     }
     along = mission.path.length
     most = _integral(vehicle, fast)

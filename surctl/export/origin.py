@@ -80,6 +80,7 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
         >>> manifest["vehicle"]["name"], manifest["vehicle"]["values"]["m11"], sorted(manifest["claims"])[:2]
         ('sur400', 50.0, ['course-corrected', 'course-printed'])
     """
+    law = law.base or law  # claims are about the command, before the allocation to thrusters
     ground_truth = law
     if "samples" in law.inputs:
         ground_truth = build_law(

@@ -41,6 +41,7 @@ from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
 from surctl.simulation.stopping import stop_reason
+from surctl.simulation.thruster_faults import ThrusterFault
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
@@ -80,6 +81,7 @@ __all__ = [
     "Sensors",
     "SlowerEngine",
     "Stepper",
+    "ThrusterFault",
     "World",
     "advance",
     "attitude_of",

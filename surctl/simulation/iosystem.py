@@ -77,7 +77,7 @@ def closed_loop_system(
     """
     import control  # this import takes seconds
 
-    chosen = law or build_law(depths=scenario.depths is not None)
+    chosen = law or build_law(depths=scenario.depths is not None, actuators=vehicle.actuators)
     if "samples" in chosen.inputs:
         raise InputError(
             "uses sonars, but this system has true positions only",

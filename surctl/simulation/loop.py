@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law, law_source
+from surctl.control import CONTACT_SLOTS, NONFINITE, WORKING, Gains, Law, LawStep, build_law, law_source
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.column import beside, column
@@ -22,6 +22,7 @@ from surctl.simulation.run import SENSING, Run, Sensing
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
 from surctl.simulation.stepping import advanced
+from surctl.simulation.thruster_faults import ThrusterFault, Thrusters
 from surctl.simulation.world import Body, World, build_world
 from surctl.vehicle import PLANT_DISTURBANCE, Vehicle, plant_parameters, plant_state
 from surctl.world import Disc
@@ -42,6 +43,7 @@ def simulate(
     seed: int = 0,
     model: Vehicle | None = None,
     stepper: Stepper | None = None,
+    thruster_faults: Sequence[ThrusterFault] = (),
 ) -> Run:
     """Simulate one scenario and return the run.
 
@@ -49,13 +51,16 @@ def simulate(
         scenario: the mission.
         vehicle: the simulated vehicle.
         gains: the law's gains.
-        law: the law; default: the law that `build_law` returns, with sonars if `sensing` is `sonar`.
+        law: the law; default: the law that `build_law` returns, with sonars if `sensing` is `sonar`, and with
+            allocation if the vehicle has thrusters. A law without allocation commands a force on each axis, which the
+            simulation then allocates to the vehicle's thrusters.
         sensing: `truth`: the law receives the exact positions of all obstacles and its exact pose; `sonar`: the law
             receives the echoes of its sonars, and noisy measurements of the moving obstacles and of its pose.
         seed: seed of all random choices.
         model: vehicle model of the controller; default: the simulated vehicle.
         stepper: function that replaces the law, for instance by a program in another process or precision; from the
             law's state x, inputs u and parameters p it returns a control step.
+        thruster_faults: failures of thrusters, which the law knows as soon as they begin.
 
     Raises:
         InputError: `sensing` is unknown or does not fit the law, or the hull starts inside an obstacle.
@@ -72,8 +77,12 @@ def simulate(
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     sonar = sensing == "sonar"
     law = law or build_law(
-        sonar=sonar, equipment=scenario.sensors.on(vehicle["radius"]), depths=scenario.depths is not None
+        sonar=sonar,
+        equipment=scenario.sensors.on(vehicle["radius"]),
+        depths=scenario.depths is not None,
+        actuators=vehicle.actuators,
     )
+    thrusters = Thrusters.of(vehicle, law, thruster_faults)
     if sonar != ("samples" in law.inputs):
         raise InputError(
             "does not fit a law that uses " + ("no sonars" if sonar else "sonars"),
@@ -91,7 +100,7 @@ def simulate(
     world = build_world(scenario, vehicle, seed=seed)
     gains = gains.with_own(law_source(law.ref).gains)
     p = law_numbers(scenario, gains, model or vehicle)
-    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step)
+    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step, thrusters)
     reason, record = loop.run(), loop.record()
     metrics = measure(scenario, law, record, reason=reason, least=loop.least)
     return Run(scenario, vehicle, gains, law, sensing, seed, metrics, record, stepper is not None)
@@ -124,8 +133,10 @@ class Loop:
         sensing: Sensing,
         noise: NoiseStream,
         stepper: Stepper,
+        thrusters: Thrusters | None = None,
     ) -> None:
         self.stepper = stepper
+        self.thrusters = thrusters or Thrusters.of(vehicle, law)
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
         self.plant, self.limit = plant_parameters(vehicle), vehicle.thrust_range[1]
         self.move = advanced(vehicle.form)
@@ -227,7 +238,8 @@ class Loop:
         return _StepNoise(samples, uniforms.reshape(instants, wide, 2), own, movers, float(rest[6]))
 
     def _advance(self, time: float, tau: NDArray[np.float64], noise: _StepNoise) -> None:
-        half, thrust = round(self.law.dt / FIRING), self.world.thrust(tau, self.limit)
+        thrust = self.world.thrust(self.thrusters.achieved(tau, time), self.limit)
+        half = round(self.law.dt / FIRING)
         for k in range(half):
             d = PLANT_DISTURBANCE.pack(
                 {
@@ -287,6 +299,7 @@ class Loop:
             inputs |= {"eta": eta, "nu": nu, "contacts": self._all_contacts(beside(bodies, eta[2], self.world.hull))}
         else:
             inputs |= self._measurements(self._mover_rows(bodies), noise, index)
+        inputs[WORKING] = self.thrusters.working(index * self.law.dt)
         inputs["column"] = column(self.world.scenario, bodies, eta[:3], self.world.hull)
         self.fresh = np.zeros(self.array.size)
         return self.law.inputs.pack({name: value for name, value in inputs.items() if name in self.law.inputs})

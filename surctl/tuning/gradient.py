@@ -87,6 +87,7 @@ class DifferentiableRun:
         start, data, p, plant = self._fixed
         before = np.column_stack([start, run[:, :-1]])
         law = self.case.build()
+        law = law.base or law  # the gradient is that of the command, before the allocation
         full = p.copy()
         for name, value in zip(self.names, values, strict=True):
             full[law.gains.slice(name)] = value
@@ -128,6 +129,7 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
     for name in names:
         case.gains[name]  # raises InputError if the gain is unknown
     law = case.build()
+    law = law.base or law
     slots = [port.shape[0] for port in law.inputs if port.name == "contacts"]
     if slots != [CONTACT_SLOTS]:
         remedy = f"use a law with {CONTACT_SLOTS} contact slots"

@@ -305,7 +305,8 @@ def _law_digest(law: str, avoidance: AvoidanceForm, guidance: Guidance, barrier:
 
 
 def _numbers(vehicle: Vehicle) -> str:
-    return f"{vehicle.name} {[(name, p.value) for name, p in vehicle.parameters.items()]!r}"
+    thrusters = "" if vehicle.actuators is None else f" {vehicle.actuators.text()}"
+    return f"{vehicle.name} {[(name, p.value) for name, p in vehicle.parameters.items()]!r}{thrusters}"
 
 
 def _nearest_parameter(name: str, known: set[str]) -> str:

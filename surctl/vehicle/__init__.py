@@ -1,5 +1,6 @@
 """The vehicle: parameters, equations (1)–(3) of the paper (kinematics, dynamics), linearisation, identification."""
 
+from surctl.vehicle.attainable import Attainable, attainable
 from surctl.vehicle.dynamics import (
     PLANT_DISTURBANCE,
     PLANT_PARAMETERS,
@@ -22,9 +23,11 @@ from surctl.vehicle.linearise import linearise, plant_jacobians
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, MotionLog, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
+from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Swivel, Thruster
 from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
+    "DEFAULT_ORDER",
     "FITTED",
     "FRAMES",
     "FRAME_TEXT",
@@ -36,6 +39,8 @@ __all__ = [
     "PLANT_PARAMETERS",
     "PLANT_STATE",
     "TERMS",
+    "Actuators",
+    "Attainable",
     "Frame",
     "Identified",
     "MotionLog",
@@ -43,7 +48,10 @@ __all__ = [
     "ParameterSpec",
     "Plant",
     "PlantForm",
+    "Swivel",
+    "Thruster",
     "Vehicle",
+    "attainable",
     "build_plant",
     "check_equation_3",
     "check_frame",

@@ -16,6 +16,8 @@ from pydantic import Field, ValidationError
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
 from surctl.vehicle.specs import NEEDED_TO_TILT, PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
+from surctl.vehicle.thruster_file import common_lag, largest_forces, read_actuators
+from surctl.vehicle.thrusters import Actuators
 
 __all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
 
@@ -37,12 +39,15 @@ class Vehicle:
     """A vehicle: its name, a note, its parameters by name (in SI units), and the name of its file.
 
     The parameters are those of equation (3) of the paper, followed by the vehicle's optional terms (see `TERMS`).
+    `actuators` holds the thrusters and the order of their allocation; None: the vehicle file describes no thrusters,
+    and each axis has its own force limit.
     """
 
     name: str
     note: str
     parameters: Mapping[str, Parameter]
     source: str = ""
+    actuators: Actuators | None = None
 
     def __getitem__(self, name: str) -> float:
         """Return the value of a parameter in its SI unit; for an unknown name, raise InputError with a similar name."""
@@ -99,6 +104,11 @@ class Vehicle:
             astern[axis] = self[name]
         return np.array([-astern, ahead])
 
+    @property
+    def thrust_bound(self) -> NDArray[np.float64]:
+        """Bounds (4,) of the thrust that reaches the plant: the thrust limits, or the most that the thrusters give."""
+        return self.thrust_limit if self.actuators is None else self.actuators.most
+
     def steady_yaw(self, share: float) -> float:
         """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case."""
 
@@ -110,8 +120,9 @@ class Vehicle:
         return float(2 * moment / max(linear + np.sqrt(linear**2 + 4 * quadratic * moment), 1e-6))
 
     def digest(self) -> str:
-        """Return the SHA-256 of all parameter names and values, without provenance and ranges."""
+        """Return the SHA-256 of all parameter names and values and the thrusters, without provenance and ranges."""
         numbers = json.dumps({name: p.value for name, p in self.parameters.items()}, sort_keys=True)
+        numbers += "" if self.actuators is None else self.actuators.text()
         return hashlib.sha256(numbers.encode()).hexdigest()
 
     def with_values(self, values: Mapping[str, float]) -> Vehicle:
@@ -130,9 +141,11 @@ class _VehicleFile(Strict):
     hull: dict[str, Quantity | str]
     inertia: dict[str, Quantity | str]
     drag: dict[str, Quantity | str]
-    thrust: dict[str, Quantity | str]
+    thrust: dict[str, Quantity | str] = Field(default_factory=dict)
     force: dict[str, Quantity | str] = Field(default_factory=dict)
     attitude: dict[str, Quantity | str] = Field(default_factory=dict)
+    thruster: list[dict[str, Any]] = Field(default_factory=list)
+    allocation: dict[str, Any] | None = None
 
 
 def load_vehicle(name_or_path: str) -> Vehicle:
@@ -162,6 +175,8 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
     parameters: dict[str, Parameter] = {}
     for section in ("hull", "inertia", "drag", "thrust", "force", "attitude"):
         parameters |= _read_section(section, getattr(model, section), source)
+    actuators = read_actuators(model.thruster, model.allocation, source=source)
+    parameters |= _of_thrusters(actuators, model.thruster, parameters, source)
     for name, spec in PARAMETERS.items():
         if name in parameters:
             continue
@@ -174,7 +189,7 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
             )
         parameters[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
     ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
-    return _possible(Vehicle(model.name, model.note, ordered, source))
+    return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
 
 
 def _possible(vehicle: Vehicle) -> Vehicle:
@@ -205,6 +220,20 @@ def _possible(vehicle: Vehicle) -> Vehicle:
             remedy=f"alone, its size must be below sqrt({ends}) = {most:.4g} {TERMS[name].unit}",
         )
     return vehicle
+
+
+def _of_thrusters(
+    actuators: Actuators | None, tables: list[dict[str, Any]], stated: Mapping[str, Parameter], source: str
+) -> dict[str, Parameter]:
+    # the parameters of [thrust] that follow from the thrusters, where the file does not state them
+    if actuators is None:
+        return {}
+    said = "follows from the thrusters: the largest value with 0 on all other axes"
+    derived = {name: Parameter(v, PARAMETERS[name].unit, None, said) for name, v in largest_forces(actuators).items()}
+    known = stated.get("thrust_lag")
+    lag = common_lag(tables, known=None if known is None else known.value, source=source)
+    derived |= {} if lag is None else {"thrust_lag": Parameter(lag, "s", None, "lag of every thruster")}
+    return {name: _checked(name, known, file=source) for name, known in derived.items() if name not in stated}
 
 
 def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from surctl.files import quoted
 from surctl.vehicle.parameters import Vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS
+from surctl.vehicle.thruster_file import thruster_text
 
 __all__ = ["write_vehicle"]
 
@@ -34,4 +35,4 @@ def write_vehicle(vehicle: Vehicle) -> str:
                 f'{name} = {{ value = {known.value!r}, unit = "{known.unit}"{bounds}, '
                 f"provenance = {quoted(known.provenance)} }}",
             ]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *thruster_text(vehicle.actuators)]) + "\n"

@@ -29,7 +29,17 @@ from surctl.priority.solver.dual_step import (
 from surctl.priority.solver.elimination import as_matrix
 from surctl.priority.solver.precision import FLOAT64, Precision
 
-__all__ = ["CAP", "OPEN_CAP", "certificate", "in_blocks", "kernel", "lanes_of", "reduced_kernel", "row_by_row"]
+__all__ = [
+    "CAP",
+    "OPEN_CAP",
+    "certificate",
+    "in_blocks",
+    "kernel",
+    "lanes_of",
+    "reduced_kernel",
+    "row_by_row",
+    "search",
+]
 
 CAP = 40
 """Largest number of iterations."""
@@ -81,11 +91,10 @@ def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
     take = lower(ca.Function(f"take_{space.point}", [base], [base[: space.point]]))
     full = x if space.opening else ca.vertcat(x, base[n])
     give = lower(ca.Function(f"give_{space.point}", [x, base], [full]))
-    search = _search(space, rows, cap)
     steps = (
         Call(take, ("base",), ("start",)),
         Call(
-            search,
+            search(space, rows, cap),
             ("rows", "start", "skip", *(name for name, _ in free)),
             ("x", "numbers", "multipliers", "status", "count"),
         ),
@@ -112,7 +121,7 @@ def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
         Loop(
             _reduce(space), rows // lanes, (), ("table",), sliced=("rows",), fixed=("origin", "Z"), lanes=lanes
         ),
-        Call(_search(small, rows, cap), ("table", "start", "skip"), ("y", "numbers", "multipliers", "status", "count")),
+        Call(search(small, rows, cap), ("table", "start", "skip"), ("y", "numbers", "multipliers", "status", "count")),
         Call(lift, ("origin", "Z", "y"), ("point",)),
     )  # fmt: skip
     inputs = (("rows", rows * (n + 3)), ("origin", n), ("start", d), ("skip", 1), ("Z", n * d))
@@ -128,7 +137,12 @@ def _reduce(space: Space) -> Program:
     return lower(ca.Function("reduce", [row, origin, Z], [reduced]))
 
 
-def _search(space: Space, rows: int, cap: int | None) -> Routine:
+def search(space: Space, rows: int, cap: int | None = None) -> Routine:
+    """Return the active-set search alone: the feasible point nearest to `base`, for rows without the entry `soft`.
+
+    Inputs: rows (rows·`space.row`,) in blocks, each of length 1 or 0; base (`space.point`,); skip; M (n·d,) if
+    `space.mapped`. Outputs: point, numbers and multipliers (d,) of the active rows, status and count as in `kernel`.
+    """
     free = (("M", space.n * space.d),) if space.mapped and not space.opening else ()
     space = space if free else Space(space.n, space.d, space.opening, mapped=False, precision=space.precision)
     width = space.row

@@ -16,6 +16,7 @@ from surctl.priority import Mode
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.run import Sensing
 from surctl.simulation.scenario import Scenario
+from surctl.simulation.thruster_faults import check_failed
 from surctl.vehicle import Vehicle, parameter_spec
 
 __all__ = ["Case", "CaseParameter", "case_parameters", "check_speeds", "check_values"]
@@ -33,6 +34,7 @@ class Case:
         gains: the law's gains; if the law defines additional gains, missing ones take their defaults.
         law: text that identifies the law, see `law_ref`.
         avoidance, mode, guidance, barrier, movers: further options of the law, as for `build_law`.
+        failed: names of thrusters that have failed from the start, which the law knows.
         sensing: kind of sensing: `truth` (exact positions) or `sonar`, as for `simulate`.
         model: vehicle model of the controller; None: the simulated vehicle.
     """
@@ -48,8 +50,10 @@ class Case:
     guidance: Guidance = "los"
     barrier: Barrier = "simple"
     movers: Movers = "predict"
+    failed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        check_failed(self.vehicle, self.failed)
         object.__setattr__(self, "law", law_ref(self.law))  # pinned to the text of its file, if it is of the user's own
         object.__setattr__(self, "gains", self.gains.with_own(law_source(self.law).gains))
 
@@ -71,6 +75,7 @@ class Case:
             barrier=self.barrier,
             movers=self.movers,
             depths=self.scenario.depths is not None,
+            actuators=self.vehicle.actuators,
         )
 
 

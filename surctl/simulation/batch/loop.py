@@ -13,7 +13,7 @@ from functools import cache
 
 import casadi as ca
 
-from surctl.control import Law, build_law
+from surctl.control import WORKING, Law, build_law
 from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, follow
 from surctl.ir import (
     Block,
@@ -79,6 +79,7 @@ def build_loop(structure: Structure) -> Loop:
         barrier=structure.barrier,
         movers=structure.treats,
         depths=structure.depths,
+        actuators=structure.actuators,
     )
     state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(law, structure))
     builder = _Builder(structure, law, state, parameters)
@@ -126,11 +127,13 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     upright = (*((heights,) if structure.heights else ()), *((mission,) if structure.depths else ()))
     there = [Port("there", (len(structure.bodies),), "1", "1 if the obstacle is in the water")]
     optional = there if structure.optional else []
+    thrusters = [law.inputs.port(WORKING)] if WORKING in law.inputs else []
     return (
         *law.gains,
         *world,
         *bodies,
         *optional,
+        *thrusters,
         *upright,
         *(port for port in failing if structure.may_fail and port.size),
     )
@@ -188,6 +191,8 @@ class _Builder:
                 slot_count = self.law.inputs.port("contacts").shape[0]
                 rows = slots([b.contact(eta[:2]) for b in near], [b.clearance(eta[:2]) for b in near], slot_count)
                 inputs["contacts"] = ca.vertcat(rows, ca.SX.zeros(slot_count - rows.shape[0], 6))
+        if WORKING in self.law.inputs:
+            inputs[WORKING] = parameters[WORKING]
         if "column" in self.law.inputs:
             inputs["column"] = _column(bodies, parameters, eta)
         out["u"] = self.law.inputs.join(inputs)

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.allocation import working_flags
+from surctl.control import WORKING
 from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.simulation.batch.case import Case, case_parameters
@@ -60,6 +62,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         "heights": any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
         "depths": case.scenario.depths is not None,
         "form": case.vehicle.form,
+        "actuators": case.vehicle.actuators,
     }
     if case.sensing == "truth":
         return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), **shared)
@@ -204,6 +207,9 @@ class _Filler:
         if structure.faults:
             slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
             columns["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
+        if structure.actuators is not None:
+            flags = working_flags(structure.actuators, self.case.failed)
+            columns[WORKING] = [np.asarray(flag) for flag in flags]
         if structure.optional:
             columns["there"] = [self.number(f"obstacle.{o.name}.there") for o in scenario.obstacles]
         if structure.heights:

@@ -10,7 +10,7 @@ from surctl.priority import Mode
 from surctl.sensing import Equipment
 from surctl.simulation.batch.bodies import BodyKind
 from surctl.simulation.run import Sensing
-from surctl.vehicle import PlantForm
+from surctl.vehicle import Actuators, PlantForm
 
 __all__ = ["Structure"]
 
@@ -29,6 +29,7 @@ class Structure:
         depths: whether the mission allows other depths than the depth of the path.
         barrier, treats: the options `barrier` and `movers` of `build_law`.
         form: the optional terms of the vehicle's dynamics.
+        actuators: the thrusters to which the law allocates its thrust; None: each axis has its own limit.
     """
 
     law: str
@@ -47,6 +48,7 @@ class Structure:
     heights: bool = False
     depths: bool = False
     form: PlantForm = field(default_factory=PlantForm)
+    actuators: Actuators | None = None
 
     @property
     def may_fail(self) -> bool:

@@ -1,0 +1,110 @@
+"""Failures of thrusters in a run, and the thrust that the thrusters of the simulated vehicle deliver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.allocation import allocation_block, working_flags
+from surctl.control import Law
+from surctl.errors import InputError
+from surctl.ir import runnable
+from surctl.vehicle import Actuators, Vehicle
+
+__all__ = ["ThrusterFault", "Thrusters", "check_failed"]
+
+Array = NDArray[np.float64]
+
+_SLACK = 1e-6  # [s] tolerance of a fault's times, because times are rounded sums of control periods
+
+
+@dataclass(frozen=True)
+class ThrusterFault:
+    """The failure of one thruster: it gives no force from `start` on for `duration` [s].
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import ThrusterFault, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> run = simulate(
+        ...     load_scenario("pool-behind"),
+        ...     load_vehicle("bluerov2-heavy"),
+        ...     gains=load_gains("default"),
+        ...     thruster_faults=[ThrusterFault("T2", start=2.0)],
+        ... )
+        >>> run.metrics.reached, run.telemetry("thruster_force")[-1][1].tolist()
+        (True, 0.0)
+    """
+
+    thruster: str
+    start: float = 0.0
+    duration: float = inf
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the fault as plain data for JSON; a fault without end has no duration."""
+        duration = None if self.duration == inf else self.duration
+        return {"thruster": self.thruster, "start_s": self.start, "duration_s": duration}
+
+    def acts(self, time: float) -> bool:
+        """Return whether the thruster has failed at `time` [s]."""
+        return self.start - _SLACK <= time < self.start + self.duration - _SLACK
+
+
+@dataclass(frozen=True, eq=False)
+class Thrusters:
+    """The thrusters of the simulated vehicle with their failures.
+
+    Attributes:
+        actuators: the thrusters, or None if the vehicle file describes none.
+        faults: the failures.
+        allocate: allocates the command of a law without allocation; None if the law does it, or without thrusters.
+    """
+
+    actuators: Actuators | None
+    faults: tuple[ThrusterFault, ...]
+    allocate: Callable[..., list[Array]] | None
+
+    @staticmethod
+    def of(vehicle: Vehicle, law: Law, faults: Sequence[ThrusterFault] = ()) -> Thrusters:
+        """Return the thrusters of a vehicle in a run; InputError for a failure of an unknown thruster."""
+        actuators = vehicle.actuators
+        check_failed(vehicle, [fault.thruster for fault in faults])
+        if law.actuators is not None and law.actuators != actuators:
+            raise InputError(
+                "has other thrusters than the law",
+                key="vehicle",
+                value=vehicle.name,
+                remedy="build the law with actuators=vehicle.actuators",
+            )
+        alone = actuators is not None and law.actuators is None
+        allocate = runnable(allocation_block(actuators)) if alone and actuators is not None else None
+        return Thrusters(actuators, tuple(faults), allocate)
+
+    def working(self, time: float) -> Array:
+        """Return (n,): 1 for each thruster that works at `time` [s], else 0."""
+        if self.actuators is None:
+            return np.zeros(0)
+        return working_flags(self.actuators, [fault.thruster for fault in self.faults if fault.acts(time)])
+
+    def achieved(self, tau: Array, time: float) -> Array:
+        """Return the force and yaw moment (4,) that the thrusters deliver for a command, before the thrust lag."""
+        if self.allocate is None:
+            return tau
+        return self.allocate(tau, self.working(time))[0]
+
+
+def check_failed(vehicle: Vehicle, names: Sequence[str]) -> None:
+    """Raise InputError for a failed thruster that the vehicle does not have."""
+    for name in names:
+        if vehicle.actuators is None:
+            raise InputError(
+                f"cannot fail: the file of {vehicle.name} describes no thrusters",
+                key="thruster",
+                value=name,
+                remedy="use a vehicle with [[thruster]] tables, such as bluerov2-heavy",
+            )
+        vehicle.actuators.index(name)

@@ -1,0 +1,268 @@
+"""Read and write the tables `[[thruster]]` and `[allocation]` of a vehicle file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import degrees, isclose, radians
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from surctl.errors import InputError, nearest
+from surctl.files import Quantity, Strict, quoted, validate
+from surctl.vehicle.attainable import attainable
+from surctl.vehicle.thrusters import DEFAULT_ORDER, ORDERS, Actuators, Swivel, Thruster
+
+__all__ = ["common_lag", "largest_forces", "read_actuators", "thruster_text"]
+
+_MOST = 16
+_AXES = ("surge", "sway", "heave", "yaw")
+_UNIT = 0.01  # allowed error of the length of a unit vector, because files round its entries
+_FORM = 'write "44 N"'
+
+
+class _SwivelTable(Strict):
+    axis: tuple[float, float, float]
+    range_deg: tuple[float, float]
+    rate_deg_per_s: float | None = Field(default=None, gt=0)
+
+
+class _ThrusterTable(Strict):
+    name: str = Field(min_length=1)
+    at_m: tuple[float, float, float]
+    push: tuple[float, float, float]
+    forward: Quantity
+    reverse: Quantity
+    dead_band: float = Field(default=0.0, ge=0, lt=1)
+    curve: tuple[tuple[float, float], ...] | None = None
+    lag: Quantity | None = None
+    swivel: _SwivelTable | None = None
+    provenance: str = Field(min_length=1)
+
+
+class _AllocationTable(Strict):
+    order: tuple[str, ...] = DEFAULT_ORDER
+
+
+class _Tables(Strict):
+    thruster: tuple[_ThrusterTable, ...] = ()
+    allocation: _AllocationTable | None = None
+
+
+def read_actuators(thrusters: Sequence[Any], allocation: Mapping[str, Any] | None, *, source: str) -> Actuators | None:
+    """Return the thrusters of a vehicle file, or None if it has none; `source` is the file's name in error messages.
+
+    Raises:
+        InputError: an entry is missing, unknown or impossible; the message names file, key and remedy.
+    """
+    data = {"thruster": list(thrusters), **({} if allocation is None else {"allocation": dict(allocation)})}
+    tables = validate(data, _Tables, file=source)
+    if not tables.thruster:
+        if tables.allocation is not None:
+            raise InputError("needs thrusters", file=source, key="allocation", remedy="add [[thruster]] tables")
+        return None
+    if len(tables.thruster) > _MOST:
+        raise InputError(f"has more than {_MOST} entries", file=source, key="thruster", value=len(tables.thruster))
+    read: list[Thruster] = []
+    for k, table in enumerate(tables.thruster):
+        try:
+            read.append(_thruster(table, taken=[one.name for one in read]))
+        except InputError as error:
+            raise error.inside(source, f"thruster.{k}.{error.key}") from None
+    order = DEFAULT_ORDER if tables.allocation is None else tables.allocation.order
+    try:
+        _check_order(order)
+    except InputError as error:
+        raise error.inside(source, "allocation.order") from None
+    return Actuators(tuple(read), order)
+
+
+def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) -> float | None:
+    """Return the time constant [s] that the tables state for all thrusters, or None if no table states one.
+
+    Raises:
+        InputError: the thrusters have different lags, or a lag that differs from `thrust_lag` (`known`).
+    """
+    lag = known
+    for k, table in enumerate(validate({"thruster": list(thrusters)}, _Tables, file=source).thruster):
+        if table.lag is None:
+            continue
+        try:
+            own = table.lag.within("s").value
+        except InputError as error:
+            raise error.inside(source, f"thruster.{k}.lag") from None
+        if not own >= 0 or (lag is not None and not isclose(own, lag, rel_tol=1e-9, abs_tol=1e-12)):
+            raise InputError(
+                "differs from the lag of the other thrusters or of [thrust]; thrusters with different lags would turn "
+                "a force command into another direction for a while, which the plant does not model",
+                file=source,
+                key=f"thruster.{k}.lag",
+                value=f"{own:g} s",
+                remedy="give all thrusters one lag, of the slowest",
+            )
+        lag = own
+    return lag
+
+
+def largest_forces(actuators: Actuators) -> Mapping[str, float]:
+    """Return `Fu_max`, `Fv_max`, `Fw_max` [N] and `Fr_max` [N m]: the largest value on each axis alone.
+
+    All other axes are 0 meanwhile, and the force is available in both directions.
+    """
+    ends = attainable(actuators).intervals()
+    ends[np.abs(ends) < 1e-9 * actuators.largest] = 0.0
+    return {name: float(min(-low, high)) for name, (low, high) in zip(_LIMITS, ends.tolist(), strict=True)}
+
+
+_LIMITS = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
+
+
+def thruster_text(actuators: Actuators | None) -> list[str]:
+    """Return the lines of `[allocation]` and `[[thruster]]` of a vehicle file; none without thrusters."""
+    if actuators is None:
+        return []
+    lines = ["", "[allocation]", f"order = [{', '.join(map(quoted, actuators.order))}]"]
+    for one in actuators.thrusters:
+        lines += [
+            "",
+            "[[thruster]]",
+            f"name = {quoted(one.name)}",
+            f"at_m = {list(one.at)!r}",
+            f"push = {list(one.push)!r}",
+            f"forward = {quoted(f'{one.forward!r} N')}",
+            f"reverse = {quoted(f'{one.reverse!r} N')}",
+            f"curve = {[list(point) for point in one.curve]!r}",
+        ]
+        if one.swivel is not None:
+            low, high = (degrees(end) for end in one.swivel.range)
+            rate = "" if one.swivel.rate is None else f", rate_deg_per_s = {degrees(one.swivel.rate)!r}"
+            lines.append(f"swivel = {{ axis = {list(one.swivel.axis)!r}, range_deg = [{low!r}, {high!r}]{rate} }}")
+        lines.append(f"provenance = {quoted(one.provenance)}")
+    return lines
+
+
+def _thruster(table: _ThrusterTable, *, taken: Sequence[str]) -> Thruster:
+    if table.name in taken:
+        raise InputError("names two thrusters", key="name", value=table.name, remedy="rename one of them")
+    if not table.name.isprintable() or set(table.name) & set(":,= "):
+        raise InputError("is not a name", key="name", value=table.name, remedy="use letters and digits, such as T1")
+    push = _unit(table.push, "push")
+    forward, reverse = _newtons(table.forward, "forward"), _newtons(table.reverse, "reverse")
+    if forward <= 0:
+        raise InputError(
+            "pushes nowhere: it must be greater than 0", key="forward", value=forward, remedy="turn `push` round"
+        )
+    if reverse < 0:
+        raise InputError(
+            "must be at least 0", key="reverse", value=reverse, remedy='give the magnitude; "0 N" for a water jet'
+        )
+    swivel = None if table.swivel is None else _swivel(table.swivel, push, reverse)
+    curve = _curve(table, forward, reverse)
+    return Thruster(table.name, table.at_m, push, forward, reverse, curve, swivel, table.provenance)
+
+
+def _newtons(quantity: Quantity, key: str) -> float:
+    try:
+        return quantity.within("N").value
+    except InputError as error:
+        raise error.inside(None, key) from None
+
+
+def _unit(vector: tuple[float, float, float], key: str) -> tuple[float, float, float]:
+    length = float(np.linalg.norm(vector))
+    if abs(length - 1) > _UNIT:
+        problem = "pushes nowhere" if length == 0 and key == "push" else f"has length {length:.4g}, not 1"
+        raise InputError(problem, key=key, value=list(vector), remedy="give a unit vector (forward, left, up)")
+    x, y, z = (np.array(vector) / length).tolist()
+    return x, y, z
+
+
+def _swivel(table: _SwivelTable, push: tuple[float, float, float], reverse: float) -> Swivel:
+    axis = _unit(table.axis, "swivel.axis")
+    if abs(float(np.dot(axis, push))) > _UNIT:
+        raise InputError(
+            "is not at right angles to push", key="swivel.axis", value=list(axis), remedy="turn the axis or push"
+        )
+    exact = np.array(axis) - np.dot(axis, push) * np.array(push)
+    x, y, z = (exact / np.linalg.norm(exact)).tolist()
+    low, high = table.range_deg
+    width = high - low
+    if not (0 < width <= 180 or width == 360):
+        raise InputError(
+            "must be up to 180 deg wide, or 360: the forces of any other range form no convex set",
+            key="swivel.range_deg",
+            value=[low, high],
+            remedy="give a narrower range",
+        )
+    if reverse != 0:
+        raise InputError(
+            "must be 0 N with a swivel: a sector and its opposite form no convex set",
+            key="reverse",
+            value=f"{reverse:g} N",
+            remedy='write "0 N", or remove the swivel',
+        )
+    rate = None if table.rate_deg_per_s is None else radians(table.rate_deg_per_s)
+    return Swivel((x, y, z), (radians(low), radians(high)), rate)
+
+
+def _curve(table: _ThrusterTable, forward: float, reverse: float) -> tuple[tuple[float, float], ...]:
+    if table.curve is None:
+        band = table.dead_band
+        points = [(-1.0, -reverse), (-band, 0.0), (band, 0.0), (1.0, forward)]
+        return tuple(dict.fromkeys(points[1:] if reverse == 0 else points))
+    curve = table.curve
+    commands, forces = np.array(curve).T if len(curve) > 1 else (np.zeros(1), np.zeros(1))
+    if len(curve) < 2 or np.any(np.diff(commands) <= 0) or np.any(np.diff(forces) < 0):
+        raise InputError(
+            "is not monotone", key="curve", value=[list(p) for p in curve], remedy="let command and force both increase"
+        )
+    flat = (np.diff(forces) == 0) & (forces[1:] != 0)
+    if flat.any():
+        k = int(np.flatnonzero(flat)[0])
+        raise InputError(
+            f"is flat at {forces[k]:g} N, so that no command belongs to one force",
+            key="curve",
+            value=[list(curve[k]), list(curve[k + 1])],
+            remedy="only the dead band, at 0 N, may be flat",
+        )
+    starts = -1.0 if reverse > 0 else float(commands[0])
+    zero = float(np.interp(0.0, commands, forces))
+    if commands[0] != starts or commands[0] > 0 or commands[-1] != 1 or zero != 0:
+        raise InputError(
+            "must begin at command -1 (a water jet: at most 0), end at 1 and give 0 N at command 0",
+            key="curve",
+            value=[list(p) for p in curve],
+            remedy="add these points",
+        )
+    for key, stated, end in (("forward", forward, forces[-1]), ("reverse", reverse, -forces[0])):
+        if not isclose(stated, end, rel_tol=1e-6, abs_tol=1e-9):
+            raise InputError(
+                f"the curve ends at {abs(end):g} N", key=key, value=f"{stated:g} N", remedy="make them equal"
+            )
+    edges = commands[forces == 0]
+    if table.dead_band and not isclose(float(edges.max(initial=0.0)), table.dead_band, rel_tol=1e-6):
+        raise InputError(
+            f"the curve leaves 0 N at command {edges.max(initial=0.0):g}",
+            key="dead_band",
+            value=table.dead_band,
+            remedy="make them equal, or remove dead_band",
+        )
+    pinned = [list(point) for point in curve]
+    pinned[-1][1], pinned[0][1] = forward, -reverse
+    if reverse == 0:
+        pinned[0][1] = 0.0
+    return tuple((float(c), float(f)) for c, f in pinned)
+
+
+def _check_order(order: tuple[str, ...]) -> None:
+    for name in order:
+        if name not in ORDERS:
+            raise InputError("is not a level", value=name, remedy=nearest(name, ORDERS))
+    if order[-1:] != ("effort",) or order.count("effort") > 1 or len(order) < 2:
+        raise InputError("must end with effort", value=list(order), remedy='write ["yaw", "force", "effort"]')
+    axes = [axis for name in order for axis in ORDERS[name]]
+    for axis, name in enumerate(_AXES):
+        if axes.count(axis) != 1:
+            how = "twice" if axes.count(axis) else "in no level"
+            raise InputError(f"names {name} {how}", value=list(order), remedy="name each axis once")

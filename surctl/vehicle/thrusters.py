@@ -1,0 +1,263 @@
+"""Thrusters of a vehicle: place, direction, force limits, command curve and swivel, and the order of allocation.
+
+A thruster pushes along a fixed direction, from `-reverse` to `forward`. A swivelling thruster (a vectored water jet)
+pushes in a plane: its force lies in a sector of a disc, which is replaced by an inscribed polygon, so that every limit
+is linear and no force exceeds the jet's limit. All thrusters of a vehicle share the vehicle's `thrust_lag`: a
+first-order lag with one time constant on every thruster equals the same lag of the total force and moment, because the
+total is a linear function of the thrusters' forces.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from math import ceil, degrees, hypot, isclose, pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+
+__all__ = ["DEFAULT_ORDER", "ORDERS", "Actuators", "Swivel", "Thruster"]
+
+Array = NDArray[np.float64]
+
+ORDERS: Mapping[str, tuple[int, ...]] = {
+    "surge": (0,),
+    "sway": (1,),
+    "heave": (2,),
+    "yaw": (3,),
+    "horizontal": (0, 1),
+    "force": (0, 1, 2),
+    "effort": (),
+}
+"""Levels of `[allocation] order`, with the entries of (F_u, F_v, F_w, F_r) that they contain."""
+
+DEFAULT_ORDER = ("yaw", "force", "effort")
+"""The order of allocation that a vehicle file without `[allocation]` has."""
+
+SIDES = 8
+"""Number of sides of the polygon that replaces a full disc of forces; it loses at most 7.6 % of the force."""
+
+_FULL = 2 * pi
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Swivel:
+    """The joint of a swivelling thruster.
+
+    Attributes:
+        axis: unit vector of the joint's axis in {B}, at right angles to the thruster's direction.
+        range: least and largest angle of the joint [rad], counter-clockwise about the axis; 0 is the direction `push`.
+        rate: largest rate of the joint [rad/s], or None. The simulation does not model it.
+    """
+
+    axis: tuple[float, float, float]
+    range: tuple[float, float]
+    rate: float | None = None
+
+
+@dataclass(frozen=True)
+class Thruster:
+    """A thruster.
+
+    Attributes:
+        name: name in messages and ports.
+        at: place in the body frame {B} [m]: x forward, y to the left, z up.
+        push: unit vector of the force on the vehicle at a positive command, in {B}.
+        forward, reverse: largest force along and against `push` [N]; a water jet has reverse = 0.
+        curve: (command, force [N]) points of the piecewise linear characteristic, from command −1 to 1.
+        swivel: the joint of a vectored jet, or None.
+        provenance: where the numbers come from.
+    """
+
+    name: str
+    at: tuple[float, float, float]
+    push: tuple[float, float, float]
+    forward: float
+    reverse: float
+    curve: tuple[tuple[float, float], ...]
+    swivel: Swivel | None = None
+    provenance: str = ""
+
+    @cached_property
+    def directions(self) -> Array:
+        """Unit vectors (3, k) of the force components in {B}: k = 1, or 2 for a swivelling thruster."""
+        push = np.array(self.push)
+        if self.swivel is None:
+            return push[:, None]
+        return np.column_stack([push, np.cross(self.swivel.axis, push)])
+
+    @cached_property
+    def columns(self) -> Array:
+        """Force and moments (6, k) per newton of each component: F_u, F_v, F_w, then roll, pitch and yaw moments."""
+        at = np.array(self.at)
+        return np.vstack([self.directions, np.cross(at, self.directions, axisb=0).T])
+
+    @cached_property
+    def corners(self) -> Array:
+        """Corners (c, k) of the set of possible force components [N], counter-clockwise for a swivelling thruster."""
+        if self.swivel is None:
+            return np.array([[-self.reverse], [self.forward]])
+        low, high = self.swivel.range
+        full = isclose(high - low, _FULL, abs_tol=_SAME)
+        count = max(1, ceil((high - low) / _FULL * SIDES - _SAME))
+        angles = low + (high - low) * np.arange(count + (not full)) / count
+        arc = self.forward * np.column_stack([np.cos(angles), np.sin(angles)])
+        return arc if full else np.vstack([[0.0, 0.0], arc])
+
+    @cached_property
+    def sides(self) -> tuple[Array, Array]:
+        """Normals (s, k) and bounds (s,) [N]: the force components f satisfy normals · f ≤ bounds.
+
+        For a thruster without swivel, the two sides are f ≤ forward and −f ≤ reverse.
+        """
+        if self.swivel is None:
+            return np.array([[1.0], [-1.0]]), np.array([self.forward, self.reverse])
+        edges = np.roll(self.corners, -1, axis=0) - self.corners
+        outward = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None]
+        bounds = (outward * self.corners).sum(axis=1)
+        bounds[np.abs(bounds) < _SAME * self.forward] = 0.0
+        repeated = [k for k in range(1, len(outward)) if np.abs(outward[:k] - outward[k]).max(axis=1).min() < _SAME]
+        return np.delete(outward, repeated, axis=0), np.delete(bounds, repeated)
+
+    def force(self, command: float) -> float:
+        """Return the force [N] at a command in [−1, 1], from the curve."""
+        commands, forces = np.array(self.curve).T
+        return float(np.interp(command, commands, forces))
+
+    def command(self, force: float) -> float:
+        """Return the command of smallest magnitude at which the curve gives the force [N]; 0 for no force."""
+        limited = min(max(force, -self.reverse), self.forward)
+        if limited == 0.0:
+            return 0.0
+        side = [point for point in self.curve if point[1] * limited >= 0.0 and point[0] * limited >= 0.0]
+        side = sorted(side, key=lambda point: (abs(point[1]), abs(point[0])))
+        while len(side) > 1 and side[1][1] == 0.0:  # the edge of the dead band
+            del side[0]
+        inner, outer = np.array(side).T
+        if limited < 0:
+            return -float(np.interp(-limited, -outer, -inner))
+        return float(np.interp(limited, outer, inner))
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """The thrusters of a vehicle and the order in which their allocation meets force and yaw moment.
+
+    Attributes:
+        thrusters: the thrusters.
+        order: the levels, highest priority first; the last one is `effort`, the smallest sum of squared forces.
+    """
+
+    thrusters: tuple[Thruster, ...]
+    order: tuple[str, ...] = DEFAULT_ORDER
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the thrusters."""
+        return tuple(thruster.name for thruster in self.thrusters)
+
+    @property
+    def levels(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
+        """Name of each level without `effort`, and its entries of (F_u, F_v, F_w, F_r)."""
+        return tuple((name, ORDERS[name]) for name in self.order if ORDERS[name])
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Matrix B (4, N): (F_u, F_v, F_w, F_r) = B f for the force components f (N,) of all thrusters."""
+        return np.hstack([thruster.columns[[0, 1, 2, 5]] for thruster in self.thrusters])
+
+    @cached_property
+    def tilting(self) -> Array:
+        """Matrix (2, N): roll and pitch moments [N m] per newton of each force component; they are not controlled."""
+        return np.hstack([thruster.columns[[3, 4]] for thruster in self.thrusters])
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Entries of each thruster in the vector of force components."""
+        ends = np.cumsum([thruster.directions.shape[1] for thruster in self.thrusters]).tolist()
+        return tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
+
+    @property
+    def swivels(self) -> tuple[int, ...]:
+        """Indices of the swivelling thrusters."""
+        return tuple(k for k, thruster in enumerate(self.thrusters) if thruster.swivel is not None)
+
+    @property
+    def largest(self) -> float:
+        """Largest force of any thruster [N]."""
+        return max(max(thruster.forward, thruster.reverse) for thruster in self.thrusters)
+
+    @property
+    def most(self) -> Array:
+        """Bounds (4,) of |F_u|, |F_v|, |F_w| [N] and |F_r| [N m], with every thruster at its limit."""
+        limits = [np.abs(thruster.corners).max(axis=0) for thruster in self.thrusters]
+        return np.asarray(np.abs(self.matrix) @ np.concatenate(limits))
+
+    @property
+    def lever(self) -> float:
+        """Largest yaw moment per newton [m] of any thruster, or 1 if no thruster turns the vehicle."""
+        most = float(np.abs(self.matrix[3]).max())
+        return most if most > _SAME else 1.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the thrusters and the order as plain data for JSON; `from_dict` restores them exactly."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Actuators:
+        """Return the thrusters from the data of `to_dict`."""
+        return Actuators(tuple(_thruster_from(one) for one in data["thrusters"]), tuple(data["order"]))
+
+    def text(self) -> str:
+        """Return all numbers and names as one text, without provenance; equal thrusters have equal texts."""
+        data = self.to_dict()
+        for one in data["thrusters"]:
+            del one["provenance"]
+        return json.dumps(data, sort_keys=True)
+
+    def index(self, name: str) -> int:
+        """Return the index of a thruster; for an unknown name, raise InputError with a similar name."""
+        if name not in self.names:
+            raise InputError("no such thruster", key="thruster", value=name, remedy=nearest(name, self.names))
+        return self.names.index(name)
+
+    def moments(self, components: Array) -> tuple[float, float]:
+        """Return the roll and pitch moments [N m] of force components (N,)."""
+        roll, pitch = self.tilting @ components
+        return float(roll), float(pitch)
+
+    def magnitudes(self, components: Array) -> Array:
+        """Return the force (n,) [N] of each thruster: the component along `push`, or the length for a swivel."""
+        parts = [components[where] for where in self.slices]
+        return np.array([part[0] if part.size == 1 else hypot(*part) for part in parts])
+
+    def angles(self, components: Array) -> Array:
+        """Return the joint angle (k,) [rad] of each swivelling thruster; 0 for a force of 0."""
+        parts = [components[self.slices[k]] for k in self.swivels]
+        return np.array([float(np.arctan2(part[1], part[0])) for part in parts])
+
+    def lines(self) -> list[str]:
+        """Return one line of text for each thruster."""
+        return [_line(thruster) for thruster in self.thrusters]
+
+
+def _thruster_from(data: Mapping[str, Any]) -> Thruster:
+    joint = data["swivel"]
+    swivel = None if joint is None else Swivel(tuple(joint["axis"]), tuple(joint["range"]), joint["rate"])
+    lists = {key: tuple(data[key]) for key in ("at", "push")} | {"curve": tuple(map(tuple, data["curve"]))}
+    return Thruster(**{**data, **lists, "swivel": swivel})
+
+
+def _line(thruster: Thruster) -> str:
+    at, push = (", ".join(f"{entry:.3g}" for entry in vector) for vector in (thruster.at, thruster.push))
+    joint = ""
+    if thruster.swivel is not None:
+        low, high = map(degrees, thruster.swivel.range)
+        joint = f", swivels {low:.0f} to {high:.0f} deg"
+    return f"{thruster.name}: at ({at}) m, push ({push}), {thruster.forward:g} N, reverse {thruster.reverse:g} N{joint}"
