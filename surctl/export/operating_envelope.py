@@ -89,14 +89,25 @@ def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Lay
 
 def _steady(vehicle: Vehicle) -> Vector:
     # (4,) [m/s, rad/s]: drag equals the largest thrust
-    linear, quadratic, most = vehicle.linear_drag, vehicle.quadratic_drag, vehicle.thrust_limit
-    return np.asarray(2 * most / (linear + np.sqrt(linear**2 + 4 * quadratic * most)), dtype=float)
+    linear, quadratic, most = vehicle.linear_drag, vehicle.quadratic_drag, _thrust(vehicle)
+    root = linear + np.sqrt(linear**2 + 4 * quadratic * most)
+    steady = np.divide(2 * most, root, out=np.zeros(4), where=root > 0)
+    if most[1] == 0 or vehicle.form.terms:
+        # coupled motion: a craft drifts in a turn by no more than its speed ahead, and turns within twice its length
+        steady[1] = max(steady[0], steady[1])
+        steady[3] = max(steady[0] / (2 * vehicle["radius"]), steady[3])
+    return np.asarray(steady, dtype=float)
+
+
+def _thrust(vehicle: Vehicle) -> Vector:
+    # (4,) [N, N m]: in the direction with more thrust
+    return np.asarray(np.abs(vehicle.thrust_range).max(axis=0), dtype=float)
 
 
 def _integral(vehicle: Vehicle, fast: Vector) -> Vector:
     # (4,): the thrust saturates at the bound, and integration stops
     drag = vehicle.linear_drag * fast + vehicle.quadratic_drag * fast**2
-    return np.asarray((vehicle.thrust_limit + drag) / vehicle.mass + 100.0 * fast, dtype=float)
+    return np.asarray((_thrust(vehicle) + drag) / vehicle.mass + 100.0 * fast, dtype=float)
 
 
 def _box(layout: Layout, known: Mapping[str, list[tuple[float, float]]]) -> Vector:

@@ -27,6 +27,7 @@ from surctl.export.precision import Guarded, evaluated, in_precision, replayed
 from surctl.export.process import compile_controller
 from surctl.ir import Real
 from surctl.simulation import load_scenario
+from surctl.vehicle import load_vehicle
 from tests.export.altered import altered
 from tests.export.closed_form import exported, vehicle
 from tests.export.standin import stand_in
@@ -106,6 +107,15 @@ def test_what_the_guard_bounds_comes_from_site_and_vehicle() -> None:
     strong = vehicle().with_values({"Fu_max": 4 * vehicle()["Fu_max"]})
     assert operating_envelope(law, mission, strong, law.gains).inputs[4, 1] > small.inputs[4, 1]
     assert {rate.entry for rate in small.rates} == set(range(8)) and np.isinf(small.gains).all()
+
+
+@pytest.mark.parametrize("name", ["otter", "remus100", "eca-a9", "cybership2", "rexrov"])
+def test_the_guard_accepts_the_drift_of_a_coupled_craft_in_a_turn(name: str) -> None:
+    law, craft = build_law("closed_form"), load_vehicle(name)
+    box = operating_envelope(law, load_scenario("pool-behind"), craft, law.gains)
+    assert np.isfinite(box.inputs[:7]).all() and np.isfinite(box.state).all()
+    surge, sway, _, yaw = box.inputs[law.inputs.slice("nu"), 1]
+    assert sway == surge > 0 and yaw > (surge - 1) / (2 * craft["radius"])
 
 
 def test_mistakes_are_named() -> None:
