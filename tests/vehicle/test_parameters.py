@@ -1,4 +1,4 @@
-"""Vehicle files: the five sets, and every mistake a file can hold."""
+"""Vehicle files: the five sets of equation (3), and every mistake a file can hold."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.vehicle import LIBRARY, PARAMETERS, Vehicle, load_vehicle
+from surctl.vehicle import LIBRARY, PARAMETERS, Vehicle, load_vehicle, parameter_spec
 
 COLUMNS = (
     *("radius", "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr"),
@@ -50,12 +50,15 @@ def test_built_in_numbers(name: str) -> None:
     assert vehicle["Fv_max"] == vehicle["Fw_max"] == vehicle["Fu_max"]
 
 
-@pytest.mark.parametrize("name", GOLDEN)
+@pytest.mark.parametrize("name", sorted(path.stem for path in LIBRARY.glob("*.toml")))
 def test_every_parameter_has_its_unit_and_a_provenance(name: str) -> None:
     vehicle = load_vehicle(name)
-    assert list(vehicle.parameters) == list(PARAMETERS)
+    assert vehicle.name == name
+    assert list(vehicle.parameters) == [*PARAMETERS, *vehicle.form.terms]
     for key, parameter in vehicle.parameters.items():
-        assert parameter.unit == PARAMETERS[key].unit
+        spec = parameter_spec(key)
+        assert spec is not None
+        assert parameter.unit == spec.unit
         assert parameter.provenance.strip()
 
 
