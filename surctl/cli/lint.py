@@ -34,13 +34,15 @@ _NEXT = {
 
 def _file_findings(loaded: object) -> list[Finding]:
     # entries that cannot work
-    from surctl.simulation import Finding
+    from surctl.simulation import Finding, thruster_findings
     from surctl.vehicle import Vehicle
     from surctl.verification.region import RegionStatement
 
     if isinstance(loaded, Vehicle) and set(loaded.name) & set("/\\"):
         text = f"{loaded.name!r} cannot be part of a file name: remove / and \\"
         return [Finding("error", "name", text)]
+    if isinstance(loaded, Vehicle):
+        return thruster_findings(loaded)
     if isinstance(loaded, RegionStatement) and loaded.loop == "cruise":
         cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
         if cruise >= cap:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import as_json, finish
+from surctl.cli.thrusters import thrusters
 
 if TYPE_CHECKING:
     from surctl.vehicle import Identified, Vehicle
@@ -44,10 +45,13 @@ _name = click.option("--name", default="my-vehicle", metavar="TEXT", help="Name 
 
 @click.group()
 def vehicle() -> None:
-    """Write a vehicle file: from-geometry for a sphere, or from-log from a recording of motion and thrust.
+    """Write a vehicle file: from-geometry for a sphere, or from-log from a recording. Show what its thrusters can do.
 
-    Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help
+    Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help; surctl vehicle thrusters --help
     """
+
+
+vehicle.add_command(thrusters)
 
 
 @vehicle.command("from-geometry")

@@ -32,6 +32,7 @@ from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 from surctl.report.system_plot import plot_record, save_record_plot
+from surctl.report.thruster_plot import plot_attainable, save_attainable
 from surctl.report.verify_files import save_margins, save_regions, save_verdicts
 
 __all__ = [
@@ -49,6 +50,7 @@ __all__ = [
     "loop_responses",
     "map_view",
     "margin_slice",
+    "plot_attainable",
     "plot_bode",
     "plot_calibration",
     "plot_coordinates",
@@ -80,6 +82,7 @@ __all__ = [
     "render_sections",
     "runs_section",
     "save_animation",
+    "save_attainable",
     "save_calibrations",
     "save_heat_map",
     "save_locus",

@@ -42,6 +42,7 @@ from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
 from surctl.simulation.stopping import stop_reason
 from surctl.simulation.thruster_faults import ThrusterFault
+from surctl.simulation.thruster_fit import thruster_findings
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
@@ -102,5 +103,6 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "stop_reason",
+    "thruster_findings",
     "turn_rate",
 ]

@@ -1,0 +1,89 @@
+"""`surctl vehicle thrusters`: what the thrusters of a vehicle can do together, and after a failure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from surctl.cli.output import as_json, finish, out_folder
+
+__all__ = ["thrusters"]
+
+_AXES = ("surge", "sway", "heave", "yaw")
+
+
+@click.command
+@click.argument("name", metavar="VEHICLE")
+@click.option("--failed", multiple=True, metavar="NAME", help="Thruster that gives no force; repeatable.")
+@click.option("--force", "wrench", type=float, nargs=4, metavar="FU FV FW FR", help="Allocate this force [N, N m].")
+@out_folder
+@as_json
+def thrusters(
+    name: str,
+    failed: tuple[str, ...],
+    wrench: tuple[float, float, float, float] | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Print the forces that the thrusters of a vehicle give on each axis and together; with --force, their allocation.
+
+    Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
+    T2 --force 40 30 0 5
+    """
+    from surctl.allocation import allocate, working_flags
+    from surctl.errors import InputError
+    from surctl.simulation import thruster_findings
+    from surctl.vehicle import attainable, load_vehicle
+
+    vehicle = load_vehicle(name)
+    actuators = vehicle.actuators
+    if actuators is None:
+        raise InputError(
+            "describes no thrusters",
+            file=vehicle.source,
+            remedy="add [[thruster]] tables, as in surctl list --show bluerov2-heavy",
+        )
+    working = working_flags(actuators, failed)
+    forces = attainable(actuators)
+    intervals = forces.intervals(working=working)
+    share = forces.box_share(vehicle.thrust_limit, working=working)
+    result = {
+        "vehicle": vehicle.name,
+        "order": list(actuators.order),
+        "failed": list(failed),
+        "intervals": {axis: ends.tolist() for axis, ends in zip(_AXES, intervals, strict=True)},
+        "box_share": share,
+        "findings": [finding.to_dict() for finding in thruster_findings(vehicle)],
+    }
+    lines = [f"{vehicle.name}: {len(actuators.thrusters)} thrusters, order {', '.join(actuators.order)}"]
+    lines += [f"  {line}" for line in actuators.lines()]
+    lines.append(
+        "largest values on each axis, with 0 on the others" + (f", without {', '.join(failed)}" if failed else "")
+    )
+    for axis, (low, high), unit in zip(_AXES, intervals.tolist(), ("N", "N", "N", "N m"), strict=True):
+        lines.append(f"  {axis:<6} {low:>8.2f} to {high:>7.2f} {unit}")
+    limits = ", ".join(f"{key} {vehicle[key]:g}" for key in ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
+    lines.append(f"at once in every combination: {share:.3g} times the limits {limits}")
+    if wrench is not None:
+        found = allocate(actuators, wrench, failed=failed)
+        result["allocation"] = {
+            "achieved": found.achieved.tolist(),
+            "forces": dict(zip(actuators.names, found.forces.tolist(), strict=True)),
+            "commands": dict(zip(actuators.names, found.commands.tolist(), strict=True)),
+            "angles_rad": dict(found.angles),
+            "roll_pitch_n_m": [found.roll, found.pitch],
+            "gave_up": dict(found.gave_up),
+            "binding": {level: list(names) for level, names in found.binding.items()},
+        }
+        lines.append("allocation: " + found.explain())
+        for one, force, command in zip(actuators.names, found.forces, found.commands, strict=True):
+            angle = f", joint at {found.angles[one]:.3f} rad" if one in found.angles else ""
+            lines.append(f"  {one:<6} {force:>8.2f} N, command {command:+.4f}{angle}")
+        lines.append(f"  not controlled: roll {found.roll:.3g} N m, pitch {found.pitch:.3g} N m")
+    if out is not None:
+        from surctl.report import save_attainable
+
+        result["file"] = str(save_attainable(vehicle, out, failed=failed))
+        lines.append(f"wrote {result['file']}")
+    finish(result, lines, as_json=as_json, passed=True)
