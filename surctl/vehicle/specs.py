@@ -135,8 +135,8 @@ class PlantForm:
     @staticmethod
     def of(names: Iterable[str]) -> PlantForm:
         """Return the form with the optional terms among some parameter names."""
-        given = set(names)
-        return PlantForm(tuple(name for name in TERMS if name in given))
+        present = set(names)
+        return PlantForm(tuple(name for name in TERMS if name in present))
 
     def inertia(self) -> list[tuple[int, int, str]]:
         """Return the couplings of the inertia matrix as (row, column, name)."""
