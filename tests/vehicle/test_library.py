@@ -71,17 +71,17 @@ def test_a_turn_equals_an_independent_integration(name: str) -> None:
     assert (least <= tau).all()
     assert (tau <= most).all()
     start, steps = PLANT_STATE.pack({"nu": FLIP @ source.start}), round(source.seconds / STEP / 5)
-    flight = simulated(vehicle, start, tau, steps=steps, pieces=5)
+    turn = simulated(vehicle, start, tau, steps=steps, pieces=5)
     expected = integrated(source, np.linspace(0, 5 * steps * STEP, 6))
-    place = np.stack([flight[:, 0], -flight[:, 1], -flight[:, 3]])
+    place = np.stack([turn[:, 0], -turn[:, 1], -turn[:, 3]])
     np.testing.assert_allclose(place, expected[:3], rtol=1e-8, atol=1e-8)
-    velocity = FLIP @ flight[:, 4:8].T
+    velocity = FLIP @ turn[:, 4:8].T
     np.testing.assert_allclose(velocity, expected[3:], rtol=1e-8, atol=1e-8)
-    energies = [nu @ vehicle.inertia @ nu / 2 for nu in flight[:, 4:8]]
+    energies = [nu @ vehicle.inertia @ nu / 2 for nu in turn[:, 4:8]]
     np.testing.assert_allclose(energies, [nu @ source.inertia @ nu / 2 for nu in expected[3:].T], rtol=1e-8)
     curvature = [nu[3] / np.hypot(nu[0], nu[1]) for nu in (velocity[:, -1], expected[3:, -1])]
     assert curvature[0] == pytest.approx(curvature[1], abs=1e-8)
-    np.testing.assert_allclose(trim_thrust(vehicle, flight[-1, 4:8]), tau, rtol=1e-6, atol=1e-6)  # the turn is steady
+    np.testing.assert_allclose(trim_thrust(vehicle, turn[-1, 4:8]), tau, rtol=1e-6, atol=1e-6)  # the turn is steady
 
 
 @pytest.mark.parametrize("name", sorted(set(PUBLISHED) - {"rexrov"}))  # RexROV needs sway thrust to go straight
