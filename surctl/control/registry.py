@@ -12,6 +12,8 @@ from surctl.control.decision import Decision
 from surctl.control.guarded import guarded_law
 from surctl.control.paper import paper_law
 from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
+from surctl.control.steered import STEERED_GAINS, STEERED_PORTS, steered_law, steered_thrust
+from surctl.control.steering import steering_of
 from surctl.control.stopping import BARRIERS
 from surctl.errors import InputError, nearest
 from surctl.own_code import check_trusted, is_own, object_of, own_file, pinned
@@ -65,6 +67,15 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
         "dwa": LawSource("surctl_dwa", dwa_law, parts=_FOLLOWS),
         "vo": LawSource("surctl_vo", vo_law, parts=_LINEAR),
         "cbf": LawSource("surctl_cbf", cbf_law, parts=_LINEAR),
+        "steered": LawSource(
+            "surctl_steered",
+            steered_law,
+            gains=STEERED_GAINS,
+            state=STEERED_PORTS,
+            thrust=steered_thrust,
+            sensing=("truth",),
+            steering=steering_of,
+        ),
     }
 )
 """The source of each built-in law, by name."""

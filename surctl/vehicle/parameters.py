@@ -47,8 +47,8 @@ PARAMETERS: Mapping[str, ParameterSpec] = {
     "Zww": ParameterSpec("drag", "N s^2/m^2", "quadratic drag in heave", zero_allowed=True),
     "Nrr": ParameterSpec("drag", "N m s^2", "quadratic drag in yaw", zero_allowed=True),
     "Fu_max": ParameterSpec("thrust", "N", "largest surge force in both directions"),
-    "Fv_max": ParameterSpec("thrust", "N", "largest sway force in both directions"),
-    "Fw_max": ParameterSpec("thrust", "N", "largest heave force in both directions"),
+    "Fv_max": ParameterSpec("thrust", "N", "largest sway force in both directions", zero_allowed=True),
+    "Fw_max": ParameterSpec("thrust", "N", "largest heave force in both directions", zero_allowed=True),
     "Fr_max": ParameterSpec("thrust", "N m", "largest yaw moment in both directions"),
     "thrust_lag": ParameterSpec("thrust", "s", "time constant of the first-order thrust lag", True, 0.3),
 }
