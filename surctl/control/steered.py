@@ -39,7 +39,9 @@ STEERED_GAINS: Mapping[str, GainSpec] = {
 
 STEERED_PORTS = (Port("crab", (1,), "rad", "filtered crab angle: course minus heading"),)
 
-COURSES = tuple(np.radians([0, *(s * a for a in (10, 20, 30, 45, 60, 80, 100, 130) for s in (1, -1)), 180]).tolist())
+COURSES = tuple(
+    np.radians([0, *(s * a for a in (10, 20, 30, 45, 60, 80, 100, 125, 150) for s in (1, -1)), 180]).tolist()
+)
 """Candidate courses [rad] relative to the desired course.
 
 Of two equally good candidates the law chooses the first, so the craft passes a head-on obstacle with the obstacle on
@@ -52,8 +54,10 @@ SPEEDS = (1.0, 0.4)
 STEPS = 16
 """Number of steps of the prediction (*chosen*)."""
 
-_HIT, _SLOW, _OTHER_SIDE, _OTHER_COURSE = 4.0, 0.5, 0.6, 0.1  # weights of the cost
+_HIT, _SLOW, _OTHER_SIDE, _OTHER_COURSE = 4.0, 0.5, 2.5, 0.1  # weights of the cost
 _INADMISSIBLE = 1e3
+_CLEAR = _HIT / STEPS  # cost below which the desired course and speed have no contact in the prediction
+_BACK = 3.0  # [rad] offset above which a course leads back
 _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
 
 
@@ -66,7 +70,7 @@ def steered_law(s: Situation) -> Decision:
     course = ca.if_else(desired_speed > 1e-6, s.desired.velocity / ca.fmax(desired_speed, 1e-6), on_path)
     hull = ca.vertcat(ca.cos(psi), ca.sin(psi))
     offset, share, cost = _chosen(s, course, desired_speed, hull, s.steering)
-    blocked = cost >= _INADMISSIBLE
+    blocked, clear = cost >= _INADMISSIBLE, cost < _CLEAR
     course, speed = _turned(course, offset), ca.if_else(blocked, 0, share * desired_speed)
 
     slip = ca.atan2(s.nu[1], ca.fmax(s.nu[0], SLOWEST * p["cruise"]))
@@ -78,7 +82,7 @@ def steered_law(s: Situation) -> Decision:
     yaw_rate = _yaw_rate(error, s.nu[0], p)
 
     velocity = speed * course
-    side = ca.if_else(offset > 0, 1, ca.if_else(offset < 0, -1, 0))
+    side = ca.if_else(clear, 0, ca.if_else(_sided(offset), ca.if_else(offset > 0, 1, -1), s.x["side"]))
     heaves = p["thrust_limit"][2] > 0
     depth = TaskLevel.of(depth_task(s.eta, p["depth"], gain=p["k2"]))
     return Decision(
@@ -101,6 +105,11 @@ def _yaw_rate(error: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     return ca.fmin(ca.fmax(p["k_psi"] * error, -most), most)
 
 
+def _sided(offset: ca.SX) -> ca.SX:
+    # straight on and back belong to no side
+    return ca.logic_and(offset != 0, offset < _BACK)
+
+
 def _turned(unit: ca.SX, angle: ca.SX) -> ca.SX:
     c, s = ca.cos(angle), ca.sin(angle)
     return ca.vertcat(unit[0] * c - unit[1] * s, unit[0] * s + unit[1] * c)
@@ -109,9 +118,9 @@ def _turned(unit: ca.SX, angle: ca.SX) -> ca.SX:
 def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: Steering) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the offset from the desired course [rad], the share of the desired speed, and the cost of both."""
     p = s.p
-    time = (p["foresight"] * steering.radius + p["cruise"] ** 2 / (2 * steering.deceleration)) / p["cruise"]
-    step = time / STEPS + p["reaction"] / STEPS
-    gain = ca.fmin(p["k_psi"], 0.5 / step)
+    stopping = p["cruise"] ** 2 / (2 * steering.deceleration) + p["cruise"] * p["reaction"]
+    distance = p["foresight"] * steering.radius + stopping
+    step = distance / (p["cruise"] * STEPS)
     start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.nu[1], s.nu[3]), ca.SX(0))
     contacts = _contacts(s)
     last = s.x["last_velocity"] / ca.fmax(length(s.x["last_velocity"]), 1e-6)
@@ -121,11 +130,18 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
         towards = ca.vertcat(
             course[0] * turned[0] - course[1] * turned[1], course[0] * turned[1] + course[1] * turned[0]
         )
-        hit, travelled = _first_hit(start, towards, share * speed, contacts, p, step=step, gain=gain)
+        # every candidate is predicted over the same distance
+        longer = step / share
+        gain = ca.fmin(p["k_psi"], 0.5 / longer)
+        hit, travelled = _first_hit(start, towards, share * speed, contacts, p, step=longer, gain=gain)
         stop = speed * share * (speed * share / (2 * steering.deceleration) + p["reaction"])
         met = hit < NEVER
-        cost = 1 - turned[0] + _SLOW * (1 - share) + ca.if_else(met, _HIT * (1 - hit / STEPS), 0)
-        cost += _OTHER_SIDE * (offset * s.x["side"] < 0) + _OTHER_COURSE * (1 - ca.dot(towards, last))
+        # a turn takes time, so the distance counts too
+        near = 1 - ca.fmin(hit / STEPS, travelled / distance)
+        cost = 1 - turned[0] + _SLOW * (1 - share) + ca.if_else(met, _HIT * near, 0)
+        cost += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * s.x["side"] < 0) + _OTHER_COURSE * (
+            1 - ca.dot(towards, last)
+        )
         cost += _INADMISSIBLE * ca.logic_and(met, travelled < stop)
         better = cost < least - 1e-9
         return [ca.if_else(better, candidate[:2], best), ca.fmin(cost, least)]
@@ -160,9 +176,7 @@ def _first_hit(
 ) -> tuple[ca.SX, ca.SX]:
     """Return the step of the prediction in which the craft first touches a contact, or `NEVER`; and the way there."""
 
-    def ahead(
-        place: ca.SX, hull: ca.SX, nu: ca.SX, way: ca.SX, k: ca.SX, hit: ca.SX, travelled: ca.SX
-    ) -> tuple[list[ca.SX], list[ca.SX]]:
+    def ahead(place: ca.SX, hull: ca.SX, nu: ca.SX, way: ca.SX, k: ca.SX, *_: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
         now = moved(Moving(place, hull, nu, way), course, speed, p, step=step, gain=gain)
         time = step * (k + 1)
 
@@ -175,12 +189,12 @@ def _first_hit(
             return ca.fmax(met, gap < margin)
 
         met = fold("touches", touches, ca.SX(0), contacts)
-        first = ca.logic_and(met, hit >= NEVER)
         after = [now.place, now.hull, now.nu, now.travelled, k + 1]
-        return [*after, ca.if_else(first, k, hit), ca.if_else(first, way, travelled)], []
+        return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, way, 0), met], []
 
-    state = [start.place, start.hull, start.nu, start.travelled, ca.SX(0), ca.SX(NEVER), ca.SX(0)]
-    after, _ = repeat("ahead", ahead, state, count=STEPS)
+    state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0, 0))]
+    # the prediction ends at the first contact
+    after, _ = repeat("ahead", ahead, state, count=STEPS, until=7)
     return after[5], after[6]
 
 
