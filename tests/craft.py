@@ -21,41 +21,41 @@ CRUISE = {"otter": 0.77, "remus": 0.87, "lauv": 0.64, "a9": 0.79}
 
 _NUMBERS: dict[str, dict[str, float]] = {
     # Fossen, MSS and PythonVehicleSimulator: 24.4 kgf ahead at 6 kn, 13.6 kgf astern, T_yaw = 1 s; lag chosen
-    "otter": dict(
-        radius=1.1,
-        mass=(60.5, 137.5, 110.0, 41.4),
-        linear=(77.6, 137.5, 100.0, 41.4),
-        quadratic=(0.0, 240.0, 0.0, 414.0),
-        thrust=(133.0, 0.0, 0.0, 50.0),
-        lag=0.3,
-    ),
+    "otter": {
+        "radius": 1.1,
+        "mass": (60.5, 137.5, 110.0, 41.4),
+        "linear": (77.6, 137.5, 100.0, 41.4),
+        "quadratic": (0.0, 240.0, 0.0, 414.0),
+        "thrust": (133.0, 0.0, 0.0, 50.0),
+        "lag": 0.3,
+    },
     # Prestero 2001: Xuu, Yvv, Nrr, Yuv, Nur; rudder at 30 degrees; propeller at 1525 rpm after Allen et al. 2000
-    "remus": dict(
-        radius=0.8,
-        mass=(31.4, 66.0, 66.0, 8.3),
-        linear=(0.0, 24.9, 24.9, 1.7),
-        quadratic=(3.9, 1310.0, 131.0, 94.0),
-        thrust=(40.0, 0.0, 0.0, 2.4),
-        lag=0.3,
-    ),
+    "remus": {
+        "radius": 0.8,
+        "mass": (31.4, 66.0, 66.0, 8.3),
+        "linear": (0.0, 24.9, 24.9, 1.7),
+        "quadratic": (3.9, 1310.0, 131.0, 94.0),
+        "thrust": (40.0, 0.0, 0.0, 2.4),
+        "lag": 0.3,
+    },
     # da Silva et al. 2007
-    "lauv": dict(
-        radius=0.6,
-        mass=(19.0, 34.0, 34.0, 3.5),
-        linear=(2.4, 23.0, 23.0, 9.7),
-        quadratic=(2.4, 80.0, 80.0, 9.1),
-        thrust=(14.0, 0.0, 0.0, 2.0),
-        lag=0.3,
-    ),
+    "lauv": {
+        "radius": 0.6,
+        "mass": (19.0, 34.0, 34.0, 3.5),
+        "linear": (2.4, 23.0, 23.0, 9.7),
+        "quadratic": (2.4, 80.0, 80.0, 9.1),
+        "thrust": (14.0, 0.0, 0.0, 2.0),
+        "lag": 0.3,
+    },
     # uuvsimulator/eca_a9: damping per forward speed 8, 162, 108, 32; thruster and fins chosen
-    "a9": dict(
-        radius=1.0,
-        mass=(74.0, 165.0, 145.0, 67.0),
-        linear=(6.3, 128.0, 85.0, 25.0),
-        quadratic=(0.0, 0.0, 0.0, 0.0),
-        thrust=(40.0, 0.0, 0.0, 15.0),
-        lag=0.3,
-    ),
+    "a9": {
+        "radius": 1.0,
+        "mass": (74.0, 165.0, 145.0, 67.0),
+        "linear": (6.3, 128.0, 85.0, 25.0),
+        "quadratic": (0.0, 0.0, 0.0, 0.0),
+        "thrust": (40.0, 0.0, 0.0, 15.0),
+        "lag": 0.3,
+    },
 }
 _TABLES = {
     "mass": ("m11", "m22", "m33", "m44"),

@@ -57,8 +57,8 @@ class LawSource:
         perceive: function that returns the `Perception` from inputs and parameters, if the law does not use the shared
             perception.
         damping: damping of the closed-form null-space projection, equation (16) of the paper.
-        steering: function from the law's parameters to the abilities of a craft that is steered by heading and speed, for
-            a law that needs no sway force; None: the law moves in any direction, so it needs one.
+        steering: for a law that needs no sway force, the function from its parameters to the abilities of a craft
+            steered by heading and speed; None: the law moves in any direction, so it needs a sway force.
         parts: parts of the law for which the library has claims and linear models; empty if there are none.
 
     Raises:

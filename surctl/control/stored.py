@@ -28,7 +28,8 @@ def law_bytes(law: Law) -> bytes:
     blocks = [write_block(block) for block in (law.block, *(getattr(law.stages, name) for name in _STAGES))]
     head: dict[str, Any] = {word: getattr(law, word) for word in _WORDS}
     own = [port for port in law.gains if port.name not in PARAMETERS]
-    head |= {"gains": _listed(own), "state": _listed(law.state), "inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
+    head |= {"gains": _listed(own), "state": _listed(law.state)}
+    head |= {"inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
     head |= {"levels": law.levels, "rows": law.rows, "lengths": [len(text) for text in blocks]}
     if law.perception is not None:
         head["perception"] = {name: _listed(getattr(law.perception, name)) for name in ("state", "inputs", "outputs")}

@@ -11,7 +11,17 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import CONTACT_SLOTS, NONFINITE, Gains, Law, LawStep, build_law, law_source
+from surctl.control import (
+    CONTACT_SLOTS,
+    NONFINITE,
+    Gains,
+    Law,
+    LawStep,
+    build_law,
+    check_forces,
+    default_law,
+    law_source,
+)
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.column import beside, column
@@ -49,7 +59,7 @@ def simulate(
         scenario: the mission.
         vehicle: the simulated vehicle.
         gains: the law's gains.
-        law: the law; default: the law that `build_law` returns, with sonars if `sensing` is `sonar`.
+        law: the law; default: `build_law` of the vehicle's `default_law`, with sonars if `sensing` is `sonar`.
         sensing: `truth`: the law receives the exact positions of all obstacles and its exact pose; `sonar`: the law
             receives the echoes of its sonars, and noisy measurements of the moving obstacles and of its pose.
         seed: seed of all random choices.
@@ -72,8 +82,12 @@ def simulate(
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     sonar = sensing == "sonar"
     law = law or build_law(
-        sonar=sonar, equipment=scenario.sensors.on(vehicle["radius"]), depths=scenario.depths is not None
+        default_law(vehicle),
+        sonar=sonar,
+        equipment=scenario.sensors.on(vehicle["radius"]),
+        depths=scenario.depths is not None,
     )
+    check_forces(law.ref, vehicle)
     if sonar != ("samples" in law.inputs):
         raise InputError(
             "does not fit a law that uses " + ("no sonars" if sonar else "sonars"),

@@ -38,7 +38,8 @@ class Situation(NamedTuple):
     """Symbolic inputs of a law's decision: desired motion, obstacle points, state, pose, velocity, gains and mission.
 
     `form`, `dt`, `barrier` and `movers` are arguments of `build_law` (`form` is the argument `avoidance`). `scan` is
-    None for a law without sonars. `moving` is True if obstacles may move. `steering` is what `LawSource.steering` returns.
+    None for a law without sonars. `moving` is True if obstacles may move. `steering` is the result of
+    `LawSource.steering`.
     """
 
     form: AvoidanceForm
