@@ -17,6 +17,7 @@ from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, 
 from surctl.control.registry import LAW_NAMES, LAWS, check_forces, default_law, law_ref, law_source
 from surctl.control.routines import in_real
 from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
+from surctl.control.steering import turning_radius
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 
 __all__ = [
@@ -59,5 +60,6 @@ __all__ = [
     "law_ref",
     "law_source",
     "load_gains",
+    "turning_radius",
     "write_gains",
 ]

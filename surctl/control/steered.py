@@ -123,6 +123,7 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
     step = distance / (p["cruise"] * STEPS)
     start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.nu[1], s.nu[3]), ca.SX(0))
     contacts = _contacts(s)
+    side = s.x["side"]
     last = s.x["last_velocity"] / ca.fmax(length(s.x["last_velocity"]), 1e-6)
 
     def judged(best: ca.SX, least: ca.SX, candidate: ca.SX) -> list[ca.SX]:
@@ -139,9 +140,9 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
         # a turn takes time, so the distance counts too
         near = 1 - ca.fmin(hit / STEPS, travelled / distance)
         cost = 1 - turned[0] + _SLOW * (1 - share) + ca.if_else(met, _HIT * near, 0)
-        cost += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * s.x["side"] < 0) + _OTHER_COURSE * (
-            1 - ca.dot(towards, last)
-        )
+        cost += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * side < 0)
+        # only while the craft passes an obstacle: otherwise the desired course decides alone
+        cost += _OTHER_COURSE * ca.logic_not(side == 0) * (1 - ca.dot(towards, last))
         cost += _INADMISSIBLE * ca.logic_and(met, travelled < stop)
         better = cost < least - 1e-9
         return [ca.if_else(better, candidate[:2], best), ca.fmin(cost, least)]

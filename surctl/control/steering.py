@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.control.closing import yaw_limit
+from surctl.vehicle import Vehicle
 
-__all__ = ["MUNK_SHARE", "SLOWEST", "Moving", "Steering", "moved", "planned_yaw_rate", "steering_of"]
+__all__ = ["MUNK_SHARE", "SLOWEST", "Moving", "Steering", "moved", "planned_yaw_rate", "steering_of", "turning_radius"]
 
 MUNK_SHARE = 0.5
 """Share of the largest yaw moment that the Munk moment of a planned turn may reach (*chosen*)."""
@@ -78,6 +79,26 @@ def steering_of(p: Mapping[str, ca.SX]) -> Steering:
     return Steering(
         p["brake"] * p["thrust_limit"][0] / p["mass"][0], radius, lookahead, ca.fmax(p["wait"], 2 * lookahead)
     )
+
+
+def turning_radius(vehicle: Vehicle, gains: Mapping[str, float], speed: float) -> float:
+    """Return the radius [m] of the turn that a law may plan for a craft at a surge speed [m/s]; see the module.
+
+    Args:
+        vehicle: the craft.
+        gains: the gain `sideslip` by name; other gains are ignored.
+        speed: surge speed u > 0 [m/s], taken as the cruise speed.
+
+    Example:
+        >>> from surctl.control import turning_radius
+        >>> from surctl.vehicle import load_vehicle
+        >>> round(turning_radius(load_vehicle("sur400"), {"sideslip": 0.2}, 0.15), 2)
+        1.38
+    """
+    model = {name: getattr(vehicle, name) for name in ("mass", "linear_drag", "quadratic_drag", "thrust_limit")}
+    numbers = {**model, "sideslip": gains["sideslip"], "cruise": speed}
+    p = {name: ca.SX(ca.DM(value)) for name, value in numbers.items()}
+    return speed / float(planned_yaw_rate(p, ca.SX(speed)))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,16 @@ from surctl.vehicle.dynamics import (
 )
 from surctl.vehicle.parameters import Vehicle
 
-__all__ = ["SIGNAL_UNITS", "STATE_NAMES", "THRUST_NAMES", "check_trim", "labelled", "linearise", "plant_jacobians"]
+__all__ = [
+    "SIGNAL_UNITS",
+    "STATE_NAMES",
+    "THRUST_NAMES",
+    "check_trim",
+    "labelled",
+    "linearise",
+    "plant_jacobians",
+    "within_limits",
+]
 
 STATE_NAMES = ("x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr")
 THRUST_NAMES = ("Fu_cmd", "Fv_cmd", "Fw_cmd", "Fr_cmd")
@@ -77,13 +86,26 @@ def linearise(vehicle: Vehicle, nu: NDArray[np.float64], psi: float = 0.0, *, un
 def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
     """Raise InputError if the vehicle lacks the thrust to hold the body velocity nu (4,) [m/s, rad/s]."""
     tau = trim_thrust(vehicle, nu)
-    if np.any(np.abs(tau) >= vehicle.thrust_limit):
+    if not np.all(within_limits(tau, vehicle.thrust_limit)):
         raise InputError(
             f"needs thrust {np.round(tau, 2).tolist()}, but the limits are {vehicle.thrust_limit.tolist()} (N, N m)",
             key="operating point nu",
             value=nu.tolist(),
             remedy="linearise at a slower speed",
         )
+
+
+def within_limits(tau: NDArray[np.float64], limit: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return for each thrust whether it lies strictly inside its limit; a thrust of 0 needs no thruster.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle.linearise import within_limits
+        >>> within_limits(np.array([3.0, 0.0, -5.0]), np.array([5.0, 0.0, 5.0])).tolist()
+        [True, True, False]
+    """
+    inside: NDArray[np.bool_] = (np.abs(tau) < limit) | (tau == 0)
+    return inside
 
 
 def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:

@@ -18,6 +18,7 @@ from surctl.errors import InputError, nearest
 from surctl.simulation import MetricSpec
 from surctl.vehicle import PARAMETERS, PLANT_PARAMETERS, Vehicle, plant_parameters
 from surctl.vehicle.dynamics import trim_function
+from surctl.vehicle.linearise import within_limits
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascades, check_positive
 from surctl.verification.loops import LOOP_NAMES, broken_loops, crossings_of, shape_of
 from surctl.verification.steps import STEP_NAMES, step_figures
@@ -161,7 +162,9 @@ class Points:
         nu = np.zeros((self.count, 4))
         nu[:, 0] = self.cruise
         trim = np.asarray(trim_function()(nu.T, self.plant.T)).T
-        inside: NDArray[np.bool_] = np.all(np.abs(trim) < self.plant[:, PLANT_PARAMETERS.slice("thrust_limit")], axis=1)
+        inside: NDArray[np.bool_] = np.all(
+            within_limits(trim, self.plant[:, PLANT_PARAMETERS.slice("thrust_limit")]), axis=1
+        )
         return inside
 
     def cascade(self, chosen: NDArray[np.intp]) -> Cascade:

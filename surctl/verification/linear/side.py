@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.vehicle import Vehicle, plant_parameters
 from surctl.vehicle.dynamics import trim_function
+from surctl.vehicle.linearise import within_limits
 from surctl.verification.cascade import Cascade, build_cascade, build_cascades
 from surctl.verification.linear.corners import Corners
 from surctl.verification.linear.disk import DiskMargin, disk_margin, screened_peaks
@@ -207,7 +208,7 @@ def can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
     """Return, for each vehicle, whether its thrust can hold the cruise speed [m/s]."""
     nu = np.tile([[cruise], [0.0], [0.0], [0.0]], len(vehicles))
     tau = np.asarray(trim_function()(nu, np.array([plant_parameters(v) for v in vehicles]).T)).T
-    return [bool(np.all(np.abs(t) < v.thrust_limit)) for t, v in zip(tau, vehicles, strict=True)]
+    return [bool(np.all(within_limits(t, v.thrust_limit))) for t, v in zip(tau, vehicles, strict=True)]
 
 
 def _least_sampled(limits: Sequence[SampledLimits]) -> SampledLimits:
