@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -23,7 +24,8 @@ from surctl.control import Gains, Law, law_parameters
 from surctl.errors import InputError
 from surctl.guidance import Path
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Plant, System, linearise
+from surctl.own_code import label
+from surctl.system import Action, Controller, Linearisation, Plant, System, linearise
 from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
 from surctl.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, check_trim
 from surctl.verification.linear.disk import DiskMargin
@@ -48,16 +50,27 @@ class LawLoop:
     Attributes:
         law: name of the law.
         cruise: cruise speed U [m/s].
-        poles: poles z of the closed loop, largest first.
-        margins: margins of each loop, opened at a thrust command or a measurement.
-        disk: disk margin of all thrust commands together.
+        linear: the loop, with the thrust commands and the measurements as signals.
     """
 
     law: str
     cruise: float
-    poles: NDArray[np.complex128]
-    margins: tuple[LoopMargins, ...]
-    disk: DiskMargin
+    linear: Linearisation
+
+    @cached_property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles z of the closed loop, largest first."""
+        return self.linear.poles()
+
+    @cached_property
+    def margins(self) -> tuple[LoopMargins, ...]:
+        """Margins of each loop, opened at a thrust command or a measurement."""
+        return system_margins(self.linear)
+
+    @cached_property
+    def disk(self) -> DiskMargin:
+        """Disk margin of all thrust commands together."""
+        return system_disk_margin(self.linear, *(port.name for port in self.linear.system.commands))
 
     @property
     def stable(self) -> bool:
@@ -78,14 +91,12 @@ class LawLoop:
         return lines
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the loop as plain data for JSON."""
+        """Return the stability of the loop as plain data for JSON."""
         return {
             "law": self.law,
             "cruise_m_per_s": self.cruise,
             "stable": self.stable,
             "largest_pole": float(np.abs(self.poles[0])),
-            "disk_margin": self.disk.guaranteed if self.stable else 0.0,
-            "margins": [m.to_dict() for m in self.margins],
         }
 
 
@@ -115,9 +126,7 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
     nu = np.array([cruise, 0.0, 0.0, 0.0])
     check_trim(vehicle, nu)
     system = _system(law, vehicle, law_numbers(law, model or vehicle, gains, cruise=cruise), nu)
-    linear = linearise(system)
-    commands = [port.name for port in system.commands]
-    return LawLoop(law.name, cruise, linear.poles(), system_margins(linear), system_disk_margin(linear, *commands))
+    return LawLoop(label(law.ref), cruise, linearise(system))
 
 
 def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Array:
@@ -153,8 +162,6 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
         return _named(states, A @ _stacked(x, states) + B @ _stacked(f, axes))
 
     def step(x: Any, u: Any, q: Any) -> Any:
-        from surctl.system import Action
-
         held = _stacked(x, inner)
         after = law_A @ held + law_B @ _stacked(u, names)
         return Action(_named(axes, law_C @ held), _named(inner, after))
