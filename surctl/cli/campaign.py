@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -136,8 +137,17 @@ class CampaignOptions:
             return [MonteCarlo(case, seed) for case in cases]
         return [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
 
-    def run(self, plans: list[Plan], *, vehicle: str | None, runs: int, out: Path | None, as_json: bool) -> None:
-        """Simulate the campaigns, store them in `out`, print their results, and end the command.
+    def run(
+        self,
+        plans: list[Plan],
+        first: Sequence[str] = (),
+        *,
+        vehicle: str | None,
+        runs: int,
+        out: Path | None,
+        as_json: bool,
+    ) -> None:
+        """Simulate the campaigns, store them in `out`, print the lines `first` and the results, and end the command.
 
         `vehicle` is the value of the option `--vehicle`, or None.
         """
@@ -154,7 +164,7 @@ class CampaignOptions:
         folder = None if out is None else CampaignFolder(out, tuple(plans))
         if folder is not None:
             folder.prepare(fresh=self.fresh)
-        reports, lines, good = [], list[str](), True
+        reports, lines, good = [], list(first), True
         nothing = "the runs are not saved; with --out DIR the same command would continue"
         message = nothing if out is None else f"the finished runs are in {out}; to continue: {same_command()}"
         for plan in plans:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from surctl.cli.law_option import law_option
+from surctl.cli.law_option import choose_law, law_option
 from surctl.cli.next_export import MISSION
 from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
@@ -83,7 +83,7 @@ def export(
     gains: str,
     vehicle: str | None,
     scenario: str,
-    law: str,
+    law: str | None,
     avoidance: str,
     guidance: str,
     priority_mode: str,
@@ -129,7 +129,7 @@ def export(
 
     from surctl.cli.single_run import failure
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import build_law, law_ref, law_source, load_gains
+    from surctl.control import build_law, law_source, load_gains
     from surctl.errors import InputError, nearest
     from surctl.export import (
         REALS,
@@ -166,11 +166,12 @@ def export(
     tried, untried = chosen_targets([name.strip() for name in targets.split(",")] if targets else ())
     faults, _ = split_faults(faults, refused="give the exported step the input `working`, or use surctl simulate")
     sensors = SensorOptions(faults, chances, beam, own_state)
-    law = law_ref(law, key="--law")
-    sensors.check(law=law, sensing=sensing)
-    mission = sensors.over(load_scenario(scenario))
+    mission = load_scenario(scenario)
     choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
     robot = load_vehicle(choice.word)
+    law, why = choose_law(law, [robot])
+    sensors.check(law=law, sensing=sensing)
+    mission = sensors.over(mission)
     equipment = mission.sensors.on(robot["radius"])
     built = build_law(
         law,
@@ -240,7 +241,13 @@ def export(
         result["check"] = report.to_dict()
     failed = result["failure"]
     replay_text = f"replayed: {mission.name} by {robot.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
-    lines = [*(f"{f.sha256[:12]}  {f.path}" for f in files), "", f"{replay_text}{metrics.time_s:.2f} s", sil.summary()]
+    lines = [
+        *why,
+        *(f"{f.sha256[:12]}  {f.path}" for f in files),
+        "",
+        f"{replay_text}{metrics.time_s:.2f} s",
+        sil.summary(),
+    ]
     lines.insert(len(files) + 1, choice.line(robot.name))
     lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
     lines += [] if proof is None else ["", proof.summary()]

@@ -2,16 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import click
 
-__all__ = ["law_option", "law_words", "trust_option"]
+if TYPE_CHECKING:
+    from surctl.vehicle import Vehicle
+
+__all__ = ["choose_law", "law_option", "law_words", "trust_option"]
 
 law_option = click.option(
     "--law",
-    default="guarded",
     metavar="NAME",
-    help="Law: guarded (default), paper, closed_form, apf, dwa, vo, cbf; or your own, FILE.py:FUNCTION, which is run.",
+    help="Law: guarded (default), steered (default without sway force), paper, closed_form, apf, dwa, vo, cbf; or your "
+    "own, FILE.py:FUNCTION, which is run.",
 )
+
+
+def choose_law(law: str | None, vehicles: Sequence[Vehicle]) -> tuple[str, list[str]]:
+    """Return the reference of the law for the vehicles, and a line that says why, unless it is the usual default.
+
+    Args:
+        law: value of the option `--law`; None: the law that the forces of the vehicles allow.
+        vehicles: all vehicles of the command.
+
+    Raises:
+        InputError: the law is unknown, a vehicle lacks a force that it needs, or the vehicles need different laws.
+    """
+    from surctl.control import LAW_NAMES, check_forces, default_law, law_ref
+    from surctl.errors import InputError
+
+    if law is not None:
+        reference = law_ref(law, key="--law")
+        for vehicle in vehicles:
+            check_forces(reference, vehicle, key="--law")
+        return reference, []
+    chosen = {default_law(vehicle): vehicle.name for vehicle in vehicles}
+    if len(chosen) > 1:
+        names = " and ".join(f"{name} for {vehicle}" for name, vehicle in chosen.items())
+        raise InputError(f"the vehicles need different laws, {names}", key="--law", remedy="run them one by one")
+    reference, name = next(iter(chosen.items()), (LAW_NAMES[0], ""))
+    if reference == LAW_NAMES[0]:
+        return reference, []
+    return reference, [f"law {reference}, because {name} has no sway force (Fv_max = 0)"]
 
 
 def law_words(reference: str) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from surctl.vehicle import Vehicle
 
-__all__ = ["LinearPart", "linear_part", "over_speeds", "speed_lines"]
+__all__ = ["LinearPart", "law_part", "linear_part", "over_speeds", "speed_lines"]
 
 
 class LinearPart(NamedTuple):
@@ -27,6 +27,35 @@ class LinearPart(NamedTuple):
     delay_s: float = math.nan
     disk: float = math.nan
     peak: float = math.inf
+
+
+def law_part(law: str, vehicle: Vehicle, gains: str, *, cruise: float) -> LinearPart:
+    """Return the numeric analysis of the sampled loop of a law that the cascade does not describe.
+
+    Args:
+        law: reference of the law.
+        vehicle: plant and model of the controller; the analysis has no uncertainty.
+        gains: name or file of the gains.
+        cruise: cruise speed [m/s].
+    """
+    from surctl.control import build_law, law_source, load_gains
+    from surctl.errors import InputError
+    from surctl.verification import law_loop
+
+    try:
+        own = load_gains(gains, own=law_source(law).gains)
+        loop = law_loop(build_law(law), vehicle, own, cruise=cruise)
+    except InputError as error:
+        why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem}"
+        return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None, cruise)
+    lines = [f"margins of {vehicle.name} (nominal vehicle only):", *loop.lines()]
+    data = {
+        "margins": [m.to_dict() for m in loop.margins],
+        "linear": {**loop.to_dict(), "disk_margin": loop.disk.guaranteed},
+    }
+    delay = min((m.delay_margin_s for m in loop.margins), default=math.nan)
+    disk = min((m.disk_margin for m in loop.margins), default=math.nan)
+    return LinearPart(lines, data, loop.stable, cruise, delay, disk)
 
 
 def linear_part(

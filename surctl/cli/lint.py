@@ -56,6 +56,8 @@ def _cap_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Fi
     from surctl.simulation import Finding
     from surctl.verification.linear import cap_above_bearable
 
+    if not vehicle["Fv_max"] > 0:  # the linear model is that of laws with sway force
+        return []
     text = cap_above_bearable(vehicle, gains.values, cap=scenario.cap, dt=_CONTROL_PERIOD)
     return [] if text is None else [Finding("warning", "cap_m_per_s", f"{text}, with the gains {gains.name!r}")]
 

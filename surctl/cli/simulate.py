@@ -10,7 +10,7 @@ from surctl.cli.animate_option import animate_option, check_animate
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, simulate_again
 from surctl.cli.controller_options import ControllerOptions, controller_options
-from surctl.cli.law_option import law_option, trust_option
+from surctl.cli.law_option import choose_law, law_option, trust_option
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
@@ -57,7 +57,7 @@ def simulate(
     seconds: float | None,
     vehicle: str | None,
     gains: str,
-    law: str,
+    law: str | None,
     avoidance: str,
     guidance: str,
     priority_mode: str,
@@ -111,7 +111,7 @@ def simulate(
     campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     _check_fallback(fallback, mode=priority_mode, explained=explained, campaign=campaign.any)
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import build_law, law_ref, law_source, load_gains
+    from surctl.control import build_law, law_source, load_gains
     from surctl.files import prepare_folder
     from surctl.simulation import law_numbers, load_scenario, save_record, stop_reason
     from surctl.simulation import simulate as run_simulation
@@ -120,7 +120,8 @@ def simulate(
     _check_save(save, frame, out=out, campaign=campaign.any)
     if out is not None:
         prepare_folder(out)
-    law = law_ref(law, key="--law")
+    names = [load_scenario(name).vehicle for name in scenarios] if vehicle is None else [vehicle]
+    law, lines = choose_law(law, [load_vehicle(name) for name in names])
     chosen = load_gains(gains, own=law_source(law).gains)
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(faults, refused=alone)
@@ -141,7 +142,7 @@ def simulate(
             sensing=sensing,
             seed=seed,
         )
-        campaign.run(campaign_plans, vehicle=vehicle, runs=worlds or runs, out=out, as_json=as_json)
+        campaign.run(campaign_plans, lines, vehicle=vehicle, runs=worlds or runs, out=out, as_json=as_json)
     plans = [sensors.over(load_scenario(name)) for name in scenarios]
     choices = [choose_vehicle(vehicle, (scenario.name, scenario.vehicle)) for scenario in plans]
     vehicles = [load_vehicle(choice.word) for choice in choices]
@@ -161,7 +162,7 @@ def simulate(
         )
         for scenario, robot in zip(plans, vehicles, strict=True)
     ]
-    results, lines = [], list[str]()
+    results = []
     message = "the runs above are finished" + (f", files in {out}" if out else "") + "; --seed N starts at another seed"
     with stoppable(message if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
         for scenario, choice, simulated, built in zip(plans, choices, vehicles, laws, strict=True):

@@ -34,6 +34,7 @@ def failure(run: Run) -> str | None:
 
 def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
     """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if it is not."""
+    from surctl.control import law_source
     from surctl.errors import InputError
     from surctl.verification.cascade import build_cascade, has_cascade
     from surctl.verification.linear import slowest_mode
@@ -41,7 +42,7 @@ def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
     cruise, dt, gains = run.scenario.cruise, run.law.dt, run.gains.values
     result["linear"] = None
     if not has_cascade(run.law.ref, run.law.guidance):
-        return []
+        return _sampled_part(run, result) if law_source(run.law.ref).steering is not None else []
     try:
         stable = build_cascade(run.vehicle, gains, cruise=cruise, dt=dt).stable
     except InputError:  # the thrust cannot hold this speed; lint reports it
@@ -55,6 +56,18 @@ def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
     crab = "" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg"
     head = f"  the linear loop at this speed is unstable{crab}:"
     return [head, *(f"    {line.strip()}" for line in mode.lines())]
+
+
+def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:
+    from surctl.errors import InputError
+    from surctl.verification import law_loop
+
+    try:
+        loop = law_loop(run.law, run.vehicle, run.gains, cruise=run.scenario.cruise)
+    except InputError:  # the thrust cannot hold this speed; lint reports it
+        return []
+    result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}
+    return [] if loop.stable else ["  the linear loop at this speed is unstable:", f"    {loop.lines()[0]}"]
 
 
 def further_output(

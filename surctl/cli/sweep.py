@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.law_option import law_option, law_words
+from surctl.cli.law_option import choose_law, law_option, law_words
 from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
@@ -126,7 +126,7 @@ def sweep(
     vehicles: tuple[str, ...],
     sensing: str,
     gains: str,
-    law: str,
+    law: str | None,
     priority_mode: str,
     guidance: str,
     design: str,
@@ -155,7 +155,7 @@ def sweep(
     """
     if is_system(axes, "seconds", "workers", "out", "as_json"):
         sweep_system(axes, seconds=seconds, workers=workers, out=out, as_json=as_json)
-    from surctl.control import law_ref, law_source, load_gains, write_gains
+    from surctl.control import law_source, load_gains, write_gains
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder, write_file
     from surctl.simulation import load_scenario
@@ -180,11 +180,12 @@ def sweep(
         raise InputError(
             f"would print {len(chosen.points)} points", key="--json", remedy="drop this option and read sweep.nc"
         )
-    law = law_ref(law, key="--law")
+    missions, robots = [load_scenario(name) for name in scenarios], [load_vehicle(name) for name in vehicles]
+    law, why = choose_law(law, robots or [load_vehicle(mission.vehicle) for mission in missions])
     base = load_gains(gains, own=law_source(law).gains)
     cases = build_cases(
-        [load_scenario(name) for name in scenarios],
-        [load_vehicle(name) for name in vehicles],
+        missions,
+        robots,
         gains=base, law=law, mode=priority_mode, sensing=sensing, guidance=guidance,
     )  # fmt: skip
     executor = _executor(workers, dask)
@@ -208,7 +209,7 @@ def sweep(
         axis = next(axis for axis in table.axes if axis.name == locus)
         poles = _locus(cases, table.gains, locus, axis.values, at)
         pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
-    lines = [*_vehicles(cases, vehicles), *_lines(table, sobol)]
+    lines = [*why, *_vehicles(cases, vehicles), *_lines(table, sobol)]
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
     lines += ["", where, *moved, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]

@@ -123,11 +123,11 @@ def verify(
     if are_problems(claims, only=("seed", "time_limit", "out", "as_json")):
         verify_motion(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
     from surctl.cli.braking import is_braking, prove_all
-    from surctl.cli.linear_part import linear_part, over_speeds, speed_lines
+    from surctl.cli.linear_part import law_part, linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command
     from surctl.cli.regions import is_region, prove_regions, region_of
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import build_law, load_gains
+    from surctl.control import CASCADE, build_law, check_forces, default_law, law_source, load_gains
     from surctl.files import prepare_folder
     from surctl.simulation import load_scenario
     from surctl.vehicle import load_vehicle
@@ -156,11 +156,20 @@ def verify(
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_folder(out)
+    flown = default_law(robot)
+    if any(is_region(name) or is_braking(name) for name in claims):
+        check_forces("guarded", robot, key="claim")
     law = build_law()
     about = {"dt": law.dt, "uncertainty": uncertainty}
-    linear = over_speeds([linear_part(robot, values, cruise=u, **about) for u in cruise or speeds[:1]])
+    cascaded = CASCADE in law_source(flown).parts
+    linear = over_speeds(
+        [
+            linear_part(robot, values, cruise=u, **about) if cascaded else law_part(flown, robot, gains, cruise=u)
+            for u in cruise or speeds[:1]
+        ]
+    )
     safety = None
-    if scenario is not None:
+    if scenario is not None and cascaded:
         safety = _safety(scenario, robot, gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None)
     region_names = [name for name in claims if is_region(name)]
     regions = prove_regions(region_names, vehicle=vehicle, gains=gains, speeds=speeds, seed=seed, out=out)
@@ -177,7 +186,9 @@ def verify(
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
     lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
     lines += linear.lines
-    held, held_data = ([], {}) if linear.stable is None else speed_lines(robot, values, cap=speeds[1], **about)
+    held, held_data = (
+        ([], {}) if linear.stable is None or not cascaded else speed_lines(robot, values, cap=speeds[1], **about)
+    )
     lines += held
     result: dict[str, Any] = {
         "vehicle": robot.name,
@@ -200,7 +211,7 @@ def verify(
         result.setdefault("stacks", {})[name] = conditions.to_dict()
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
-        margins_at = None if linear.stable is None else cruise or speeds[:1]
+        margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
         result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=law.dt)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     failures = [f"the linear loop is unstable at {speeds[0]:g} m/s"] * (linear.stable is False)
@@ -212,6 +223,10 @@ def verify(
         result["safety"] = safety.to_dict()
         if not (isinstance(safety, Inapplicable) or safety.holds):
             failures.append(f"the no-contact claim does not hold ({safety.shortfall})")
+    if scenario is not None and not cascaded:
+        lines.append(
+            f"no-contact claim: not judged, because it concerns law guarded and {robot.name} has no sway force"
+        )
     if failures:
         lines.append(f"exit status 1, because {'; '.join(failures)}")
         result["failures"] = failures
@@ -220,7 +235,11 @@ def verify(
     if not then:
         then = [shlex.join(["surctl", "check", str(file)]) for file in certificates[:1]]
         if linear.stable:
-            then += export_command(scenario, vehicle, gains, certificates)
+            then += (
+                export_command(scenario, vehicle, gains, certificates)
+                if cascaded
+                else export_command(scenario, vehicle, gains, law=flown, sensing="truth")
+            )
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
 
 

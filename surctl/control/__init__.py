@@ -15,9 +15,10 @@ from surctl.control.law import (
     LawStep,
 )
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
-from surctl.control.registry import LAW_NAMES, LAWS, law_ref, law_source
+from surctl.control.registry import LAW_NAMES, LAWS, check_forces, default_law, law_ref, law_source
 from surctl.control.routines import in_real
 from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
+from surctl.control.steering import turning_radius
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 
 __all__ = [
@@ -53,12 +54,15 @@ __all__ = [
     "TaskLevel",
     "build_law",
     "build_law_of",
+    "check_forces",
+    "default_law",
     "in_real",
     "law_inputs",
     "law_parameters",
     "law_ref",
     "law_source",
     "load_gains",
+    "turning_radius",
     "with_allocation",
     "write_gains",
 ]

@@ -275,17 +275,22 @@ def _decide(
     gains = parameter_ports(source.gains)
     p, ps = gains.symbols("p")
     with Recording() as recording:
-        desired = path_following(us["eta"], xs["progress"], ps, dt=dt, guidance=guidance, memory=xs.get("drift"))
+        eta, nu = us["eta"], us["nu"]
+        steering = None if source.steering is None else source.steering(ps)
+        guided = ps if steering is None else steering.guided(ps)
+        desired = path_following(
+            eta, xs["progress"], guided, dt=dt, guidance=guidance, memory=xs.get("drift"), steering=steering
+        )
         if "trapped" in xs:
-            desired = standing(desired, xs, us["eta"], ps)
+            desired = standing(desired, xs, eta, ps)
         parameters, layer_depth = ps, ps["depth"]
         if depths:
-            layer_depth, aimed = aimed_depth(xs, us["eta"], us["nu"], us["column"], ps)
+            layer_depth, aimed = aimed_depth(xs, eta, nu, us["column"], ps)
             parameters = {**ps, "depth": aimed}
         perceived = perceive(xs, us, ps, dt=dt) if source.perceive is None else perceived_by(source, us, ps, chosen.law)
         scan = Scan(us["unknown"], us["sonars"], us["placed"]) if scans else None
         situation = Situation(
-            avoidance, desired, perceived, xs, us["eta"], us["nu"], parameters, dt, scan, moving, barrier, movers
+            avoidance, desired, perceived, xs, eta, nu, parameters, dt, scan, moving, barrier, movers, steering
         )
         decision = decision_of(source, situation, chosen.law)
         levels = decision.task_levels()
@@ -314,11 +319,11 @@ def _decide(
             "integral": xs["integral"],
         }
         if "drift" in xs:
-            carried["drift"] = learnt(guidance, desired, xs["drift"], us["eta"], us["nu"], decision.avoiding, ps, dt=dt)
+            carried["drift"] = learnt(guidance, desired, xs["drift"], eta, nu, decision.avoiding, guided, dt=dt)
         if "trapped" in xs:
-            depth_inputs = us["nu"], us.get("column")
+            depth_inputs = nu, us.get("column")
             dead_end = dead_end_next(
-                desired, perceived.known if moving else (), xs, us["eta"], decision.stopped, ps, *depth_inputs, dt=dt
+                desired, perceived.known if moving else (), xs, eta, decision.stopped, ps, *depth_inputs, dt=dt
             )
             carried |= dead_end
             reported["trapped"] = dead_end["trapped"]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from surctl.control.steering import Steering
 from surctl.guidance import (
     AT_CORNER,
     Guidance,
@@ -20,6 +21,7 @@ from surctl.guidance import (
     path_target,
     progress_rate,
     tracking_velocity,
+    wheel_over,
 )
 from surctl.vehicle import planar_rotation
 
@@ -61,6 +63,7 @@ def path_following(
     dt: float,
     guidance: Guidance = "los",
     memory: ca.SX | None = None,
+    steering: Steering | None = None,
 ) -> DesiredMotion:
     """Return the desired motion by the tracking law, equations (8)–(12) of the paper.
 
@@ -72,6 +75,8 @@ def path_following(
         dt: control period [s].
         guidance: `los`, `ilos` or `alos`; see `guidance.crosstrack`.
         memory: present disturbance estimate of guidance `ilos` or `alos`; None for `los`.
+        steering: abilities of a craft without sway force, if the law steers by heading and speed: the craft stops by
+            its surge force alone, and begins its turns before the corners that it passes.
     """
     point, tangent, length = path_target(p["waypoints"], progress)
     x_e, y_e = path_error(eta[:2], point, tangent)
@@ -84,9 +89,7 @@ def path_following(
     offset = point - eta[:2]
     distance = ca.sqrt(ca.sumsqr(offset))
     # without this limit, a robot that is heavy for its thrusters would overshoot the end point
-    acceleration = (
-        p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
-    )
+    acceleration = _deceleration(p) if steering is None else steering.deceleration
     fastest = allowed_closing_speed(distance, deceleration=acceleration, reaction=p["reaction"])
     fastest = ca.fmin(p["cruise"], fastest)
     closing = offset * ca.fmin(p["k_v"] / _SEPARATION, fastest / ca.fmax(distance, 1e-3))
@@ -95,11 +98,24 @@ def path_following(
     visits, end = p["visit"] > 0, leg_end(p["waypoints"], progress)
     waits = ca.logic_and(visits, ca.logic_or(progress < end - AT_CORNER, distance > p["visit"]))
     arriving = ca.logic_or(progress >= length, ca.logic_and(waits, progress >= end - AT_CORNER))
+    if steering is not None:  # a craft that arrives at cruise speed would pass the end and turn round
+        left = ca.fmax(ca.if_else(waits, end, length) - progress - x_e, 0)
+        bound = allowed_closing_speed(left, deceleration=acceleration, reaction=p["reaction"])
+        following = following * ca.fmin(1, bound / ca.fmax(ca.sqrt(ca.sumsqr(following)), 1e-6))
     velocity = ca.if_else(arriving, closing, following)
     onward = ca.fmin(progress + dt * rate, ca.if_else(waits, end, length))
     ahead = ca.fmax(onward, next_leg(p["waypoints"], progress, eta[:2], near=ca.if_else(visits, -1, p["wait"])))
+    if steering is not None:
+        lead = p["cruise"] * p["reaction"]
+        begun = wheel_over(p["waypoints"], progress, eta[:2], radius=steering.radius, lead=lead)
+        ahead = ca.fmax(ahead, ca.if_else(visits, 0, begun))
     heading = ca.atan2(tangent[1], tangent[0])
     return DesiredMotion(velocity, heading, ahead, x_e, y_e, along, tangent, arriving)
+
+
+def _deceleration(p: Mapping[str, ca.SX]) -> ca.SX:
+    # of a robot that may move in any direction, whatever its heading
+    return p["brake"] * ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])
 
 
 def learnt(

@@ -12,11 +12,14 @@ from surctl.control.decision import Decision
 from surctl.control.guarded import guarded_law
 from surctl.control.paper import paper_law
 from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
+from surctl.control.steered import STEERED_GAINS, STEERED_PORTS, steered_law, steered_thrust
+from surctl.control.steering import steering_of
 from surctl.control.stopping import BARRIERS
 from surctl.errors import InputError, nearest
-from surctl.own_code import check_trusted, is_own, object_of, own_file, pinned
+from surctl.own_code import check_trusted, is_own, label, object_of, own_file, pinned
+from surctl.vehicle import Vehicle
 
-__all__ = ["LAWS", "LAW_NAMES", "law_ref", "law_source"]
+__all__ = ["LAWS", "LAW_NAMES", "check_forces", "default_law", "law_ref", "law_source"]
 
 
 def _guarded(s: Situation) -> Decision:
@@ -65,6 +68,15 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
         "dwa": LawSource("surctl_dwa", dwa_law, parts=_FOLLOWS),
         "vo": LawSource("surctl_vo", vo_law, parts=_LINEAR),
         "cbf": LawSource("surctl_cbf", cbf_law, parts=_LINEAR),
+        "steered": LawSource(
+            "surctl_steered",
+            steered_law,
+            gains=STEERED_GAINS,
+            state=STEERED_PORTS,
+            thrust=steered_thrust,
+            sensing=("truth",),
+            steering=steering_of,
+        ),
     }
 )
 """The source of each built-in law, by name."""
@@ -126,3 +138,39 @@ def law_source(reference: str) -> LawSource:
             remedy="choose another name",
         )
     return source
+
+
+_FORCES = {"Fu_max": "surge force", "Fv_max": "sway force", "Fr_max": "yaw moment"}
+
+
+def default_law(vehicle: Vehicle) -> str:
+    """Return the first built-in law whose forces the vehicle has: `guarded`, or `steered` without sway force.
+
+    Example:
+        >>> from surctl.control import default_law
+        >>> from surctl.vehicle import load_vehicle
+        >>> default_law(load_vehicle("sur400"))
+        'guarded'
+    """
+    return next(name for name, source in LAWS.items() if not _lacking(source, vehicle))
+
+
+def check_forces(reference: str, vehicle: Vehicle, *, key: str = _KEY) -> None:
+    """Raise InputError, which names a law for this vehicle, if the vehicle lacks a force that the law needs.
+
+    Example:
+        >>> from surctl.control import check_forces
+        >>> from surctl.vehicle import load_vehicle
+        >>> check_forces("guarded", load_vehicle("sur400"))
+    """
+    for name in _lacking(law_source(reference), vehicle):
+        raise InputError(
+            f"needs a {_FORCES[name]}, but {vehicle.name} has none ({name} = 0)",
+            key=key,
+            value=label(reference),
+            remedy=f"use law {default_law(vehicle)}",
+        )
+
+
+def _lacking(source: LawSource, vehicle: Vehicle) -> list[str]:
+    return [name for name in source.forces if not vehicle[name] > 0]

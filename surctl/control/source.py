@@ -14,6 +14,7 @@ from surctl.control.decision import DECISION_PORTS, Decision, TaskLevel
 from surctl.control.echoes import Perception
 from surctl.control.gains import GainSpec
 from surctl.control.ports import PARAMETERS
+from surctl.control.steering import Steering
 from surctl.errors import InputError, nearest
 from surctl.ir import Port, identifier
 from surctl.own_code import called, is_own, own_file
@@ -56,6 +57,8 @@ class LawSource:
         perceive: function that returns the `Perception` from inputs and parameters, if the law does not use the shared
             perception.
         damping: damping of the closed-form null-space projection, equation (16) of the paper.
+        steering: for a law that needs no sway force, the function from its parameters to the abilities of a craft
+            steered by heading and speed; None: the law moves in any direction, so it needs a sway force.
         parts: parts of the law for which the library has claims and linear models; empty if there are none.
 
     Raises:
@@ -85,7 +88,13 @@ class LawSource:
     slots: int | None = None
     perceive: Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Perception] | None = None
     damping: float = 0.0
+    steering: Callable[[Mapping[str, ca.SX]], Steering] | None = None
     parts: frozenset[str] = frozenset()
+
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Return the thrust limits of a vehicle that must be greater than 0 for this law."""
+        return ("Fu_max", "Fr_max") if self.steering is not None else ("Fu_max", "Fv_max", "Fr_max")
 
     @property
     def ports(self) -> tuple[Port, ...]:

@@ -8,7 +8,7 @@ not loaded.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -27,7 +27,9 @@ def law_bytes(law: Law) -> bytes:
     """Return the law as bytes that `law_from` can read."""
     blocks = [write_block(block) for block in (law.block, *(getattr(law.stages, name) for name in _STAGES))]
     head: dict[str, Any] = {word: getattr(law, word) for word in _WORDS}
-    head |= {"state": _listed(law.state), "inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
+    own = [port for port in law.gains if port.name not in PARAMETERS]
+    head |= {"gains": _listed(own), "state": _listed(law.state)}
+    head |= {"inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
     head |= {"levels": law.levels, "rows": law.rows, "lengths": [len(text) for text in blocks]}
     if law.perception is not None:
         head["perception"] = {name: _listed(getattr(law.perception, name)) for name in ("state", "inputs", "outputs")}
@@ -51,7 +53,7 @@ def law_from(stored: bytes) -> Law:
         state=_layout(head["state"]),
         inputs=_layout(head["inputs"]),
         outputs=_layout(head["outputs"]),
-        gains=PARAMETERS,
+        gains=Layout((*PARAMETERS, *_layout(head["gains"]))),
         block=block,
         stages=Stages(**stages),
         levels=tuple((name, count, unit) for name, count, unit in head["levels"]),
@@ -66,7 +68,7 @@ def _perception(head: dict[str, list[list[Any]]], whole: Block) -> PerceptionSta
     return PerceptionStage(_layout(head["state"]), _layout(head["inputs"]), _layout(head["outputs"]), block)
 
 
-def _listed(layout: Layout) -> list[list[Any]]:
+def _listed(layout: Iterable[Port]) -> list[list[Any]]:
     return [[port.name, port.shape, port.unit, port.meaning, port.default] for port in layout]
 
 

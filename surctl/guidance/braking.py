@@ -183,6 +183,8 @@ def brakes_of(
 ) -> Brakes:
     """Return the braking data of a vehicle in the worst case of its parameter ranges.
 
+    A vehicle without sway force brakes along its hull, so only its surge force, mass and drag count.
+
     Args:
         vehicle: the vehicle.
         share: share of the vehicle's largest thrust that is guaranteed for braking, in (0, 1].
@@ -199,16 +201,17 @@ def brakes_of(
         ranges = [_ends(vehicle, name, spread) for name in names]
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
-    limits = ("Fu_max", "Fv_max")
+    limits = ("Fu_max", "Fv_max") if vehicle["Fv_max"] > 0 else ("Fu_max",)
+    axes = slice(len(limits))
     most = [vehicle[n] if spread is not None else _ends(vehicle, n, None)[1] for n in limits]
     most += [vehicle[name] for axis, name in vehicle.form.reverse() if axis < 2]
     return Brakes(
-        ends("m11", "m22"),
-        share * float(min(vehicle.thrust_limit[:2])),
+        ends(*("m11", "m22")[axes]),
+        share * float(min(vehicle.thrust_limit[axes])),
         max(most),
         vehicle["thrust_lag"],
-        ends("Xu", "Yv"),
-        ends("Xuu", "Yvv"),
+        ends(*("Xu", "Yv")[axes]),
+        ends(*("Xuu", "Yvv")[axes]),
         disturbance,
         current,
     )

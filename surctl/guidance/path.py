@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["AT_CORNER", "MAX_WAYPOINTS", "Path", "leg_end", "next_leg", "path_target"]
+__all__ = ["AT_CORNER", "MAX_WAYPOINTS", "Path", "leg_end", "next_leg", "path_target", "wheel_over"]
 
 MAX_WAYPOINTS = 8
 
 AT_CORNER = 1e-4  # [m] arc length: less than the target point moves in a period, more than single-precision errors
+_SHARPEST = 0.25  # least 1 + cos of a turn in the wheel-over distance: at a turn of 139° or more it no longer grows
 _ON_LEG = 0.1  # [m] from a leg, below which the robot follows it to its end; several times the position uncertainty
 
 
@@ -153,6 +154,63 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
         >>> [float(next_leg(corner, ca.SX(1.6), ca.SX(p), near=ca.SX(0.8))) for p in ((1.2, 0.2), (1.8, 0.5))]
         [1.6, 2.5]
     """
+    tangent, ends, corner, ahead, length = _corner(waypoints, s)
+    offset = here - corner
+    before = ca.fmin(ca.dot(offset, tangent), 0)
+    beyond = ca.fmin(ca.fmax(ca.dot(offset, ahead), 0), length)
+    now, then = ca.sumsqr(offset - before * tangent), ca.sumsqr(offset - beyond * ahead)
+    left = ca.logic_and(s > ends - near, ca.fmax(then, _ON_LEG**2) < now)
+    follows = ca.logic_and(length > 1e-6, s < ends)
+    return ca.if_else(ca.logic_and(follows, left), ends + beyond, s)
+
+
+def wheel_over(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, radius: ca.SX, lead: ca.SX) -> ca.SX:
+    """Return the arc length [m] of the target point: the corner ahead, once the turn onto the next segment must begin.
+
+    A craft that turns on a circle of radius R by the angle α must begin the turn at the distance R tan(α/2) before the
+    corner (the wheel-over point, Fossen 2021, section 12.4). The distance is at most half of either segment.
+
+    Args:
+        waypoints: (n, 2) positions [m] in {E}, as for `path_target`.
+        s: arc length of the target point [m].
+        here: position of the robot (2, 1) [m] in {E}.
+        radius: turning radius R [m].
+        lead: distance [m] that the craft travels before it turns at its full yaw rate; it is added to the distance.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import wheel_over
+        >>> corner, turn = ca.SX([[0, 0], [20, 0], [20, 30]]), dict(radius=ca.SX(5), lead=ca.SX(0))
+        >>> [float(wheel_over(corner, ca.SX(x), ca.SX([x, 0]), **turn)) for x in (14.0, 16.0)]
+        [14.0, 20.0]
+    """
+    tangent, ends, corner, ahead, length = _corner(waypoints, s)
+    cosine = ca.fmin(ca.fmax(ca.dot(tangent, ahead), -1), 1)
+    half = ca.sqrt((1 - cosine) / ca.fmax(1 + cosine, _SHARPEST))
+    before, left = ends - leg_start(waypoints, s), ca.dot(corner - here, tangent)
+    distance = ca.fmin(radius * half + lead * ca.fmin(half, 1), 0.5 * ca.fmin(length, before))
+    begins = ca.logic_and(ca.logic_and(length > 1e-6, s < ends), left <= distance)
+    return ca.if_else(begins, ends, s)
+
+
+def leg_start(waypoints: ca.SX, s: ca.SX) -> ca.SX:
+    """Return the arc length [m] at the start of the path segment that contains s; see `path_target`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance.path import leg_start
+        >>> float(leg_start(ca.SX([[0, 0], [2, 0], [2, 3]]), ca.SX(3.5)))
+        2.0
+    """
+    travelled = start = ca.SX(0)
+    for k in range(waypoints.shape[0] - 2):
+        travelled = travelled + ca.sqrt(ca.sumsqr(waypoints[k + 1, :] - waypoints[k, :]))
+        start = ca.if_else(s >= travelled, travelled, start)
+    return start
+
+
+def _corner(waypoints: ca.SX, s: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Return the tangent at s, and the corner ahead: arc length, place, direction and length of the next segment."""
     _, tangent, _ = path_target(waypoints, s)
     travelled, ends, corner, after = ca.SX(0), ca.SX(0), waypoints[1, :].T, waypoints[1, :].T
     for k in range(waypoints.shape[0] - 2):
@@ -162,12 +220,7 @@ def next_leg(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, near: ca.SX) -> ca.SX:
         ends = ca.if_else(holds, travelled, ends)
         corner = ca.if_else(holds, waypoints[k + 1, :].T, corner)
         after = ca.if_else(holds, waypoints[k + 2, :].T, after)
-    chord, offset = after - corner, here - corner
+    chord = after - corner
     length = ca.sqrt(ca.sumsqr(chord))
     ahead = chord / ca.fmax(length, 1e-6)
-    before = ca.fmin(ca.dot(offset, tangent), 0)
-    beyond = ca.fmin(ca.fmax(ca.dot(offset, ahead), 0), length)
-    now, then = ca.sumsqr(offset - before * tangent), ca.sumsqr(offset - beyond * ahead)
-    left = ca.logic_and(s > ends - near, ca.fmax(then, _ON_LEG**2) < now)
-    follows = ca.logic_and(length > 1e-6, s < ends)
-    return ca.if_else(ca.logic_and(follows, left), ends + beyond, s)
+    return tangent, ends, corner, ahead, length

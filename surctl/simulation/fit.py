@@ -15,6 +15,7 @@ from surctl.simulation.clearance import clearance_findings
 from surctl.simulation.finding import Finding
 from surctl.simulation.motion import motion_findings
 from surctl.simulation.scenario import Scenario
+from surctl.simulation.steering_fit import steering_findings
 from surctl.simulation.thruster_fit import thruster_findings
 from surctl.simulation.tilting import tilt_findings
 from surctl.simulation.world import build_world
@@ -44,7 +45,9 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
     build_world(scenario, vehicle, seed=0)
     gains = gains or load_gains("default")
     results = [*clearance_findings(scenario, vehicle, gains), *motion_findings(scenario, vehicle)]
-    results += [*tilt_findings(scenario, vehicle), *_sonars(scenario, vehicle, gains), *thruster_findings(vehicle)]
+    results += [*steering_findings(scenario, vehicle, gains), *tilt_findings(scenario, vehicle)]
+    results += _sonars(scenario, vehicle, gains) if vehicle["Fv_max"] > 0 else []
+    results += thruster_findings(vehicle)
     return sorted(results, key=lambda f: ("error", "warning", "info").index(f.level))
 
 

@@ -11,7 +11,18 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import CONTACT_SLOTS, NONFINITE, WORKING, Gains, Law, LawStep, build_law, law_source
+from surctl.control import (
+    CONTACT_SLOTS,
+    NONFINITE,
+    WORKING,
+    Gains,
+    Law,
+    LawStep,
+    build_law,
+    check_forces,
+    default_law,
+    law_source,
+)
 from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.column import beside, column
@@ -51,7 +62,7 @@ def simulate(
         scenario: the mission.
         vehicle: the simulated vehicle.
         gains: the law's gains.
-        law: the law; default: the law that `build_law` returns, with sonars if `sensing` is `sonar`, and with
+        law: the law; default: `build_law` of the vehicle's `default_law`, with sonars if `sensing` is `sonar`, and with
             allocation if the vehicle has thrusters. A law without allocation commands a force on each axis, which the
             simulation then allocates to the vehicle's thrusters.
         sensing: `truth`: the law receives the exact positions of all obstacles and its exact pose; `sonar`: the law
@@ -77,11 +88,13 @@ def simulate(
         raise InputError("is not known", key="sensing", value=sensing, remedy=nearest(str(sensing), SENSING))
     sonar = sensing == "sonar"
     law = law or build_law(
+        default_law(vehicle),
         sonar=sonar,
         equipment=scenario.sensors.on(vehicle["radius"]),
         depths=scenario.depths is not None,
         actuators=vehicle.actuators,
     )
+    check_forces(law.ref, vehicle)
     thrusters = Thrusters.of(vehicle, law, thruster_faults)
     if sonar != ("samples" in law.inputs):
         raise InputError(

@@ -126,7 +126,9 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
             (_drag(vehicle, "Xu", abs(u)) + d.drift_force_n, vehicle["Fu_max"] * weak) for u in (speed, along)
         )
         side = (_drag(vehicle, "Yv", abs(across)) + d.drift_force_n, vehicle["Fv_max"] * weak)
-        needed, limit = min(surge, max(sway, side, key=_share), key=_share)
+        # a craft without sway force always heads into the water that it moves through
+        aside = vehicle["Fv_max"] > 0
+        needed, limit = min(surge, max(sway, side, key=_share), key=_share) if aside else surge
         if needed / limit > worst:
             worst, figures = needed / limit, (speed, needed, limit)
     if worst <= 1:
@@ -140,7 +142,8 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    held = {"surge": _held(vehicle, "Xu", "Fu_max"), "sway": _held(vehicle, "Yv", "Fv_max")}
+    axes = {"surge": ("Xu", "Fu_max"), "sway": ("Yv", "Fv_max")}
+    held = {axis: _held(vehicle, *names) for axis, names in axes.items() if vehicle[names[1]] > 0}
     if scenario.cap <= min(held.values()):
         return []
     speeds = " and ".join(f"{speed:.3g} m/s in {axis}" for axis, speed in held.items())

@@ -60,7 +60,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
         max_deviation_m=float(np.max(away)),
         missed_corner_m=follower.missed,
         overshoot_m=float(np.max(past[near], initial=0.0)),
-        peak_thrust_share=float(np.max(np.abs(record.tau) / limit)),
+        peak_thrust_share=float(np.max(np.abs(record.tau[:, limit > 0]) / limit[limit > 0])),
         saturated_share=float(np.mean(record.status % 2)),
         thrust_rate_n_per_s=float(np.sqrt(np.mean(np.sum(jumps**2, axis=1))) / law.dt) if len(jumps) else 0.0,
     )

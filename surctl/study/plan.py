@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from surctl.control import Gains, law_ref, law_source, load_gains
+from surctl.control import Gains, check_forces, default_law, law_ref, law_source, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Guidance
@@ -47,7 +47,7 @@ class _StudyFile(Strict):
     note: str = ""
     vehicle: str
     gains: str = "default"
-    law: str = "guarded"
+    law: str | None = None
     guidance: Guidance = "los"
     seed: Seed = 0
     runs: tuple[_Run, ...] = Field(min_length=1)
@@ -210,9 +210,13 @@ def _plan(
     for run in study.runs:
         leg_vehicle = vehicle if run.vehicle is None else load_vehicle(near(run.vehicle))
         legs.append(_leg(load_scenario(near(run.scenario)), leg_vehicle, lenient=lenient))
-    law = law_ref(study.law, file=path, folder=path.parent, trust=trust)
+    vehicles = [leg.vehicle for leg in legs] or [vehicle]
+    law = default_law(vehicles[0]) if study.law is None else study.law
+    law = law_ref(law, file=path, folder=path.parent, trust=trust)
     gains = load_gains(near(study.gains), own=law_source(law).gains)
     try:
+        for robot in vehicles:
+            check_forces(law, robot)
         cruise = () if study.cruise_m_per_s is None else cruise_speeds(study.cruise_m_per_s, key=_CRUISE)
         for leg in legs:
             if leg.left_out is None:

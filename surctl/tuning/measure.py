@@ -186,7 +186,7 @@ def build_cases(
     vehicles: Sequence[Vehicle] = (),
     *,
     gains: Gains,
-    law: str = "guarded",
+    law: str = "",
     mode: str = "nsb",
     sensing: str = "truth",
     guidance: str = "los",
@@ -211,7 +211,7 @@ def build_cases(
     ):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
-    kind: dict[str, Any] = {"law": law_ref(law), "mode": mode, "sensing": sensing, "guidance": guidance}
+    kind: dict[str, Any] = {"law": law and law_ref(law), "mode": mode, "sensing": sensing, "guidance": guidance}
     return tuple(
         Case(scenario, vehicle, gains, **kind)
         for scenario in scenarios

@@ -10,6 +10,7 @@ from surctl.verification.claim_file import load_claim, write_claim
 from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
 from surctl.verification.decide import decide
 from surctl.verification.falsifier import falsify
+from surctl.verification.law_loop import LawLoop, law_loop
 from surctl.verification.library import applicable_claims, claims
 from surctl.verification.linear_table import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
 from surctl.verification.locus import Locus, sweep_locus
@@ -36,6 +37,7 @@ __all__ = [
     "Claim",
     "Counterexample",
     "Inapplicable",
+    "LawLoop",
     "Locus",
     "LoopMargins",
     "Motion",
@@ -55,6 +57,7 @@ __all__ = [
     "decide",
     "evaluate",
     "falsify",
+    "law_loop",
     "linear_table",
     "load_claim",
     "loop_margins",

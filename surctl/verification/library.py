@@ -95,6 +95,13 @@ def applicable_claims(
     for name in known if names is None else names:
         if name not in known:
             raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, known))
+        if vehicle is not None and not vehicle["Fv_max"] > 0:
+            # all of these claims let the robot move in any direction, whatever its heading
+            because = (
+                f"{vehicle.name} has no sway force (Fv_max = 0), and the claim commands velocities in any direction"
+            )
+            refused[name] = NotApplicable(because, key=name)
+            continue
         try:
             applicable.append(
                 _BUILDERS[name](setting)

@@ -10,6 +10,7 @@ import casadi as ca
 from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels
 from surctl.control.echoes import Perception
 from surctl.control.reference import DesiredMotion
+from surctl.control.steering import Steering
 from surctl.control.stopping import Barrier, Movers
 from surctl.guidance import AvoidanceForm, Contact
 from surctl.ir import fold, tabulated
@@ -37,7 +38,8 @@ class Situation(NamedTuple):
     """Symbolic inputs of a law's decision: desired motion, obstacle points, state, pose, velocity, gains and mission.
 
     `form`, `dt`, `barrier` and `movers` are arguments of `build_law` (`form` is the argument `avoidance`). `scan` is
-    None for a law without sonars. `moving` is True if obstacles may move.
+    None for a law without sonars. `moving` is True if obstacles may move. `steering` is the result of
+    `LawSource.steering`.
     """
 
     form: AvoidanceForm
@@ -52,6 +54,7 @@ class Situation(NamedTuple):
     moving: bool = True
     barrier: Barrier = "simple"
     movers: Movers = "predict"
+    steering: Steering | None = None
 
 
 def decided(s: Situation, velocity: ca.SX, *, degraded: ca.SX, rows: Sequence[HalfPlane] = ()) -> Decision:

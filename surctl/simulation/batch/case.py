@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Barrier, Gains, Law, Movers, build_law, law_ref, law_source
+from surctl.control import Barrier, Gains, Law, Movers, build_law, check_forces, default_law, law_ref, law_source
 from surctl.errors import InputError, nearest
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
@@ -32,7 +32,7 @@ class Case:
         scenario: the mission.
         vehicle: the simulated vehicle.
         gains: the law's gains; if the law defines additional gains, missing ones take their defaults.
-        law: text that identifies the law, see `law_ref`.
+        law: text that identifies the law, see `law_ref`; empty: the law for the vehicle's forces, see `default_law`.
         avoidance, mode, guidance, barrier, movers: further options of the law, as for `build_law`.
         failed: names of thrusters that have failed from the start, which the law knows.
         sensing: kind of sensing: `truth` (exact positions) or `sonar`, as for `simulate`.
@@ -42,7 +42,7 @@ class Case:
     scenario: Scenario
     vehicle: Vehicle
     gains: Gains
-    law: str = "guarded"
+    law: str = ""
     mode: Mode = "nsb"
     sensing: Sensing = "truth"
     model: Vehicle | None = None
@@ -54,7 +54,9 @@ class Case:
 
     def __post_init__(self) -> None:
         check_failed(self.vehicle, self.failed)
-        object.__setattr__(self, "law", law_ref(self.law))  # pinned to the text of its file, if it is of the user's own
+        law = self.law or default_law(self.vehicle)
+        object.__setattr__(self, "law", law_ref(law))  # pinned to the text of its file, if it is of the user's own
+        check_forces(self.law, self.vehicle)
         object.__setattr__(self, "gains", self.gains.with_own(law_source(self.law).gains))
 
     @property

@@ -47,7 +47,8 @@ def counted(
     first = old["step"] < 0.5
     thrust, step = tau[:2], place - old["last_place"]
     past = ca.if_else(gap <= NEAR_TARGET, ca.dot(to_target, w["leg"]), 0)
-    share = ca.fabs(tau) / w["thrust_limit"]
+    # an axis without thrust has no share: its command is 0
+    share = ca.fabs(tau) / ca.if_else(w["thrust_limit"] > 0, w["thrust_limit"], 1)
     return {
         "away": excluded,
         "last_thrust": thrust,

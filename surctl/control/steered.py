@@ -1,0 +1,218 @@
+"""The steered law: for craft without sway force, guidance and avoidance by heading and speed.
+
+Path following gives a desired course and speed. From candidates of course and speed around them, the law chooses the
+best one that the craft can follow without contact, and steers the hull to this course minus the crab angle.
+
+Avoidance follows the dynamic window of Fox, Burgard and Thrun (IEEE RAM 1997) and the simulation of candidate courses
+of Johansen, Perez and Cristofaro (IEEE T-ITS 2016). Each candidate is predicted over a fixed number of steps with the
+yaw moment, the deceleration and the sway drift of the craft (`steering.moved`): an arc onto the course, then a straight
+line. Obstacles continue at their present velocity. A disc is predicted as a disc. Of any other body the input holds
+only the nearest point, so the law assumes the half-plane behind this point, which contains the whole body if it is
+convex. A candidate is admissible if it stays clear for the whole time of prediction, or if the craft can stop by its
+surge force before the contact. If no candidate is admissible, the craft stops, and turns to the best course.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from surctl.control.baselines.situation import NEVER, Situation, length
+from surctl.control.decision import Decision, TaskLevel
+from surctl.control.gains import GainSpec
+from surctl.control.steering import SLOWEST, Moving, Steering, moved, planned_yaw_rate
+from surctl.guidance import FAR, Contact
+from surctl.ir import Port, fold, repeat, tabulated
+from surctl.tasks import depth_task
+
+__all__ = ["COURSES", "SPEEDS", "STEERED_GAINS", "STEERED_PORTS", "STEPS", "steered_law", "steered_thrust"]
+
+STEERED_GAINS: Mapping[str, GainSpec] = {
+    "sideslip": GainSpec("rad", "largest drift angle in a planned turn", default=0.2, range=(0.1, 0.3)),
+    "steerage": GainSpec("1", "least share of the speed kept during a turn", True, 1.0, 0.0, range=(0.0, 0.5)),
+    "crab_time": GainSpec("s", "time constant of the filter of the crab angle", default=2.0, range=(0.5, 5.0)),
+    "foresight": GainSpec("1", "length of the prediction over the turning radius", default=2.5, range=(1.5, 5.0)),
+}
+"""Gains of this law in addition to `GAINS`."""
+
+STEERED_PORTS = (Port("crab", (1,), "rad", "filtered crab angle: course minus heading"),)
+
+COURSES = tuple(
+    np.radians([0, *(s * a for a in (10, 20, 30, 45, 60, 80, 100, 125, 150) for s in (1, -1)), 180]).tolist()
+)
+"""Candidate courses [rad] relative to the desired course.
+
+Of two equally good candidates the law chooses the first, so the craft passes a head-on obstacle with the obstacle on
+its right (erratum E10).
+"""
+
+SPEEDS = (1.0, 0.4)
+"""Candidate speeds as shares of the desired speed; at a lower speed the craft turns on a smaller circle."""
+
+STEPS = 16
+"""Number of steps of the prediction (*chosen*)."""
+
+_HIT, _SLOW, _OTHER_SIDE, _OTHER_COURSE = 4.0, 0.5, 2.5, 0.1  # weights of the cost
+_INADMISSIBLE = 1e3
+_CLEAR = _HIT / STEPS  # cost below which the desired course and speed have no contact in the prediction
+_BACK = 3.0  # [rad] offset above which a course leads back
+_CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
+
+
+def steered_law(s: Situation) -> Decision:
+    """Return the decision: the speed along the hull and the yaw rate that lead to the best admissible course."""
+    assert s.steering is not None
+    p, psi = s.p, s.eta[3]
+    desired_speed = length(s.desired.velocity)
+    on_path = ca.vertcat(s.desired.tangent[0], s.desired.tangent[1])
+    course = ca.if_else(desired_speed > 1e-6, s.desired.velocity / ca.fmax(desired_speed, 1e-6), on_path)
+    hull = ca.vertcat(ca.cos(psi), ca.sin(psi))
+    offset, share, cost = _chosen(s, course, desired_speed, hull, s.steering)
+    blocked, clear = cost >= _INADMISSIBLE, cost < _CLEAR
+    course, speed = _turned(course, offset), ca.if_else(blocked, 0, share * desired_speed)
+
+    slip = ca.atan2(s.nu[1], ca.fmax(s.nu[0], SLOWEST * p["cruise"]))
+    crab = s.x["crab"] + s.dt / (p["crab_time"] + s.dt) * (slip - s.x["crab"])
+    heading = _turned(course, -crab)
+    ahead = ca.dot(hull, heading)
+    error = ca.atan2(hull[0] * heading[1] - hull[1] * heading[0], ahead)
+    surge = speed * ca.fmax(ahead, p["steerage"])
+    yaw_rate = _yaw_rate(error, s.nu[0], p)
+
+    velocity = speed * course
+    side = ca.if_else(clear, 0, ca.if_else(_sided(offset), ca.if_else(offset > 0, 1, -1), s.x["side"]))
+    heaves = p["thrust_limit"][2] > 0
+    depth = TaskLevel.of(depth_task(s.eta, p["depth"], gain=p["k2"]))
+    return Decision(
+        [
+            TaskLevel("turn", ca.SX([[0, 0, 0, 1]]), yaw_rate, "rad/s"),
+            TaskLevel("speed", ca.SX([[1, 0, 0, 0]]), surge, "m/s"),
+            depth._replace(J=heaves * depth.J, reference=heaves * depth.reference),
+        ],
+        velocity=velocity,
+        avoiding=length(velocity - s.desired.velocity) > _CHANGED,
+        degraded=blocked,
+        state={"side": side, "blocker": s.x["blocker"], "last_velocity": velocity, "crab": crab},
+    )
+
+
+def _yaw_rate(error: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
+    # slow enough that half the yaw moment can end the turn at the desired heading
+    swing = ca.sqrt(p["thrust_limit"][3] / p["mass"][3] * ca.fabs(error))
+    most = ca.fmin(planned_yaw_rate(p, speed), swing)
+    return ca.fmin(ca.fmax(p["k_psi"] * error, -most), most)
+
+
+def _sided(offset: ca.SX) -> ca.SX:
+    # straight on and back belong to no side
+    return ca.logic_and(offset != 0, offset < _BACK)
+
+
+def _turned(unit: ca.SX, angle: ca.SX) -> ca.SX:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(unit[0] * c - unit[1] * s, unit[0] * s + unit[1] * c)
+
+
+def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: Steering) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the offset from the desired course [rad], the share of the desired speed, and the cost of both."""
+    p = s.p
+    stopping = p["cruise"] ** 2 / (2 * steering.deceleration) + p["cruise"] * p["reaction"]
+    distance = p["foresight"] * steering.radius + stopping
+    step = distance / (p["cruise"] * STEPS)
+    start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.nu[1], s.nu[3]), ca.SX(0))
+    contacts = _contacts(s)
+    side = s.x["side"]
+    last = s.x["last_velocity"] / ca.fmax(length(s.x["last_velocity"]), 1e-6)
+
+    def judged(best: ca.SX, least: ca.SX, candidate: ca.SX) -> list[ca.SX]:
+        offset, share, turned = candidate[0], candidate[1], candidate[2:4]
+        towards = ca.vertcat(
+            course[0] * turned[0] - course[1] * turned[1], course[0] * turned[1] + course[1] * turned[0]
+        )
+        # every candidate is predicted over the same distance
+        longer = step / share
+        gain = ca.fmin(p["k_psi"], 0.5 / longer)
+        hit, travelled = _first_hit(start, towards, share * speed, contacts, p, step=longer, gain=gain)
+        stop = speed * share * (speed * share / (2 * steering.deceleration) + p["reaction"])
+        met = hit < NEVER
+        # a turn takes time, so the distance counts too
+        near = 1 - ca.fmin(hit / STEPS, travelled / distance)
+        cost = 1 - turned[0] + _SLOW * (1 - share) + ca.if_else(met, _HIT * near, 0)
+        cost += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * side < 0)
+        # only while the craft passes an obstacle: otherwise the desired course decides alone
+        cost += _OTHER_COURSE * ca.logic_not(side == 0) * (1 - ca.dot(towards, last))
+        cost += _INADMISSIBLE * ca.logic_and(met, travelled < stop)
+        better = cost < least - 1e-9
+        return [ca.if_else(better, candidate[:2], best), ca.fmin(cost, least)]
+
+    rows = [(offset, share, np.cos(offset), np.sin(offset)) for share in SPEEDS for offset in COURSES]
+    best, least = fold("courses", judged, [ca.SX.zeros(2), ca.SX(2 * _INADMISSIBLE)], tabulated(rows, 4))
+    return best[0], best[1], least
+
+
+def _contacts(s: Situation) -> ca.SX:
+    """Return a table with one row per contact: `Contact.row`, least allowed distance, and 1 for a half-plane."""
+    rows = []
+    for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):
+        for c in contacts:
+            # a contact that is nearer than the margin must not come nearer; an empty slot is nowhere
+            margin = ca.fmin(s.p["margin"], c.clearance - 1e-3)
+            margin = ca.if_else(ca.fabs(c.clearance - FAR) < 1e-9, -1e6, margin)
+            half_plane = ca.SX(1) if flat else c.combined_radius <= s.p["hull"] + 1e-6
+            rows.append((*c.row, margin, half_plane))
+    return tabulated(rows, 8)
+
+
+def _first_hit(
+    start: Moving,
+    course: ca.SX,
+    speed: ca.SX,
+    contacts: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    step: ca.SX,
+    gain: ca.SX,
+) -> tuple[ca.SX, ca.SX]:
+    """Return the step of the prediction in which the craft first touches a contact, or `NEVER`; and the way there."""
+
+    def ahead(place: ca.SX, hull: ca.SX, nu: ca.SX, way: ca.SX, k: ca.SX, *_: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
+        now = moved(Moving(place, hull, nu, way), course, speed, p, step=step, gain=gain)
+        time = step * (k + 1)
+
+        def touches(met: ca.SX, row: ca.SX) -> ca.SX:
+            contact, margin, flat = Contact.of(row), row[6], row[7]
+            moving = contact.velocity * time - now.place
+            plane = contact.clearance + ca.dot(contact.normal, moving)
+            centre = contact.normal * (contact.clearance + contact.combined_radius) + moving
+            gap = ca.if_else(flat, plane, length(centre) - contact.combined_radius)
+            return ca.fmax(met, gap < margin)
+
+        met = fold("touches", touches, ca.SX(0), contacts)
+        after = [now.place, now.hull, now.nu, now.travelled, k + 1]
+        return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, way, 0), met], []
+
+    state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0, 0))]
+    # the prediction ends at the first contact
+    after, _ = repeat("ahead", ahead, state, count=STEPS, until=7)
+    return after[5], after[6]
+
+
+def steered_thrust(
+    reference: ca.SX, nu: ca.SX, integral: ca.SX, p: Mapping[str, ca.SX], dt: float
+) -> tuple[ca.SX, ca.SX]:
+    """Return thrust and next integral of the surge, heave and yaw loops; sway has no thrust.
+
+    The loops are those of `velocity_control`. In addition, the thrust cancels the Munk moment (m22 − m11) u v and the
+    force m22 v r in surge, because no sway force keeps the sway speed v at 0.
+    """
+    m, limit = p["mass"], p["thrust_limit"]
+    error = reference - nu
+    gain = ca.vertcat(p["k_v"], 0, p["k_v"], p["k_r"])
+    drag = p["linear_drag"] * reference + p["quadratic_drag"] * reference * ca.fabs(reference)
+    coriolis = ca.vertcat(-m[1] * nu[1] * nu[3], 0, 0, (m[1] - m[0]) * nu[0] * nu[1])
+    driven = ca.vertcat(1, 0, limit[2] > 0, 1)
+    free = driven * (drag + m * (gain * error + integral) + coriolis)
+    held = ca.fabs(free) > limit
+    return free, ca.if_else(held, integral, integral + driven * dt * p["k_i"] * error)

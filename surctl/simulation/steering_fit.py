@@ -1,0 +1,96 @@
+"""Check what a scenario asks of a craft without sway force, or without heave force."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import acos, degrees, tan
+
+import numpy as np
+
+from surctl.control import Gains, default_law, law_source, turning_radius
+from surctl.simulation.finding import Finding
+from surctl.simulation.passage import tightest_gap
+from surctl.simulation.scenario import Scenario
+from surctl.vehicle import Vehicle
+
+__all__ = ["steering_findings"]
+
+_REVERSAL = 2.4  # [rad] largest change of direction (137°) that counts as a corner; beyond it the path turns back
+
+
+def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """Return the findings about turning, holding a place and depth; empty for a vehicle that has all four forces."""
+    results = _depths(scenario, vehicle)
+    if vehicle["Fv_max"] > 0:
+        return results
+    values = gains.with_own(law_source(default_law(vehicle)).gains).values
+    radius = turning_radius(vehicle, values, scenario.cruise)
+    text = (
+        f"{vehicle.name} has no sway force (Fv_max = 0): law {default_law(vehicle)} steers it by heading and speed, "
+        f"from obstacle positions, without sonars; its turning radius at {scenario.cruise:g} m/s is {radius:.2g} m"
+    )
+    return [
+        *results,
+        Finding("info", "vehicle", text),
+        *_corners(scenario, radius),
+        *_room(scenario, vehicle, radius),
+        *_station(scenario, vehicle),
+    ]
+
+
+def _depths(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    if vehicle["Fw_max"] > 0 or scenario.depths is None:
+        return []
+    text = f"{vehicle.name} has no heave force (Fw_max = 0), so it cannot leave the path's depth; remove depths_m"
+    return [Finding("error", "depths_m", text)]
+
+
+def _corners(scenario: Scenario, radius: float) -> list[Finding]:
+    """Report corners whose wheel-over distance R tan(α/2) is longer than half of a leg beside them."""
+    results = []
+    legs = np.diff(scenario.path.waypoints, axis=0)
+    for (before, after), corner in zip(pairwise(legs), scenario.path.waypoints[1:-1], strict=True):
+        lengths = float(np.linalg.norm(before)), float(np.linalg.norm(after))
+        turn = acos(float(np.clip(before @ after / (lengths[0] * lengths[1]), -1, 1)))
+        where = f"corner ({corner[0]:g}, {corner[1]:g})"
+        if turn > _REVERSAL:
+            text = f"at {where} the path turns by {degrees(turn):.0f}°: the craft leaves it by up to {2 * radius:.2g} m"
+            results.append(Finding("warning", "path_m", text))
+            continue
+        wheel_over, half = radius * tan(turn / 2), min(lengths) / 2
+        if wheel_over > half and not scenario.visit:
+            text = (
+                f"{where} turns by {degrees(turn):.0f}°, so the turn must begin {wheel_over:.2g} m before it, but half "
+                f"of the shorter leg is {half:.2g} m: it leaves the path; lower cruise_m_per_s or lengthen the leg"
+            )
+            results.append(Finding("warning", "path_m", text))
+    return results
+
+
+def _room(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
+    needed, hull = 2 * radius, vehicle["radius"]
+    results = []
+    width = min(scenario.site[:2]) - 2 * hull
+    if width < needed:
+        text = (
+            f"the site leaves {width:.2g} m for the centre of {vehicle.name}, less than its turning circle of "
+            f"{needed:.2g} m at the cruise speed: it must slow down to turn round; lower cruise_m_per_s"
+        )
+        results.append(Finding("warning", "site", text))
+    gap = tightest_gap(scenario, hull + radius)
+    if gap is not None and 0 < gap.always - 2 * hull < needed:
+        text = (
+            f"the passage between {gap.between[0]} and {gap.between[1]} leaves {gap.always - 2 * hull:.2g} m for the "
+            f"centre of {vehicle.name}, less than its turning circle of {needed:.2g} m at the cruise speed: "
+            "it cannot turn back there without slowing down"
+        )
+        results.append(Finding("info", "obstacles", text))
+    return results
+
+
+def _station(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    d = scenario.disturbance
+    if not scenario.visit or not (np.hypot(*d.current_m_per_s) > 0 or d.drift_force_n > 0):
+        return []
+    text = f"{vehicle.name} has no sway force, so a current or a drift force moves it away from a corner to visit"
+    return [Finding("warning", "corners", text)]
