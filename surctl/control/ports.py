@@ -255,7 +255,7 @@ def law_parameters(
     values: Mapping[str, object] = {
         **gains.values,
         "mass": vehicle.mass,
-        "linear_drag": vehicle.linear_drag,
+        "linear_drag": vehicle.drag_at(cruise),
         "quadratic_drag": vehicle.quadratic_drag,
         "thrust_limit": vehicle.thrust_limit,
         "hull": vehicle["radius"],

@@ -95,8 +95,8 @@ def turning_radius(vehicle: Vehicle, gains: Mapping[str, float], speed: float) -
         >>> round(turning_radius(load_vehicle("sur400"), {"sideslip": 0.2}, 0.15), 2)
         1.38
     """
-    model = {name: getattr(vehicle, name) for name in ("mass", "linear_drag", "quadratic_drag", "thrust_limit")}
-    numbers = {**model, "sideslip": gains["sideslip"], "cruise": speed}
+    model = {name: getattr(vehicle, name) for name in ("mass", "quadratic_drag", "thrust_limit")}
+    numbers = {**model, "linear_drag": vehicle.drag_at(speed), "sideslip": gains["sideslip"], "cruise": speed}
     p = {name: ca.SX(ca.DM(value)) for name, value in numbers.items()}
     return speed / float(planned_yaw_rate(p, ca.SX(speed)))
 

@@ -148,7 +148,9 @@ def _fit(
         gains: Mapping[str, NDArray[np.float64]] = {
             n: np.exp(v)[None] for n, v in zip(CASCADE_GAINS, logs, strict=True)
         }
-        gain_matrix = build_cascades(flat, gains, cruise=np.array([cruise]), dt=dt, model=flat, form=form).K[0]
+        gain_matrix = build_cascades(
+            flat, gains, cruise=np.array([cruise]), dt=dt, model=flat, form=form, model_form=form
+        ).K[0]
         return np.asarray(((gain_matrix - K) * scale)[reachable], dtype=float)
 
     fitted = least_squares(missed, np.zeros(len(CASCADE_GAINS)), bounds=(np.log(1e-3), np.log(1e2)))

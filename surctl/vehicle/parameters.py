@@ -81,6 +81,22 @@ class Vehicle:
         """Linear drag coefficients (4,): Xu, Yv, Zw [N s/m], Nr [N m s]."""
         return np.array([self[k] for k in ("Xu", "Yv", "Zw", "Nr")])
 
+    def drag_at(self, cruise: float) -> NDArray[np.float64]:
+        """Return the linear drag (4,) at a forward speed [m/s], which the drag by |u| on each axis increases.
+
+        A law whose model has no such terms uses this drag at its cruise speed.
+
+        Example:
+            >>> from surctl.vehicle import load_vehicle
+            >>> craft = load_vehicle("eca-a9")
+            >>> craft.linear_drag[3], craft.drag_at(1.0)[3] > 0
+            (0.0, True)
+        """
+        linear = self.linear_drag
+        for axis, name in self.form.ahead():
+            linear[axis] += self[name] * cruise
+        return linear
+
     @property
     def quadratic_drag(self) -> NDArray[np.float64]:
         """Quadratic drag coefficients (4,): Xuu, Yvv, Zww [N s²/m²], Nrr [N m s²]."""

@@ -185,6 +185,10 @@ class PlantForm:
             if TERMS[name].table == "drag"
         ]
 
+    def ahead(self) -> list[tuple[int, str]]:
+        """Return the drag on sway, heave and yaw that grows with the forward speed as (axis, name): Yuv, Zuw, Nur."""
+        return [(axis, name) for axis, by, name in self.drag() if by == (0, axis)]
+
     def constant(self) -> list[tuple[int, str]]:
         """Return the constant forces as (axis, name)."""
         return [(_FORCES.index(name[0]), name) for name in self.terms if TERMS[name].table == "force"]

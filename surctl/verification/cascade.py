@@ -132,6 +132,7 @@ def build_cascade(
         model=plant_parameters(model or vehicle)[None],
         delay=delay,
         form=vehicle.form,
+        model_form=(model or vehicle).form,
     )
     return Cascade(many.A[0], many.B[0], many.C[0], many.K[0])
 
@@ -145,6 +146,7 @@ def build_cascades(
     model: NDArray[np.float64],
     delay: float | None = None,
     form: PlantForm = PAPER,
+    model_form: PlantForm = PAPER,
 ) -> Cascade:
     """Build the cascades of n parameter points at once; see `build_cascade`.
 
@@ -156,10 +158,11 @@ def build_cascades(
         gains: the gains `CASCADE_GAINS` by name, and k_i for integral action, each an array (n,).
         cruise: cruise speed U (n,) [m/s].
         dt: control period [s].
-        model: (n, …) parameters of the controller's model, in the order of `plant_parameters`; the controller ignores
-            the optional terms of its model.
+        model: (n, …) parameters of the controller's model, in the order of `plant_parameters`; the controller knows
+            no optional terms but the drag that grows with the forward speed.
         delay: loop delay [s], as in `build_cascade`.
         form: the optional terms that all plants have.
+        model_form: the optional terms of the model.
 
     Raises:
         InputError: a gain is missing or not positive, or the cascades have different orders.
@@ -190,6 +193,9 @@ def build_cascades(
     if delay != 0:
         A, B, C = _delayed(A, B, C, 1.5 * dt if delay is None else delay)
     model_values = {name: _columns(model, PLANT_PARAMETERS, name) for name in ("mass", "linear_drag", "quadratic_drag")}
+    for axis, name in model_form.ahead():  # as in `Vehicle.drag_at`
+        forward = model[:, PLANT_PARAMETERS.size + model_form.terms.index(name)] * cruise
+        model_values["linear_drag"] = model_values["linear_drag"] + np.eye(4)[axis] * forward[:, None]
     proportional = Cascade(A, B, C, _controller(model_values, k, nu))
     return _with_integral(proportional, model_values["mass"], k, k_i) if k_i[0] > 0 else proportional
 

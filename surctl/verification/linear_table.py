@@ -146,7 +146,7 @@ def linear_table(
 class Points:
     """n operating points: plant and model (n, …) as in `plant_parameters`, gains (n,), cruise speeds (n,).
 
-    `form` has the optional terms of all plants.
+    `form` has the optional terms of all plants, `model_form` those of the model.
     """
 
     plant: NDArray[np.float64]
@@ -155,6 +155,7 @@ class Points:
     cruise: NDArray[np.float64]
     dt: float
     form: PlantForm = PAPER
+    model_form: PlantForm = PAPER
 
     @property
     def count(self) -> int:
@@ -182,6 +183,7 @@ class Points:
             dt=self.dt,
             model=self.model[chosen],
             form=self.form,
+            model_form=self.model_form,
         )
 
 
@@ -223,7 +225,7 @@ def read_points(
                 elif target is flat[0]:
                     raise InputError(f"{vehicle.name} has no such term", key=key, remedy="add it to the vehicle file")
     check_positive({"cruise": column(speed)})
-    return Points(flat[0], flat[1], gains, column(speed), dt, vehicle.form)
+    return Points(flat[0], flat[1], gains, column(speed), dt, vehicle.form, (model or vehicle).form)
 
 
 def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from surctl.control import load_gains
+from surctl.control import PARAMETERS, load_gains
 from surctl.errors import InputError, NotApplicable
-from surctl.simulation import Case, advance, load_scenario, safety_claim, simulate, simulate_batch
+from surctl.simulation import Case, advance, law_numbers, load_scenario, safety_claim, simulate, simulate_batch
 from surctl.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_STATE,
@@ -32,12 +32,14 @@ from surctl.vehicle import (
     trim_thrust,
     write_vehicle,
 )
+from surctl.verification import build_cascade
 from surctl.verification.braking_claims import braking_keeps
 from surctl.verification.region.turning import turning_claim
 
 Array = NDArray[np.float64]
 STILL = PLANT_DISTURBANCE.pack()
 COUPLED = {"m24": 1.0, "m13": -1.5, "m14": 0.4, "Yr": 2.0, "Nv": -1.0, "Nuv": 3.0, "Yrv": 4.0, "Y0": 0.2, "Z0": -0.3}
+COUPLED |= {"Yuv": 1.5, "Nur": 0.3}
 
 
 def boat(values: Mapping[str, float], base: str = "bluerov2-wu") -> Vehicle:
@@ -113,7 +115,7 @@ def test_a_coupled_flight_equals_an_independent_integration() -> None:
 
     def load(nu: Array) -> Array:
         u, v, _, r = nu
-        cross = np.array([0, 2.0 * r + 4.0 * abs(r) * v, 0, -1.0 * v + 3.0 * abs(u) * v])
+        cross = np.array([0, 2.0 * r + (4.0 * abs(r) + 1.5 * abs(u)) * v, 0, -1.0 * v + abs(u) * (3.0 * v + 0.3 * r)])
         drag = (vehicle.linear_drag + vehicle.quadratic_drag * np.abs(nu)) * nu + cross
         return np.asarray(tau - drag)
 
@@ -194,6 +196,21 @@ def test_the_compiled_loop_flies_a_coupled_vehicle_like_the_reference_loop() -> 
     assert table.column("min_clearance_m")[0] == pytest.approx(run.metrics.min_clearance_m, abs=1e-9)
     assert table.column("deviation_m")[0] == pytest.approx(run.metrics.deviation_m, abs=1e-9)
     assert abs(table.column("deviation_m")[1] - table.column("deviation_m")[0]) > 1e-6
+
+
+def test_laws_know_the_drag_at_their_cruise_speed() -> None:
+    vehicle, plain = boat({"Yuv": 2.0, "Nur": 0.5, "Nuv": 1.0}), load_vehicle("bluerov2-wu")
+    assert vehicle.drag_at(0.4).tolist() == [plain["Xu"], plain["Yv"] + 0.8, plain["Zw"], plain["Nr"] + 0.2]
+    assert plain.drag_at(0.4).tolist() == plain.linear_drag.tolist()
+    same = plain.with_values({"Yv": plain["Yv"] + 0.8, "Nr": plain["Nr"] + 0.2})
+    gains = load_gains("default").values
+    there = build_cascade(same, gains, cruise=0.4, dt=0.05)
+    np.testing.assert_allclose(build_cascade(vehicle, gains, cruise=0.4, dt=0.05).K, there.K, rtol=1e-12)
+    scenario = replace(load_scenario("tank-static"), cruise=0.4)
+    numbers = [
+        law_numbers(scenario, load_gains("default"), v)[PARAMETERS.slice("linear_drag")] for v in (vehicle, same)
+    ]
+    np.testing.assert_allclose(*numbers, rtol=1e-12)
 
 
 def test_files_with_terms_are_read_and_written(tmp_path: Path) -> None:

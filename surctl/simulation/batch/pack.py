@@ -149,7 +149,8 @@ class _Filler:
 
     def _law(self, out: Columns) -> None:
         case, layout = self.case, self.loop.law.gains
-        out[:] = law_numbers(case.scenario, case.gains, case.model or case.vehicle)
+        model = case.model or case.vehicle
+        out[:] = law_numbers(case.scenario, case.gains, model)
         for name in case.gains.specs:
             out[:, layout.slice(name).start] = self.number(name)
         for name in ("depth", "cruise", "cap"):
@@ -159,8 +160,11 @@ class _Filler:
         for vector, members in _VECTORS.items():
             for k, member in enumerate(members):
                 column, reverse = self.believed(member), member.replace("_max", "_reverse")
-                if vector == "thrust_limit" and reverse in (case.model or case.vehicle).parameters:
+                if vector == "thrust_limit" and reverse in model.parameters:
                     column = np.minimum(column, self.believed(reverse))  # as in Vehicle.thrust_limit
+                if vector == "linear_drag":
+                    for name in [name for axis, name in model.form.ahead() if axis == k]:
+                        column = column + self.believed(name) * self.number("scenario.cruise")  # as Vehicle.drag_at
                 out[:, layout.slice(vector).start + k] = column
         out[:, layout.slice("hull").start] = self.believed("radius")
 

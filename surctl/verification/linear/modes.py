@@ -242,6 +242,7 @@ def _stable(
         dt=dt,
         model=np.tile(plant_parameters(model), (count, 1)),
         form=vehicle.form,
+        model_form=model.form,
     )
     stable: NDArray[np.bool_] = many.poles[:, 0].real < -_EDGE
     return stable
@@ -291,6 +292,7 @@ def _remedies(
         dt=dt,
         model=np.tile(plant_parameters(model), (count, 1)),
         form=vehicle.form,
+        model_form=model.form,
     )
     good = many.poles[:, 0].real < -_EDGE
     remedies: dict[str, tuple[float, float]] = {}

@@ -202,6 +202,7 @@ def built(
         model=np.tile(plant_parameters(model), (count, 1)),
         delay=delay,
         form=vehicles[0].form,
+        model_form=model.form,
     )
 
 
