@@ -95,11 +95,11 @@ class _Builder:
         if len(level.axes) == 1:
             value = _interval(level.rows.normals[:, 0], lower_, upper, w[level.axes[0]], self.precision)
             return [Call(_program(name, inputs, {"w": _with(w, level.axes, value)}), (before, "working"), (after,))]
-        wish = ca.vertcat(*(w[k] for k in level.axes))
-        found, point = ca.SX.sym("w", 4), ca.SX.sym("point", len(level.axes))
-        put = _program(f"{name}_put", {"w": found, "point": point}, {"w": _with(found, level.axes, point)})
+        desired = ca.vertcat(*(w[k] for k in level.axes))
+        higher, point = ca.SX.sym("w", 4), ca.SX.sym("point", len(level.axes))
+        put = _program(f"{name}_put", {"w": higher, "point": point}, {"w": _with(higher, level.axes, point)})
         return [
-            *self._nearest(name, inputs, (before, "working"), level.rows, lower_, upper, wish, f"{after}_point"),
+            *self._nearest(name, inputs, (before, "working"), level.rows, lower_, upper, desired, f"{after}_point"),
             Call(put, (before, f"{after}_point"), (after,)),
         ]
 
@@ -149,11 +149,11 @@ class _Builder:
         ]
         table = ca.vertcat(*(ca.SX(entry) for entry in flat))
         outputs = {"rows": table, "start": start, "skip": ca.SX.zeros(1)}
-        made = tuple(f"{result}_{key}" for key in outputs)
+        arrays = tuple(f"{result}_{key}" for key in outputs)
         space = Space(d, d, mapped=False, precision=self.precision)
         rest = tuple(f"{result}_{key}" for key in ("numbers", "multipliers", "status", "count"))
-        prepare = Call(_program(name, inputs, outputs), arguments, made)
-        return [prepare, Call(search(space, padded), made, (result, *rest))]
+        prepare = Call(_program(name, inputs, outputs), arguments, arrays)
+        return [prepare, Call(search(space, padded), arrays, (result, *rest))]
 
     def _bounds(self, rows: Rows, working: ca.SX, known: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift = _times(rows.fixed, known) if rows.fixed.shape[1] else ca.SX.zeros(len(rows.normals))
@@ -213,14 +213,14 @@ def _command(thruster: Thruster, force: ca.SX) -> ca.SX:
     return command
 
 
-def _interval(normal: np.ndarray, lower_: ca.SX, upper: ca.SX, wish: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
-    """Return the number nearest to `wish` between all bounds; each normal is 1 or −1."""
+def _interval(normal: np.ndarray, lower_: ca.SX, upper: ca.SX, desired: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
+    """Return the number nearest to `desired` between all bounds; each normal is 1 or −1."""
     ends = [(lower_[k], upper[k]) if normal[k] > 0 else (-upper[k], -lower_[k]) for k in range(len(normal))]
     low, high = ends[0]
     for below, above in ends[1:]:
         low, high = ca.fmax(low, below), ca.fmin(high, above)
     # bounds that cross by rounding leave one number
-    return ca.if_else(low > high, 0.5 * (low + high), ca.fmin(ca.fmax(wish, low), high))
+    return ca.if_else(low > high, 0.5 * (low + high), ca.fmin(ca.fmax(desired, low), high))
 
 
 def _polygon(normals: np.ndarray, lower_: ca.SX, upper: ca.SX, start: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
@@ -229,7 +229,7 @@ def _polygon(normals: np.ndarray, lower_: ca.SX, upper: ca.SX, start: ca.SX, pre
     If `start` is outside, the nearest point lies on the violated side of a strip: it is the nearest of the points that
     `start` is projected to on each violated side, limited to the part of the side inside all other strips.
     """
-    found, least = start, ca.SX(precision.never)
+    best, least = start, ca.SX(precision.never)
     outside = ca.SX(0)
     for i, normal in enumerate(normals):
         value = _along(normal, start)
@@ -255,8 +255,8 @@ def _polygon(normals: np.ndarray, lower_: ca.SX, upper: ca.SX, start: ca.SX, pre
         point = foot + place * ca.DM(side)
         distance = ca.sumsqr(point - start)
         nearer = ca.logic_and(there, distance < least)
-        found, least = ca.if_else(nearer, point, found), ca.if_else(nearer, distance, least)
-    return ca.if_else(outside, found, start)
+        best, least = ca.if_else(nearer, point, best), ca.if_else(nearer, distance, least)
+    return ca.if_else(outside, best, start)
 
 
 def _along(normal: np.ndarray, point: ca.SX) -> ca.SX:  # type: ignore[type-arg]
