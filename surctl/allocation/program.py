@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.allocation.design import Design, LevelRows, Rows
 from surctl.ir import Block, Call, Loop, Program, Real, Routine, Step, lower, without_libm
@@ -20,6 +21,8 @@ from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
 from surctl.vehicle import Actuators, Thruster
 
 __all__ = ["allocation_block"]
+
+Array = NDArray[np.float64]
 
 _SLABS = 6  # strips up to which a nearest point in the plane is computed directly, without a search
 _PARALLEL = 1e-9
@@ -117,11 +120,12 @@ class _Builder:
                 continue
             zero = ca.SX.zeros(len(group))
             steps += self._nearest(f"allocate_effort{k}", inputs, (at, "working"), rows, lower_, upper, zero, name)
-        z = {name: ca.SX.sym(name, len(group)) for name, group in parts.items()}
+        coordinates = {name: ca.SX.sym(name, len(group)) for name, group in parts.items()}
         t = _times(d.inverse, w)
         for name, group in parts.items():
-            t += _times(d.null[:, group], z[name])
-        return [*steps, Call(_program("allocate_forces", {"w": w, **z}, {"t": t}), (at, *z), ("t_next",))]
+            t += _times(d.null[:, group], coordinates[name])
+        end = _program("allocate_forces", {"w": w, **coordinates}, {"t": t})
+        return [*steps, Call(end, (at, *parts), ("t_next",))]
 
     def _nearest(
         self,
@@ -141,14 +145,14 @@ class _Builder:
         lanes = self.precision.lanes
         padded = -(-m // lanes) * lanes
         never = self.precision.never
-        entries = [[*map(float, rows.normals[k]), lower_[k], upper[k]] for k in range(m)]
-        entries += [[0.0] * d + [-never, never]] * (padded - m)
+        entries = [[*map(ca.SX, rows.normals[k].tolist()), lower_[k], upper[k]] for k in range(m)]
+        entries += [[*[ca.SX(0)] * d, ca.SX(-never), ca.SX(never)]] * (padded - m)
         wide = lanes_of(padded, self.precision)
         flat = [
             entries[block + k][entry] for block in range(0, padded, wide) for entry in range(d + 2) for k in range(wide)
         ]
-        table = ca.vertcat(*(ca.SX(entry) for entry in flat))
-        outputs = {"rows": table, "start": start, "skip": ca.SX.zeros(1)}
+        table = ca.vertcat(*flat)
+        outputs: dict[str, ca.SX] = {"rows": table, "start": start, "skip": ca.SX(0)}
         arrays = tuple(f"{result}_{key}" for key in outputs)
         space = Space(d, d, mapped=False, precision=self.precision)
         rest = tuple(f"{result}_{key}" for key in ("numbers", "multipliers", "status", "count"))
@@ -213,7 +217,7 @@ def _command(thruster: Thruster, force: ca.SX) -> ca.SX:
     return command
 
 
-def _interval(normal: np.ndarray, lower_: ca.SX, upper: ca.SX, desired: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
+def _interval(normal: Array, lower_: ca.SX, upper: ca.SX, desired: ca.SX, precision: Precision) -> ca.SX:
     """Return the number nearest to `desired` between all bounds; each normal is 1 or −1."""
     ends = [(lower_[k], upper[k]) if normal[k] > 0 else (-upper[k], -lower_[k]) for k in range(len(normal))]
     low, high = ends[0]
@@ -223,7 +227,7 @@ def _interval(normal: np.ndarray, lower_: ca.SX, upper: ca.SX, desired: ca.SX, p
     return ca.if_else(low > high, 0.5 * (low + high), ca.fmin(ca.fmax(desired, low), high))
 
 
-def _polygon(normals: np.ndarray, lower_: ca.SX, upper: ca.SX, start: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
+def _polygon(normals: Array, lower_: ca.SX, upper: ca.SX, start: ca.SX, precision: Precision) -> ca.SX:
     """Return the point (2,) of a polygon nearest to `start`; the polygon is the intersection of strips.
 
     If `start` is outside, the nearest point lies on the violated side of a strip: it is the nearest of the points that
@@ -259,7 +263,7 @@ def _polygon(normals: np.ndarray, lower_: ca.SX, upper: ca.SX, start: ca.SX, pre
     return ca.if_else(outside, best, start)
 
 
-def _along(normal: np.ndarray, point: ca.SX) -> ca.SX:  # type: ignore[type-arg]
+def _along(normal: Array, point: ca.SX) -> ca.SX:
     terms = [float(a) * point[k] for k, a in enumerate(normal.tolist()) if a != 0.0]
     return sum(terms[1:], start=terms[0])
 
@@ -271,7 +275,7 @@ def _with(w: ca.SX, axes: Sequence[int], values: ca.SX) -> ca.SX:
     return ca.vertcat(*entries)
 
 
-def _times(matrix: np.ndarray, vector: ca.SX) -> ca.SX:  # type: ignore[type-arg]
+def _times(matrix: Array, vector: ca.SX) -> ca.SX:
     # a product without the terms whose factor is 0
     rows = []
     for row in np.asarray(matrix):

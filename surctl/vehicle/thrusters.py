@@ -260,6 +260,4 @@ def _line(thruster: Thruster) -> str:
     if thruster.swivel is not None:
         low, high = map(degrees, thruster.swivel.range)
         joint = f", swivels {low:.0f} to {high:.0f} deg"
-    return (
-        f"{thruster.name}: at ({at}) m, push ({along}), {thruster.forward:g} N, reverse {thruster.reverse:g}{joint}"
-    )
+    return f"{thruster.name}: at ({at}) m, push ({along}), {thruster.forward:g} N, reverse {thruster.reverse:g}{joint}"
