@@ -124,7 +124,7 @@ def attainable(actuators: Actuators, axes: tuple[int, ...] = (0, 1, 2, 3)) -> At
         >>> from surctl.vehicle import attainable, load_vehicle
         >>> forces = attainable(load_vehicle("bluerov2-heavy").actuators)
         >>> forces.intervals().round(1).tolist()[2], forces.contains([100.0, 0.0, 0.0, 0.0])
-        ([-159.3, 159.3], True)
+        ([-138.0, 177.2], True)
     """
     unit, lever = actuators.largest, actuators.lever
     matrix = actuators.matrix / np.array([1.0, 1.0, 1.0, lever])[:, None]
