@@ -140,6 +140,14 @@ def test_the_study_of_the_regions() -> None:
     assert "codac" in done.stdout
 
 
+def test_the_study_of_allocation(capsys: pytest.CaptureFixture[str]) -> None:
+    study = runpy.run_path(str(ANALYSIS / "30_allocation" / "run.py"))
+    lines, error, breach = study["exactness"](20)
+    assert len(lines) == 9 and error <= study["EXACT"] and breach <= study["EXACT"]
+    assert study["against_the_lexicographic_solver"](2)[1] <= 1e-6
+    assert study["main"](["--fast"]) == 2 and "--quick" in capsys.readouterr().err
+
+
 def test_the_study_of_the_braking_barrier(capsys: pytest.CaptureFixture[str]) -> None:
     study = runpy.run_path(str(ANALYSIS / "15_braking_barrier" / "run.py"))
     assert study["proofs"]() and "**" not in capsys.readouterr().out

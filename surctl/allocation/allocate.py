@@ -30,7 +30,7 @@ class Allocation:
     Attributes:
         actuators: the thrusters.
         desired, achieved: (4,) F_u, F_v, F_w [N] and F_r [N m] in {B}.
-        forces: (n,) [N] along `push`; for a swivelling thruster, the magnitude.
+        forces: (n,) [N] along its direction; for a swivelling thruster, the magnitude.
         commands: (n,) in [−1, 1].
         angles: joint angle [rad] of each swivelling thruster by name.
         roll, pitch: moments [N m] of all thrusters, which the allocation does not control.

@@ -89,7 +89,7 @@ class Design:
     @cached_property
     def inverse(self) -> Array:
         """Pseudo-inverse (N, 4) of the allocation matrix: the smallest forces for a force in the matrix's range."""
-        return _clean(np.linalg.pinv(self.matrix, rcond=_RANK))
+        return _clean(np.asarray(np.linalg.pinv(self.matrix, rcond=_RANK), dtype=np.float64))
 
     @cached_property
     def null(self) -> Array:
@@ -105,7 +105,7 @@ class Design:
     @property
     def full(self) -> bool:
         """Whether the thrusters can push in every direction of (F_u, F_v, F_w, F_r)."""
-        return self.matrix.shape[1] - self.null.shape[1] == len(self.matrix)
+        return bool(self.matrix.shape[1] - self.null.shape[1] == len(self.matrix))
 
     @cached_property
     def levels(self) -> tuple[LevelRows, ...]:

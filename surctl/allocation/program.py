@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.allocation.design import Design, LevelRows, Rows
 from surctl.ir import Block, Call, Loop, Program, Real, Routine, Step, lower, without_libm
@@ -20,6 +21,8 @@ from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
 from surctl.vehicle import Actuators, Thruster
 
 __all__ = ["allocation_block"]
+
+Array = NDArray[np.float64]
 
 _SLABS = 6  # strips up to which a nearest point in the plane is computed directly, without a search
 _PARALLEL = 1e-9
@@ -31,6 +34,15 @@ def allocation_block(actuators: Actuators, real: Real = "float64") -> Block:
     Inputs: wrench (4,) [N, N m]; working (n,), 1 for each thruster that works. Outputs: achieved (4,), the force and
     yaw moment that the thrusters produce; components (N,) [N], the force components of all thrusters; commands (n,) in
     [−1, 1]; angles (k,) [rad] of the swivelling thrusters, absent without any.
+
+    Example:
+        >>> from surctl.allocation import allocation_block
+        >>> from surctl.ir import replay
+        >>> from surctl.vehicle import load_vehicle
+        >>> block = allocation_block(load_vehicle("bluerov2-thrusters").actuators)
+        >>> achieved, forces, commands = replay(block, [30.0, 0.0, 20.0, 0.0], [1.0] * 6)
+        >>> forces.round(2).tolist(), commands[4].round(3).item()
+        ([-10.61, -10.61, 10.61, 10.61, 10.0, 10.0], 0.292)
     """
     return without_libm(_Builder(Design(actuators), FLOAT64 if real == "float64" else FLOAT32).build(), real)
 
@@ -95,11 +107,11 @@ class _Builder:
         if len(level.axes) == 1:
             value = _interval(level.rows.normals[:, 0], lower_, upper, w[level.axes[0]], self.precision)
             return [Call(_program(name, inputs, {"w": _with(w, level.axes, value)}), (before, "working"), (after,))]
-        wish = ca.vertcat(*(w[k] for k in level.axes))
-        found, point = ca.SX.sym("w", 4), ca.SX.sym("point", len(level.axes))
-        put = _program(f"{name}_put", {"w": found, "point": point}, {"w": _with(found, level.axes, point)})
+        desired = ca.vertcat(*(w[k] for k in level.axes))
+        higher, point = ca.SX.sym("w", 4), ca.SX.sym("point", len(level.axes))
+        put = _program(f"{name}_put", {"w": higher, "point": point}, {"w": _with(higher, level.axes, point)})
         return [
-            *self._nearest(name, inputs, (before, "working"), level.rows, lower_, upper, wish, f"{after}_point"),
+            *self._nearest(name, inputs, (before, "working"), level.rows, lower_, upper, desired, f"{after}_point"),
             Call(put, (before, f"{after}_point"), (after,)),
         ]
 
@@ -117,11 +129,12 @@ class _Builder:
                 continue
             zero = ca.SX.zeros(len(group))
             steps += self._nearest(f"allocate_effort{k}", inputs, (at, "working"), rows, lower_, upper, zero, name)
-        z = {name: ca.SX.sym(name, len(group)) for name, group in parts.items()}
+        coordinates = {name: ca.SX.sym(name, len(group)) for name, group in parts.items()}
         t = _times(d.inverse, w)
         for name, group in parts.items():
-            t += _times(d.null[:, group], z[name])
-        return [*steps, Call(_program("allocate_forces", {"w": w, **z}, {"t": t}), (at, *z), ("t_next",))]
+            t += _times(d.null[:, group], coordinates[name])
+        end = _program("allocate_forces", {"w": w, **coordinates}, {"t": t})
+        return [*steps, Call(end, (at, *parts), ("t_next",))]
 
     def _nearest(
         self,
@@ -141,19 +154,19 @@ class _Builder:
         lanes = self.precision.lanes
         padded = -(-m // lanes) * lanes
         never = self.precision.never
-        entries = [[*map(float, rows.normals[k]), lower_[k], upper[k]] for k in range(m)]
-        entries += [[0.0] * d + [-never, never]] * (padded - m)
+        entries = [[*map(ca.SX, rows.normals[k].tolist()), lower_[k], upper[k]] for k in range(m)]
+        entries += [[*[ca.SX(0)] * d, ca.SX(-never), ca.SX(never)]] * (padded - m)
         wide = lanes_of(padded, self.precision)
         flat = [
             entries[block + k][entry] for block in range(0, padded, wide) for entry in range(d + 2) for k in range(wide)
         ]
-        table = ca.vertcat(*(ca.SX(entry) for entry in flat))
-        outputs = {"rows": table, "start": start, "skip": ca.SX.zeros(1)}
-        made = tuple(f"{result}_{key}" for key in outputs)
+        table = ca.vertcat(*flat)
+        outputs: dict[str, ca.SX] = {"rows": table, "start": start, "skip": ca.SX(0)}
+        arrays = tuple(f"{result}_{key}" for key in outputs)
         space = Space(d, d, mapped=False, precision=self.precision)
         rest = tuple(f"{result}_{key}" for key in ("numbers", "multipliers", "status", "count"))
-        prepare = Call(_program(name, inputs, outputs), arguments, made)
-        return [prepare, Call(search(space, padded), made, (result, *rest))]
+        prepare = Call(_program(name, inputs, outputs), arguments, arrays)
+        return [prepare, Call(search(space, padded), arrays, (result, *rest))]
 
     def _bounds(self, rows: Rows, working: ca.SX, known: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift = _times(rows.fixed, known) if rows.fixed.shape[1] else ca.SX.zeros(len(rows.normals))
@@ -213,23 +226,23 @@ def _command(thruster: Thruster, force: ca.SX) -> ca.SX:
     return command
 
 
-def _interval(normal: np.ndarray, lower_: ca.SX, upper: ca.SX, wish: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
-    """Return the number nearest to `wish` between all bounds; each normal is 1 or −1."""
+def _interval(normal: Array, lower_: ca.SX, upper: ca.SX, desired: ca.SX, precision: Precision) -> ca.SX:
+    """Return the number nearest to `desired` between all bounds; each normal is 1 or −1."""
     ends = [(lower_[k], upper[k]) if normal[k] > 0 else (-upper[k], -lower_[k]) for k in range(len(normal))]
     low, high = ends[0]
     for below, above in ends[1:]:
         low, high = ca.fmax(low, below), ca.fmin(high, above)
     # bounds that cross by rounding leave one number
-    return ca.if_else(low > high, 0.5 * (low + high), ca.fmin(ca.fmax(wish, low), high))
+    return ca.if_else(low > high, 0.5 * (low + high), ca.fmin(ca.fmax(desired, low), high))
 
 
-def _polygon(normals: np.ndarray, lower_: ca.SX, upper: ca.SX, start: ca.SX, precision: Precision) -> ca.SX:  # type: ignore[type-arg]
+def _polygon(normals: Array, lower_: ca.SX, upper: ca.SX, start: ca.SX, precision: Precision) -> ca.SX:
     """Return the point (2,) of a polygon nearest to `start`; the polygon is the intersection of strips.
 
     If `start` is outside, the nearest point lies on the violated side of a strip: it is the nearest of the points that
     `start` is projected to on each violated side, limited to the part of the side inside all other strips.
     """
-    found, least = start, ca.SX(precision.never)
+    best, least = start, ca.SX(precision.never)
     outside = ca.SX(0)
     for i, normal in enumerate(normals):
         value = _along(normal, start)
@@ -255,11 +268,11 @@ def _polygon(normals: np.ndarray, lower_: ca.SX, upper: ca.SX, start: ca.SX, pre
         point = foot + place * ca.DM(side)
         distance = ca.sumsqr(point - start)
         nearer = ca.logic_and(there, distance < least)
-        found, least = ca.if_else(nearer, point, found), ca.if_else(nearer, distance, least)
-    return ca.if_else(outside, found, start)
+        best, least = ca.if_else(nearer, point, best), ca.if_else(nearer, distance, least)
+    return ca.if_else(outside, best, start)
 
 
-def _along(normal: np.ndarray, point: ca.SX) -> ca.SX:  # type: ignore[type-arg]
+def _along(normal: Array, point: ca.SX) -> ca.SX:
     terms = [float(a) * point[k] for k, a in enumerate(normal.tolist()) if a != 0.0]
     return sum(terms[1:], start=terms[0])
 
@@ -271,7 +284,7 @@ def _with(w: ca.SX, axes: Sequence[int], values: ca.SX) -> ca.SX:
     return ca.vertcat(*entries)
 
 
-def _times(matrix: np.ndarray, vector: ca.SX) -> ca.SX:  # type: ignore[type-arg]
+def _times(matrix: Array, vector: ca.SX) -> ca.SX:
     # a product without the terms whose factor is 0
     rows = []
     for row in np.asarray(matrix):

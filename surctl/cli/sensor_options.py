@@ -33,7 +33,7 @@ sensor_options = together(
         "faults",
         multiple=True,
         metavar="FAULT",
-        help="Fault KIND:SENSOR[:START_S[:DURATION_S]] or thruster:NAME[:START_S[:DURATION_S]]; repeatable.",
+        help="Fault KIND:SENSOR or thruster:NAME[:START[:DURATION]]",
     ),
     click.option(
         "--chance",

@@ -66,21 +66,21 @@ def thrusters(
     limits = ", ".join(f"{key} {vehicle[key]:g}" for key in ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
     lines.append(f"at once in every combination: {share:.3g} times the limits {limits}")
     if wrench is not None:
-        found = allocate(actuators, wrench, failed=failed)
+        allocation = allocate(actuators, wrench, failed=failed)
         result["allocation"] = {
-            "achieved": found.achieved.tolist(),
-            "forces": dict(zip(actuators.names, found.forces.tolist(), strict=True)),
-            "commands": dict(zip(actuators.names, found.commands.tolist(), strict=True)),
-            "angles_rad": dict(found.angles),
-            "roll_pitch_n_m": [found.roll, found.pitch],
-            "gave_up": dict(found.gave_up),
-            "binding": {level: list(names) for level, names in found.binding.items()},
+            "achieved": allocation.achieved.tolist(),
+            "forces": dict(zip(actuators.names, allocation.forces.tolist(), strict=True)),
+            "commands": dict(zip(actuators.names, allocation.commands.tolist(), strict=True)),
+            "angles_rad": dict(allocation.angles),
+            "roll_pitch_n_m": [allocation.roll, allocation.pitch],
+            "gave_up": dict(allocation.gave_up),
+            "binding": {level: list(names) for level, names in allocation.binding.items()},
         }
-        lines.append("allocation: " + found.explain())
-        for one, force, command in zip(actuators.names, found.forces, found.commands, strict=True):
-            angle = f", joint at {found.angles[one]:.3f} rad" if one in found.angles else ""
+        lines.append("allocation: " + allocation.explain())
+        for one, force, command in zip(actuators.names, allocation.forces, allocation.commands, strict=True):
+            angle = f", joint at {allocation.angles[one]:.3f} rad" if one in allocation.angles else ""
             lines.append(f"  {one:<6} {force:>8.2f} N, command {command:+.4f}{angle}")
-        lines.append(f"  not controlled: roll {found.roll:.3g} N m, pitch {found.pitch:.3g} N m")
+        lines.append(f"  not controlled: roll {allocation.roll:.3g} N m, pitch {allocation.pitch:.3g} N m")
     if out is not None:
         from surctl.report import save_attainable
 

@@ -57,14 +57,14 @@ def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -
     inputs = Layout((*law.inputs.ports, flags))
     outputs = Layout((*law.outputs.ports, *allocation_outputs(actuators)))
     allocation = allocation_block(actuators, real)
-    made = tuple(name for name, _ in allocation.outputs)
+    arrays = tuple(name for name, _ in allocation.outputs)
     steps = (
         Call(_apart(law, inputs), ("u",), ("u_law", WORKING)),
         Call(law.block, ("x", "u_law", "p"), ("desired", "x_law", "status_law", "telemetry_law")),
-        Call(allocation, ("desired", WORKING), made),
+        Call(allocation, ("desired", WORKING), arrays),
         Call(
             _together(law, actuators, precision),
-            ("x", "desired", "x_law", "status_law", "telemetry_law", *made),
+            ("x", "desired", "x_law", "status_law", "telemetry_law", *arrays),
             ("tau", "x_next", "status", "telemetry"),
         ),
     )

@@ -26,12 +26,12 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     """
     if vehicle.actuators is None:
         return []
-    forces, found = attainable(vehicle.actuators), list[Finding]()
+    forces, results = attainable(vehicle.actuators), list[Finding]()
     for (name, axis), (low, high) in zip(_LIMITS.items(), forces.intervals().tolist(), strict=True):
         most, unit = min(-low, high), vehicle.parameters[name].unit
         if vehicle[name] > most * (1 + _SLACK) + _SLACK:
             text = f"the thrusters give at most {most:.4g} {unit} in {axis} without other forces, "
-            found.append(
+            results.append(
                 Finding("warning", f"thrust.{name}", f"{text}but {name} is {vehicle[name]:g} {unit}: lower it")
             )
     share = forces.box_share(vehicle.thrust_limit)
@@ -42,5 +42,5 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
             f"allocation keeps {first} and gives up other forces; margins and certificates hold only within it. "
             f"Multiply the four limits by {share:.2g} for limits that hold together"
         )
-        found.append(Finding("warning", "thrust", text))
-    return found
+        results.append(Finding("warning", "thrust", text))
+    return results

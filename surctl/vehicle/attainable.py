@@ -61,7 +61,7 @@ class Attainable:
         value = self.normals @ point
         return bool(np.all(value >= low - tolerance) and np.all(value <= high + tolerance))
 
-    def reach(self, direction: ArrayLike, *, working: ArrayLike | None = None) -> float:
+    def extent(self, direction: ArrayLike, *, working: ArrayLike | None = None) -> float:
         """Return the largest s for which s times the direction (4,) is attainable.
 
         The direction is in N and N m; the result is 0 if no positive multiple is attainable.
@@ -74,7 +74,7 @@ class Attainable:
 
     def intervals(self, *, working: ArrayLike | None = None) -> Array:
         """Return (q, 2): least and largest force or moment on each axis alone, with 0 on all other axes [N, N m]."""
-        ends = [[-self.reach(-axis, working=working), self.reach(axis, working=working)] for axis in np.eye(4)]
+        ends = [[-self.extent(-axis, working=working), self.extent(axis, working=working)] for axis in np.eye(4)]
         return np.array(ends)[list(self.axes)]
 
     def box_share(self, limits: ArrayLike, *, working: ArrayLike | None = None) -> float:
@@ -85,9 +85,9 @@ class Attainable:
         """
         most = np.abs(self.normals) @ (np.asarray(limits, dtype=float)[list(self.axes)] / self.scale)
         low, high = self.bounds(working)
-        room = np.minimum(high, -low)
+        slack = np.minimum(high, -low)
         used = most > _FLAT
-        return max(0.0, float((room[used] / most[used]).min())) if used.any() else float("inf")
+        return max(0.0, float((slack[used] / most[used]).min())) if used.any() else float("inf")
 
     def planar(self, *, yaw: float = 0.0, working: ArrayLike | None = None) -> Array:
         """Return the corners (k, 2) of all (F_u, F_v) [N] with F_w = 0 and a given F_r [N m], counter-clockwise.
@@ -124,7 +124,7 @@ def attainable(actuators: Actuators, axes: tuple[int, ...] = (0, 1, 2, 3)) -> At
         >>> from surctl.vehicle import attainable, load_vehicle
         >>> forces = attainable(load_vehicle("bluerov2-heavy").actuators)
         >>> forces.intervals().round(1).tolist()[2], forces.contains([100.0, 0.0, 0.0, 0.0])
-        ([-159.3, 159.3], True)
+        ([-138.0, 177.2], True)
     """
     unit, lever = actuators.largest, actuators.lever
     matrix = actuators.matrix / np.array([1.0, 1.0, 1.0, lever])[:, None]
@@ -176,8 +176,8 @@ def _normals(edges: Array, q: int) -> Array:
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     first = np.take_along_axis(normals, np.argmax(np.abs(normals) > 1e-9, axis=1)[:, None], axis=1)
     normals *= np.sign(first)
-    kept: list[Array] = []
+    different: list[Array] = []
     for normal in normals[np.lexsort(normals.T[::-1].round(9))]:
-        if not kept or np.abs(np.array(kept) - normal).max(axis=1).min() > 1e-9:
-            kept.append(normal)
-    return np.array(kept)
+        if not different or np.abs(np.array(different) - normal).max(axis=1).min() > 1e-9:
+            different.append(normal)
+    return np.array(different)

@@ -31,7 +31,7 @@ class _SwivelTable(Strict):
 class _ThrusterTable(Strict):
     name: str = Field(min_length=1)
     at_m: tuple[float, float, float]
-    push: tuple[float, float, float]
+    direction: tuple[float, float, float] = Field(alias="push")
     forward: Quantity
     reverse: Quantity
     dead_band: float = Field(default=0.0, ge=0, lt=1)
@@ -67,7 +67,7 @@ def read_actuators(thrusters: Sequence[Any], allocation: Mapping[str, Any] | Non
     read: list[Thruster] = []
     for k, table in enumerate(tables.thruster):
         try:
-            read.append(_thruster(table, taken=[one.name for one in read]))
+            read.append(_thruster(table, names=[one.name for one in read]))
         except InputError as error:
             raise error.inside(source, f"thruster.{k}.{error.key}") from None
     order = DEFAULT_ORDER if tables.allocation is None else tables.allocation.order
@@ -129,7 +129,7 @@ def thruster_text(actuators: Actuators | None) -> list[str]:
             "[[thruster]]",
             f"name = {quoted(one.name)}",
             f"at_m = {list(one.at)!r}",
-            f"push = {list(one.push)!r}",
+            f"push = {list(one.direction)!r}",
             f"forward = {quoted(f'{one.forward!r} N')}",
             f"reverse = {quoted(f'{one.reverse!r} N')}",
             f"curve = {[list(point) for point in one.curve]!r}",
@@ -142,12 +142,12 @@ def thruster_text(actuators: Actuators | None) -> list[str]:
     return lines
 
 
-def _thruster(table: _ThrusterTable, *, taken: Sequence[str]) -> Thruster:
-    if table.name in taken:
+def _thruster(table: _ThrusterTable, *, names: Sequence[str]) -> Thruster:
+    if table.name in names:
         raise InputError("names two thrusters", key="name", value=table.name, remedy="rename one of them")
     if not table.name.isprintable() or set(table.name) & set(":,= "):
         raise InputError("is not a name", key="name", value=table.name, remedy="use letters and digits, such as T1")
-    push = _unit(table.push, "push")
+    direction = _unit(table.direction, "push")
     forward, reverse = _newtons(table.forward, "forward"), _newtons(table.reverse, "reverse")
     if forward <= 0:
         raise InputError(
@@ -157,9 +157,9 @@ def _thruster(table: _ThrusterTable, *, taken: Sequence[str]) -> Thruster:
         raise InputError(
             "must be at least 0", key="reverse", value=reverse, remedy='give the magnitude; "0 N" for a water jet'
         )
-    swivel = None if table.swivel is None else _swivel(table.swivel, push, reverse)
+    swivel = None if table.swivel is None else _swivel(table.swivel, direction, reverse)
     curve = _curve(table, forward, reverse)
-    return Thruster(table.name, table.at_m, push, forward, reverse, curve, swivel, table.provenance)
+    return Thruster(table.name, table.at_m, direction, forward, reverse, curve, swivel, table.provenance)
 
 
 def _newtons(quantity: Quantity, key: str) -> float:
@@ -178,13 +178,13 @@ def _unit(vector: tuple[float, float, float], key: str) -> tuple[float, float, f
     return x, y, z
 
 
-def _swivel(table: _SwivelTable, push: tuple[float, float, float], reverse: float) -> Swivel:
+def _swivel(table: _SwivelTable, direction: tuple[float, float, float], reverse: float) -> Swivel:
     axis = _unit(table.axis, "swivel.axis")
-    if abs(float(np.dot(axis, push))) > _UNIT:
+    if abs(float(np.dot(axis, direction))) > _UNIT:
         raise InputError(
             "is not at right angles to push", key="swivel.axis", value=list(axis), remedy="turn the axis or push"
         )
-    exact = np.array(axis) - np.dot(axis, push) * np.array(push)
+    exact = np.array(axis) - np.dot(axis, direction) * np.array(direction)
     x, y, z = (exact / np.linalg.norm(exact)).tolist()
     low, high = table.range_deg
     width = high - low

@@ -52,7 +52,7 @@ class Swivel:
 
     Attributes:
         axis: unit vector of the joint's axis in {B}, at right angles to the thruster's direction.
-        range: least and largest angle of the joint [rad], counter-clockwise about the axis; 0 is the direction `push`.
+        range: least and largest angle of the joint [rad], counter-clockwise about the axis, 0 along `direction`.
         rate: largest rate of the joint [rad/s], or None. The simulation does not model it.
     """
 
@@ -68,8 +68,8 @@ class Thruster:
     Attributes:
         name: name in messages and ports.
         at: place in the body frame {B} [m]: x forward, y to the left, z up.
-        push: unit vector of the force on the vehicle at a positive command, in {B}.
-        forward, reverse: largest force along and against `push` [N]; a water jet has reverse = 0.
+        direction: unit vector of the force on the vehicle at a positive command, in {B}.
+        forward, reverse: largest force along and against `direction` [N]; a water jet has reverse = 0.
         curve: (command, force [N]) points of the piecewise linear characteristic, from command −1 to 1.
         swivel: the joint of a vectored jet, or None.
         provenance: where the numbers come from.
@@ -77,7 +77,7 @@ class Thruster:
 
     name: str
     at: tuple[float, float, float]
-    push: tuple[float, float, float]
+    direction: tuple[float, float, float]
     forward: float
     reverse: float
     curve: tuple[tuple[float, float], ...]
@@ -87,10 +87,10 @@ class Thruster:
     @cached_property
     def directions(self) -> Array:
         """Unit vectors (3, k) of the force components in {B}: k = 1, or 2 for a swivelling thruster."""
-        push = np.array(self.push)
+        first = np.array(self.direction)
         if self.swivel is None:
-            return push[:, None]
-        return np.column_stack([push, np.cross(self.swivel.axis, push)])
+            return first[:, None]
+        return np.column_stack([first, np.cross(self.swivel.axis, first)])
 
     @cached_property
     def columns(self) -> Array:
@@ -233,7 +233,7 @@ class Actuators:
         return float(roll), float(pitch)
 
     def magnitudes(self, components: Array) -> Array:
-        """Return the force (n,) [N] of each thruster: the component along `push`, or the length for a swivel."""
+        """Return the force (n,) [N] of each thruster: the component along its direction, or the length for a swivel."""
         parts = [components[where] for where in self.slices]
         return np.array([part[0] if part.size == 1 else hypot(*part) for part in parts])
 
@@ -250,14 +250,14 @@ class Actuators:
 def _thruster_from(data: Mapping[str, Any]) -> Thruster:
     joint = data["swivel"]
     swivel = None if joint is None else Swivel(tuple(joint["axis"]), tuple(joint["range"]), joint["rate"])
-    lists = {key: tuple(data[key]) for key in ("at", "push")} | {"curve": tuple(map(tuple, data["curve"]))}
+    lists = {key: tuple(data[key]) for key in ("at", "direction")} | {"curve": tuple(map(tuple, data["curve"]))}
     return Thruster(**{**data, **lists, "swivel": swivel})
 
 
 def _line(thruster: Thruster) -> str:
-    at, push = (", ".join(f"{entry:.3g}" for entry in vector) for vector in (thruster.at, thruster.push))
+    at, along = (", ".join(f"{entry:.3g}" for entry in vector) for vector in (thruster.at, thruster.direction))
     joint = ""
     if thruster.swivel is not None:
         low, high = map(degrees, thruster.swivel.range)
         joint = f", swivels {low:.0f} to {high:.0f} deg"
-    return f"{thruster.name}: at ({at}) m, push ({push}), {thruster.forward:g} N, reverse {thruster.reverse:g} N{joint}"
+    return f"{thruster.name}: at ({at}) m, push ({along}), {thruster.forward:g} N, reverse {thruster.reverse:g}{joint}"

@@ -52,7 +52,7 @@ def test_the_attainable_set_reaches_as_far_as_a_linear_programme(name: str) -> N
         working = np.ones(count)
         working[list(failed)] = 0.0
         for direction in rng.normal(size=(4, 4)):
-            reached = forces.reach(direction, working=working)
+            reached = forces.extent(direction, working=working)
             assert reached == pytest.approx(_largest(actuators, direction, working), rel=1e-7, abs=1e-7)
 
 

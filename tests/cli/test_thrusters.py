@@ -1,0 +1,46 @@
+"""`surctl vehicle thrusters`, and failures of thrusters as options."""
+
+import pytest
+
+from surctl.cli.thruster_options import parse_thruster_fault, split_faults
+from surctl.errors import InputError
+from surctl.simulation import ThrusterFault, thruster_findings
+from surctl.vehicle import load_vehicle
+from tests.cli.process import surctl
+
+
+def test_the_thrusters_and_an_allocation_are_printed(tmp_path):
+    words = ("vehicle", "thrusters", "bluerov2-heavy", "--failed", "T2", "--force", "40", "40", "0", "5", "--json")
+    found = surctl(*words, "--out", "pictures", cwd=tmp_path).json
+    assert found["failed"] == ["T2"] and found["order"] == ["yaw", "force", "effort"]
+    assert found["intervals"]["heave"] == pytest.approx([-138.0, 177.2])
+    assert found["box_share"] == pytest.approx(0.61, abs=0.001)
+    assert found["allocation"]["forces"]["T2"] == 0.0
+    assert found["allocation"]["binding"] == {"force": ["T1", "T2"]}
+    assert (tmp_path / found["file"]).stat().st_size > 10_000
+
+
+def test_mistakes_are_one_line(tmp_path):
+    assert "describes no thrusters" in surctl("vehicle", "thrusters", "sur400", cwd=tmp_path).complaint
+    words = ("simulate", "pool-behind", "--vehicle", "bluerov2-heavy", "--fault", "thruster:T9")
+    assert "did you mean" in surctl(*words, cwd=tmp_path).complaint
+
+
+def test_thruster_faults_are_read_beside_sensor_faults():
+    texts, faults = split_faults(["dead:1", "thruster:T2:3:1.5", "thruster:T1"])
+    assert texts == ("dead:1",)
+    assert faults == [ThrusterFault("T2", 3.0, 1.5), ThrusterFault("T1")]
+    assert [fault.to_dict()["duration_s"] for fault in faults] == [1.5, None]
+    for wrong in ("thruster:", "thruster:T1:x", "thruster:T1:-1", "thruster:T1:1:0", "thruster:T1:1:2:3"):
+        with pytest.raises(InputError, match=r"write thruster:NAME"):
+            parse_thruster_fault(wrong)
+    with pytest.raises(InputError, match="use surctl simulate"):
+        split_faults(["thruster:T1"], refused="use surctl simulate")
+
+
+def test_limits_beyond_the_attainable_set_are_found():
+    heavy = load_vehicle("bluerov2-heavy")
+    assert thruster_findings(heavy) == thruster_findings(load_vehicle("sur400")) == []
+    alone, together = thruster_findings(heavy.with_values({"Fw_max": 150.0}))
+    assert alone.key == "thrust.Fw_max" and "at most 138 N in heave" in alone.text
+    assert together.key == "thrust" and "only 92% of" in together.text

@@ -1,0 +1,32 @@
+"""The plot of the forces that thrusters can produce."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.report import plot_attainable
+from surctl.vehicle import attainable, load_vehicle
+
+
+@pytest.mark.parametrize(("name", "failed"), [("bluerov2-heavy", ()), ("bluerov2-heavy", ("T2",)), ("sur540-jets", ())])
+def test_every_corner_of_the_plot_is_on_the_edge_of_the_attainable_set(name: str, failed: tuple[str, ...]) -> None:
+    vehicle = load_vehicle(name)
+    assert vehicle.actuators is not None
+    ax = plot_attainable(vehicle, failed=failed)
+    ax.figure.figure.savefig(BytesIO(), format="png")
+    forces, working = attainable(vehicle.actuators), [one.name not in failed for one in vehicle.actuators.thrusters]
+    for line in ax.lines:
+        yaw = float(str(line.get_label()).split()[2])
+        for u, v in zip(*line.get_data(), strict=True):
+            inner, outer = (np.array([u, v, 0.0, yaw]) * factor for factor in (0.99, 1.01))
+            assert forces.contains(inner, working=working, tolerance=1e-2)
+            assert not forces.contains(outer, working=working, tolerance=1e-4)
+
+
+def test_a_vehicle_without_thrusters_is_refused() -> None:
+    with pytest.raises(InputError, match="describes no thrusters"):
+        plot_attainable(load_vehicle("sur400"))
