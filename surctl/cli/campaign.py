@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.gains_choice import choose_gains
 from surctl.cli.output import finish, progress, same_command, stoppable, together
 from surctl.cli.single_run import further_output, run_line
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
-    from surctl.control import Gains
     from surctl.simulation import Case, SafetyClaim
     from surctl.simulation.campaign import Campaign, Plan
 
@@ -98,7 +98,7 @@ class CampaignOptions:
         self,
         scenarios: tuple[str, ...],
         vehicle: str | None,
-        gains: Gains,
+        gains: str | None,
         sensors: SensorOptions,
         *,
         law: str,
@@ -115,6 +115,7 @@ class CampaignOptions:
         Raises:
             InputError: a name is unknown, or the law or a scenario does not support an option.
         """
+        from surctl.control import law_source, load_gains
         from surctl.simulation import load_scenario
         from surctl.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
         from surctl.tuning import build_cases
@@ -126,9 +127,14 @@ class CampaignOptions:
         else:
             vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(vehicles[0]))]
-        cases = build_cases(missions, vehicles, gains=gains, law=law, mode=mode, sensing=sensing, guidance=guidance)
+        own = law_source(law).gains
+        base = load_gains(gains or "default", own=own)
+        cases = build_cases(missions, vehicles, gains=base, law=law, mode=mode, sensing=sensing, guidance=guidance)
         options: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
-        cases = tuple(replace(case, **options) for case in cases)
+        tuned = [choose_gains(gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
+        for line in dict.fromkeys(line for one in tuned for line in one.lines):
+            progress(line)
+        cases = tuple(replace(case, gains=one.gains, **options) for case, one in zip(cases, tuned, strict=True))
         for case in cases[:1]:
             case.build()  # reports a mistake before any file is written
         if self.worlds is None:

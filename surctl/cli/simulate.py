@@ -10,6 +10,7 @@ from surctl.cli.animate_option import animate_option, check_animate
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, simulate_again
 from surctl.cli.controller_options import ControllerOptions, controller_options
+from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import law_option, trust_option
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
@@ -25,7 +26,7 @@ __all__ = ["simulate"]
 @click.argument("scenarios", nargs=-1, metavar="SCENARIO... | FILE.py:FUNCTION NAME=VALUE...")
 @seconds_option
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
-@click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
+@click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
     "--avoidance",
@@ -55,7 +56,7 @@ def simulate(
     scenarios: tuple[str, ...],
     seconds: float | None,
     vehicle: str | None,
-    gains: str,
+    gains: str | None,
     law: str,
     avoidance: str,
     guidance: str,
@@ -120,14 +121,16 @@ def simulate(
     if out is not None:
         prepare_folder(out)
     law = law_ref(law, key="--law")
-    chosen = load_gains(gains, own=law_source(law).gains)
+    own = law_source(law).gains
+    if gains is not None:
+        load_gains(gains, own=own)  # reports a mistake before anything is built
     sensors = SensorOptions(faults, chances, beam, own_state)
     sensors.check(law=law, sensing=sensing)
     if campaign.any:
         campaign_plans = campaign.plans(
             scenarios,
             vehicle,
-            chosen,
+            gains,
             sensors,
             law=law,
             avoidance=avoidance,
@@ -161,7 +164,9 @@ def simulate(
     message = "the runs above are finished" + (f", files in {out}" if out else "") + "; --seed N starts at another seed"
     with stoppable(message if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
         for scenario, choice, simulated, built in zip(plans, choices, vehicles, laws, strict=True):
-            lines.append(choice.line(simulated.name))
+            tuned = choose_gains(gains, simulated, cruise=scenario.cruise, own=own)
+            chosen = tuned.gains
+            lines += [choice.line(simulated.name), *tuned.lines]
             p = law_numbers(scenario, chosen, simulated)
             with link.opened(built, p, scenario, simulated) as line:
                 for k in range(seed, seed + runs):
@@ -169,7 +174,7 @@ def simulate(
                     run = run_simulation(
                         scenario, simulated, gains=chosen, law=built, sensing=sensing, seed=k, stepper=linked
                     )
-                    results.append(run.to_dict() | {"vehicle_from": choice.origin})
+                    results.append(run.to_dict() | {"vehicle_from": choice.origin, "derived_gains": tuned.data})
                     if sensing == "sonar":
                         results[-1]["sensors"] = sensor_data(scenario)
                     lines.append(run_line(run))

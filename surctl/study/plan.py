@@ -14,7 +14,7 @@ from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Guidance
 from surctl.simulation import Case, Scenario, findings, load_scenario
-from surctl.tuning import Axis, Goal, GoalTable, goals_from_tables, load_goals
+from surctl.tuning import Axis, Goal, GoalTable, goals_from_tables, load_goals, shared_gains
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import applicable_claims, check_held, cruise_speeds
 
@@ -46,7 +46,7 @@ class _StudyFile(Strict):
     name: str = Field(min_length=1)
     note: str = ""
     vehicle: str
-    gains: str = "default"
+    gains: str | None = None
     law: str = "guarded"
     guidance: Guidance = "los"
     seed: Seed = 0
@@ -84,7 +84,8 @@ class Plan:
 
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
     the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study can be tuned, but not
-    conducted.
+    conducted. `named` is false if the study names no gains; they are then the default gains of its vehicles
+    (`tuning.shared_gains`).
     """
 
     name: str
@@ -101,6 +102,7 @@ class Plan:
     claims: tuple[str, ...] | None
     goals: tuple[Goal, ...]
     cruise: tuple[float, ...] = ()
+    named: bool = True
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
@@ -127,7 +129,10 @@ class Plan:
         """
         scenarios = {leg.scenario.name: leg.scenario for leg in self.legs}.values()
         legs = tuple(_leg(scenario, vehicle, lenient=True) for vehicle in vehicles for scenario in scenarios)
-        return _with_mission(replace(self, vehicle=vehicles[0], legs=legs))
+        plan = _with_mission(replace(self, vehicle=vehicles[0], legs=legs))
+        if self.named:
+            return plan
+        return replace(plan, gains=shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)[0])
 
     def check_sweep(self) -> None:
         """Raise InputError if the study file has no `[sweep]` table, from which `conduct` chooses the gains."""
@@ -211,13 +216,16 @@ def _plan(
         leg_vehicle = vehicle if run.vehicle is None else load_vehicle(near(run.vehicle))
         legs.append(_leg(load_scenario(near(run.scenario)), leg_vehicle, lenient=lenient))
     law = law_ref(study.law, file=path, folder=path.parent, trust=trust)
-    gains = load_gains(near(study.gains), own=law_source(law).gains)
+    named = None if study.gains is None else near(study.gains)
+    gains, derivation = shared_gains(named, _about(legs), own=law_source(law).gains)
     try:
         cruise = () if study.cruise_m_per_s is None else cruise_speeds(study.cruise_m_per_s, key=_CRUISE)
         for leg in legs:
             if leg.left_out is None:
                 check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
         axes = () if study.sweep is None else tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
+        if lenient and derivation is not None:
+            axes = tuple(_scaled(axis, gains) for axis in axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
     except InputError as error:
         raise error.inside(path) from None
@@ -236,6 +244,7 @@ def _plan(
         study.claims,
         _own_goals(study, path, None if goals is None else near(goals)),
         cruise,
+        named is not None,
     )
     return _with_mission(plan)
 
@@ -258,6 +267,18 @@ def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
     for value in axis.values:
         gains.with_values({axis.gain: value})
     return Axis(axis.gain, axis.values)
+
+
+def _scaled(axis: Axis, gains: Gains) -> Axis:
+    # the built-in values are about the set `default`
+    factor = gains[axis.name] / load_gains("default")[axis.name]
+    return Axis(axis.name, tuple(float(f"{factor * value:.3g}") for value in axis.values))
+
+
+def _about(legs: Sequence[Leg]) -> list[tuple[Vehicle, float]]:
+    # vehicles and cruise speeds; those that count towards the result if there are any
+    chosen = [leg for leg in legs if leg.left_out is None] or list(legs)
+    return [(leg.vehicle, leg.scenario.cruise) for leg in chosen]
 
 
 def _leg(scenario: Scenario, vehicle: Vehicle, *, lenient: bool) -> Leg:
