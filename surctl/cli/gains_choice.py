@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 __all__ = ["GAINS_HELP", "GainsChoice", "choose_gains", "choose_shared", "derive_words"]
 
-GAINS_HELP = "Gain set: name or file (default: set default for the SUR vehicles, else derived from the vehicle)."
-"""Help of the option `--gains`."""
+GAINS_HELP = "Gain set: name or file (default: the vehicle's)."
+"""Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
 
 
 class GainsChoice(NamedTuple):

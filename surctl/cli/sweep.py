@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.gains_choice import GAINS_HELP, choose_shared
+from surctl.cli.gains_choice import choose_shared
 from surctl.cli.law_option import law_option, law_words
 from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
@@ -64,7 +64,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Vehicle: name or file; repeatable (default: each scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option("--gains", metavar="FILE", help=f"All other gains. {GAINS_HELP}")
+@click.option("--gains", metavar="FILE", help="All other gains: name or file (default: the vehicle's).")
 @law_option
 @click.option(
     "--priority-mode",
