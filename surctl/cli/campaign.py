@@ -11,7 +11,7 @@ import click
 
 from surctl.cli.gains_choice import choose_gains
 from surctl.cli.output import finish, progress, same_command, stoppable, together
-from surctl.cli.single_run import further_output, run_line
+from surctl.cli.single_run import activity_line, further_output, linear_warning, run_line
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
@@ -174,7 +174,8 @@ class CampaignOptions:
             own = None if self.worlds is not None else (plan.case.scenario.name, plan.case.scenario.vehicle)
             choice = choose_vehicle(vehicle, own)
             reports[-1]["vehicle_from"] = choice.origin
-            lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst)]
+            reports[-1]["linear"], warning = _linear(plan.case)
+            lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
             good = good and campaign.summary.stopped["reached"].count == runs
         if out is not None:
             import json
@@ -212,6 +213,19 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
         head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
     return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
+
+
+def _linear(case: Case) -> tuple[dict[str, Any] | None, list[str]]:
+    # the loop of the unchanged scenario and vehicle
+    return linear_warning(
+        case.vehicle,
+        case.gains.values,
+        cruise=case.scenario.cruise,
+        dt=case.build().dt,
+        law=case.law,
+        guidance=case.guidance,
+        model=case.model,
+    )
 
 
 def _claim(case: Case) -> SafetyClaim:
@@ -275,7 +289,7 @@ def simulate_again(
     same = difference <= SAME
     result = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
     verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
-    lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}"]
+    lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}", activity_line(run)]
     lines += further_output(run, result, explained=explained, out=out, animate=animate)
     finish({"runs": [result]}, lines, as_json=as_json, passed=same and run.metrics.reached)
 

@@ -15,7 +15,7 @@ from surctl.cli.law_option import law_option, trust_option
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
-from surctl.cli.single_run import further_output, linear_part, run_line
+from surctl.cli.single_run import activity_line, further_output, linear_part, run_line
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_simulate import simulate_system
 
@@ -177,9 +177,9 @@ def simulate(
                     results.append(run.to_dict() | {"vehicle_from": choice.origin, "derived_gains": tuned.data})
                     if sensing == "sonar":
                         results[-1]["sensors"] = sensor_data(scenario)
-                    lines.append(run_line(run))
+                    lines += [run_line(run), activity_line(run)]
                     if as_json:
-                        progress(lines[-1])
+                        progress(lines[-2])
                     lines += linear_part(run, results[-1])
                     if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
                         results[-1]["stop_reason"] = stop_reason(run)

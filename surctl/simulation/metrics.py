@@ -80,9 +80,11 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
         "saturated_share": MetricSpec("1", "share of control steps with a thrust command at its limit", "low"),
         "thrust_rate_n_per_s": MetricSpec("N/s", "rms rate of change of the horizontal thrust command", "low"),
         "crab_angle_deg": MetricSpec(
-            "deg", "mean angle between hull and velocity while moving; NaN if the law turns the hull to scan", "low"
+            "deg", "mean angle between hull and velocity, moving and outside avoidance; NaN if the hull scans", "low"
         ),
-        "max_crab_angle_deg": MetricSpec("deg", "largest angle between hull and velocity while moving", "low"),
+        "max_crab_angle_deg": MetricSpec(
+            "deg", "largest angle between hull and velocity, moving and outside avoidance", "low"
+        ),
         "heading_error_deg": MetricSpec("deg", "rms angle between hull and path segment while moving", "low"),
         "variation_surge_n_per_s": MetricSpec("N/s", "total variation of the surge command per second", "low"),
         "variation_sway_n_per_s": MetricSpec("N/s", "total variation of the sway command per second", "low"),
@@ -112,8 +114,9 @@ class Metrics:
         length_m: length of the path that the robot travelled.
         effort_n: mean magnitude of the horizontal thrust command.
         stopped_because: reason why the run ended, one of `STOPS`, or `LINK_LOST`.
-        crab_angle_deg, max_crab_angle_deg, heading_error_deg: as in `attitude_of`; NaN if the law has perception, which
-            turns the hull to scan, or if the robot never moves.
+        crab_angle_deg, max_crab_angle_deg, heading_error_deg: as in `attitude_of`, but avoidance intervals do not count
+            for the crab angle, because the robot avoids obstacles by sway. They are NaN if the law has perception,
+            which turns the hull to scan, or if the robot never moves.
         wasted_impulse_n_s: ∫ |τ| dt − ∫ D(s) dt ≥ 0, with the horizontal thrust command τ, the surge drag D of the
             law's model, and the speed s ≥ 0 through the water along the path segment. A robot that starts and ends at
             rest, on the path and with the hull along it, needs just the second integral.

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Law
-from surctl.simulation.attitude import attitude_of
-from surctl.simulation.metrics import NEAR_TARGET, SIGN, Metrics, avoidance_intervals, path_error
+from surctl.simulation.metrics import MOVING, NEAR_TARGET, SIGN, Metrics, avoidance_intervals, path_error
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import Body
 
@@ -49,7 +48,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     near = np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET
     limit = record.law_parameters[law.gains.slice("thrust_limit")]
     jumps = np.diff(thrust, axis=0)
-    crab = _attitude(scenario, law, record)
+    crab = _attitude(scenario, law, record, excluded)
     return Metrics(
         reached=reason == "reached",
         time_s=round(float(record.time[-1]), 9),
@@ -73,12 +72,19 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     )
 
 
-def _attitude(scenario: Scenario, law: Law, record: Record) -> tuple[float, float, float]:
-    # mean and largest crab angle and rms heading error [deg]
-    if law.perception is not None:
-        return (float("nan"),) * 3
-    one = attitude_of(scenario.follower(), scenario.cruise, record.time, record.eta, record.nu)
-    return one.crab_angle_deg, one.max_crab_angle_deg, one.heading_error_deg
+def _attitude(scenario: Scenario, law: Law, record: Record, excluded: NDArray[np.bool_]) -> tuple[float, float, float]:
+    # mean and largest crab angle outside avoidance, and rms heading error [deg]
+    nothing = float("nan")
+    u, v = record.nu[:, 0], record.nu[:, 1]
+    moving = np.hypot(u, v) > MOVING * scenario.cruise
+    if law.perception is not None or not moving.any():
+        return nothing, nothing, nothing
+    counted = moving & ~excluded
+    crab = np.rad2deg(np.abs(np.arctan2(v[counted], u[counted])))
+    off = record.eta[:, 3] - scenario.follower().directions(record.eta[:, :2])
+    off = (off[moving] + np.pi) % (2 * np.pi) - np.pi
+    error = float(np.rad2deg(np.sqrt(np.mean(off**2))))
+    return (float(crab.mean()), float(crab.max()), error) if crab.size else (nothing, nothing, error)
 
 
 def _activity(law: Law, record: Record, limit: NDArray[np.float64]) -> dict[str, float]:

@@ -29,9 +29,10 @@ SUMS = (
     ("count_signs", "1", "number of sign changes of thrust commands"),
     ("sum_needed", "N", "sum of the drag along the path"),
     ("count_moving", "1", "number of control steps in which the robot moves"),
-    ("sum_crab", "rad", "sum of the absolute crab angle while the robot moves"),
+    ("count_crab", "1", "number of control steps in which the robot moves and does not avoid an obstacle"),
+    ("sum_crab", "rad", "sum of the absolute crab angle in these steps"),
     ("sum_heading", "rad^2", "sum of the squared heading error while the robot moves"),
-    ("most_crab", "rad", "largest crab angle while the robot moves"),
+    ("most_crab", "rad", "largest crab angle in these steps"),
 )
 """State variables of a run for its metrics: name, unit, meaning."""
 
@@ -78,24 +79,26 @@ def counted(
         "length": old["length"] + ca.if_else(first, 0, ca.sqrt(ca.sumsqr(step))),
         **{f"sum_{name}": old[f"sum_{name}"] + change[k] for k, name in enumerate(VARIATIONS)},
         "count_signs": old["count_signs"] + ca.sum1(signs * old["last_signs"] < -0.5),
-        **_directions(old, w, tangent),
+        **_directions(old, w, tangent, excluded),
     }
 
 
-def _directions(old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], tangent: ca.SX) -> dict[str, ca.SX]:
+def _directions(old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], tangent: ca.SX, excluded: ca.SX) -> dict[str, ca.SX]:
     """Return the sums about crab angle, heading error and drag along the path segment with direction `tangent`."""
     psi, u, v = old["plant"][3], old["plant"][4], old["plant"][5]
     hull = ca.vertcat(ca.cos(psi), ca.sin(psi))
     ahead, left = ca.dot(hull, tangent), tangent[0] * hull[1] - tangent[1] * hull[0]  # cos and sin of the heading error
     speed = ca.fmax(u * ahead - v * left - ca.dot(w["current"], tangent), 0)
     moving = u**2 + v**2 > (MOVING * w["cruise"]) ** 2
+    counts = ca.logic_and(moving, ca.logic_not(excluded))
     crab, off = ca.fabs(ca.atan2(v, u)), ca.atan2(left, ahead)
     return {
         "sum_needed": old["sum_needed"] + w["linear_drag"][0] * speed + w["quadratic_drag"][0] * speed**2,
         "count_moving": old["count_moving"] + moving,
-        "sum_crab": old["sum_crab"] + ca.if_else(moving, crab, 0),
+        "count_crab": old["count_crab"] + counts,
+        "sum_crab": old["sum_crab"] + ca.if_else(counts, crab, 0),
         "sum_heading": old["sum_heading"] + ca.if_else(moving, off**2, 0),
-        "most_crab": ca.fmax(old["most_crab"], ca.if_else(moving, crab, 0)),
+        "most_crab": ca.fmax(old["most_crab"], ca.if_else(counts, crab, 0)),
     }
 
 

@@ -28,8 +28,6 @@ ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 Columns = NDArray[np.float64]
 
-_CRAB = ("sum_crab", "sum_heading")
-
 
 class SlowerEngine(UserWarning):
     """Warning that there is no C compiler, so that the loop runs in CasADi's virtual machine."""
@@ -180,13 +178,16 @@ def _broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[
 
 def _crab(loop: Loop, s: Mapping[str, Columns]) -> dict[str, Columns]:
     # NaN if the law turns the hull to scan, or if the robot never moves
-    moving = s["count_moving"]
-    known = (moving > 0) & (loop.law.perception is None)
-    mean, square = (np.divide(s[k], moving, out=np.full(len(moving), np.nan), where=known) for k in _CRAB)
+    straight = loop.law.perception is None
+
+    def mean(total: str, count: str) -> Columns:
+        return np.divide(s[total], s[count], out=np.full(len(s[count]), np.nan), where=(s[count] > 0) & straight)
+
+    crab = mean("sum_crab", "count_crab")
     return {
-        "crab_angle_deg": np.rad2deg(mean),
-        "max_crab_angle_deg": np.rad2deg(np.where(known, s["most_crab"], np.nan)),
-        "heading_error_deg": np.rad2deg(np.sqrt(square)),
+        "crab_angle_deg": np.rad2deg(crab),
+        "max_crab_angle_deg": np.rad2deg(np.where(np.isnan(crab), np.nan, s["most_crab"])),
+        "heading_error_deg": np.rad2deg(np.sqrt(mean("sum_heading", "count_moving"))),
     }
 
 

@@ -2,6 +2,7 @@
 
 from surctl.verification.linear.corners import Corners, corners
 from surctl.verification.linear.disk import DiskMargin, disk_margin, disk_profile, screened_peaks, structured_bounds
+from surctl.verification.linear.estimate import estimated_margin
 from surctl.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
 from surctl.verification.linear.margin_speed import LEAST_DISK_MARGIN, margin_speed
 from surctl.verification.linear.modes import Mode, bearable_speed, cap_above_bearable, slowest_mode
@@ -27,6 +28,7 @@ __all__ = [
     "corners",
     "disk_margin",
     "disk_profile",
+    "estimated_margin",
     "largest_period",
     "linear_side",
     "loop_system",
