@@ -93,9 +93,11 @@ def linear_part(
 
 
 def speed_lines(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float, uncertainty: float
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, cap: float, dt: float, uncertainty: float
 ) -> tuple[list[str], dict[str, float]]:
     """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
+
+    If the cruise speed [m/s] is above the second speed, a line says what to change: the speed, or the gains.
 
     Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
     """
@@ -116,8 +118,25 @@ def speed_lines(
     )
     over = next((f"exceeds {limit:.3g} m/s, {what}" for limit, what in limits if cap > limit > 0), None)
     lines += [] if over is None else [f"  warning: the cap, {cap:g} m/s, {over}; lower it"]
+    if robust < cruise:
+        lines.append(_change(vehicle, cruise=cruise, dt=dt, robust=robust))
     numbers = {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
     return lines, numbers
+
+
+def _change(vehicle: Vehicle, *, cruise: float, dt: float, robust: float) -> str:
+    # what reaches the required disk margin, or a larger one
+    from surctl.tuning import derive_gains
+
+    derived = derive_gains(vehicle, cruise=cruise, dt=dt)
+    if derived.reached:
+        better = f"gains derived for {cruise:g} m/s have {derived.disk_margin:.2f} (surctl gains derive)"
+    elif derived.bearable > 0:
+        better = f"up to {derived.bearable:.3g} m/s, gains derived for the speed have 0.4 (surctl gains derive)"
+    else:
+        better = "gains derived for a lower speed have no more"
+    slower = f"cruise at {robust:.3g} m/s at most; " if robust > 0 else ""
+    return f"  to change: {slower}{better}" + ("" if derived.reached else f"; to go faster, {derived.remedy}")
 
 
 def _disk(margin: float) -> str:

@@ -41,8 +41,8 @@ def activity_line(run: Run) -> str:
         m.variation_yaw_n_m_per_s,
     )
     return (
-        f"  {angles}thrust varies by {', '.join(f'{one:.2g}' for one in axes)} (N/s in surge, sway, heave, N m/s in yaw), "
-        f"{m.sign_changes_per_s:.2g} sign changes/s, saturated {m.saturated_share:.0%}; wasted "
+        f"  {angles}thrust varies by {', '.join(f'{one:.2g}' for one in axes)} (N/s in surge, sway, heave, N m/s in "
+        f"yaw), {m.sign_changes_per_s:.2g} sign changes/s, saturated {m.saturated_share:.0%}; wasted "
         f"{m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
     )
 

@@ -183,7 +183,9 @@ def verify(
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
     lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
     lines += [*tuned.lines, *linear.lines]
-    held, held_data = ([], {}) if linear.stable is None else speed_lines(robot, values, cap=speeds[1], **about)
+    held, held_data = (
+        ([], {}) if linear.stable is None else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], **about)
+    )
     lines += held
     result: dict[str, Any] = {
         "vehicle": robot.name,

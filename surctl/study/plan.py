@@ -14,7 +14,7 @@ from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Guidance
 from surctl.simulation import Case, Scenario, findings, load_scenario
-from surctl.tuning import Axis, Goal, GoalTable, goals_from_tables, load_goals, shared_gains
+from surctl.tuning import Axis, Derivation, Goal, GoalTable, goals_from_tables, load_goals, shared_gains
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import applicable_claims, check_held, cruise_speeds
 
@@ -85,7 +85,7 @@ class Plan:
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
     the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study can be tuned, but not
     conducted. `named` is false if the study names no gains; they are then the default gains of its vehicles
-    (`tuning.shared_gains`).
+    (`tuning.shared_gains`). `derivation` says how they were derived from the vehicle, if they were.
     """
 
     name: str
@@ -103,6 +103,7 @@ class Plan:
     goals: tuple[Goal, ...]
     cruise: tuple[float, ...] = ()
     named: bool = True
+    derivation: Derivation | None = None
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
@@ -132,7 +133,8 @@ class Plan:
         plan = _with_mission(replace(self, vehicle=vehicles[0], legs=legs))
         if self.named:
             return plan
-        return replace(plan, gains=shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)[0])
+        gains, derivation = shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)
+        return replace(plan, gains=gains, derivation=derivation)
 
     def check_sweep(self) -> None:
         """Raise InputError if the study file has no `[sweep]` table, from which `conduct` chooses the gains."""
@@ -245,6 +247,7 @@ def _plan(
         _own_goals(study, path, None if goals is None else near(goals)),
         cruise,
         named is not None,
+        derivation,
     )
     return _with_mission(plan)
 
