@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -85,7 +86,7 @@ def test_the_result_does_not_depend_on_anything_but_the_arguments() -> None:
     assert again is not first and again.gains.values == first.gains.values
 
 
-def test_built_in_vehicles_keep_the_set_chosen_for_them(tmp_path) -> None:
+def test_built_in_vehicles_keep_the_set_chosen_for_them(tmp_path: Path) -> None:
     for name in ("sur400", "sur540-flooded", "sur540-light"):
         gains, derivation = gains_for(None, load_vehicle(name), cruise=0.2)
         assert derivation is None and gains == load_gains("default")
@@ -97,7 +98,8 @@ def test_built_in_vehicles_keep_the_set_chosen_for_them(tmp_path) -> None:
     file.write_text(write_gains(gains))
     assert load_gains(str(file)).values == gains.values
     # a vehicle too weak for the mission's speed gets gains for a speed that it holds
-    assert gains_for(None, VON_BENZON, cruise=2.0)[1].cruise < 0.5
+    slower = gains_for(None, VON_BENZON, cruise=2.0)[1]
+    assert slower is not None and slower.cruise < 0.5
     mixed, none = shared_gains(None, [(VON_BENZON, 0.2), (load_vehicle("sur400"), 0.2)])
     assert none is None and mixed == load_gains("default")
 

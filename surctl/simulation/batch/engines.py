@@ -181,7 +181,8 @@ def _crab(loop: Loop, s: Mapping[str, Columns]) -> dict[str, Columns]:
     straight = loop.law.perception is None
 
     def mean(total: str, count: str) -> Columns:
-        return np.divide(s[total], s[count], out=np.full(len(s[count]), np.nan), where=(s[count] > 0) & straight)
+        average: Columns = np.full(len(s[count]), np.nan)
+        return np.divide(s[total], s[count], out=average, where=(s[count] > 0) & straight)
 
     crab = mean("sum_crab", "count_crab")
     return {
