@@ -87,7 +87,8 @@ def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
     held = shown_margin(vehicle, gains, speed)
     defects = [] if held >= DERIVED_MARGIN else [f"disk margin {held:.2f} at {speed:g} m/s"]
     runs = []
-    for scenario in (straight(vehicle, cruise=speed), two_legs(vehicle, cruise=speed)):
+    for mission in (straight(vehicle, cruise=speed), two_legs(vehicle, cruise=speed)):
+        scenario = disturbed(mission, vehicle, share=SHARE)  # without a push, a loop that crabs stays on its path
         m = simulate(scenario, vehicle, gains=gains).metrics
         runs.append(m)
         defects += [] if m.reached else [f"{scenario.name}: {m.stopped_because}"]
