@@ -50,6 +50,16 @@ def test_the_study_of_the_prover() -> None:
     assert len(rows) >= 10 and all(row[2] != "**not proved**" for row in rows)
 
 
+def test_the_study_of_published_vehicles() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "31_craft" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    head, *rows = (row for row in table(done.stdout) if len(row) == 13)
+    by_column = dict(zip(head, rows[0], strict=True))
+    assert by_column["gains"] == "derived" and float(by_column["disk margin"]) >= 0.4 and by_column["holds"] == "yes"
+    assert by_column["tank: reached, collided"] == "2, 0 of 2" and by_column["straight: end, time [s]"] == "reached, 58"
+
+
 def test_the_study_of_sums_of_squares() -> None:
     done = run(ANALYSIS / "14_claim_prover" / "squares.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr

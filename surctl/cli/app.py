@@ -14,6 +14,7 @@ from surctl.cli.calibrate import calibrate
 from surctl.cli.check import check
 from surctl.cli.completion import completion
 from surctl.cli.export import export
+from surctl.cli.gains import gains
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
 from surctl.cli.new import new
@@ -45,7 +46,7 @@ def app() -> None:
 
 
 _COMMANDS = (
-    study, reproduce, simulate, sweep, tune, verify, check, export, vehicle, calibrate, sonar_replay,
+    study, reproduce, simulate, sweep, tune, verify, check, export, vehicle, gains, calibrate, sonar_replay,
     new, lint, listing, completion,
 )  # fmt: skip
 for _command in _COMMANDS:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surctl.cli.output import progress, refusal_line
+
+if TYPE_CHECKING:
+    from surctl.control import Gains
 
 __all__ = ["Braking", "is_braking", "prove_all"]
 
@@ -27,8 +30,10 @@ def is_braking(name: str) -> bool:
     return name.startswith(_KINDS)
 
 
-def prove_all(names: Sequence[str], *, vehicle: str, gains: str, cap: float, out: Path | None = None) -> Braking:
-    """Prove the named braking claims for a vehicle, a gain file and a speed limit `cap` [m/s].
+def prove_all(
+    names: Sequence[str], *, vehicle: str, gains: str | Gains, cap: float, out: Path | None = None
+) -> Braking:
+    """Prove the named braking claims for a vehicle, gains (or their file) and a speed limit `cap` [m/s].
 
     The certificates are written to the folder `out` as NAME.json.
 
@@ -43,7 +48,8 @@ def prove_all(names: Sequence[str], *, vehicle: str, gains: str, cap: float, out
     from surctl.verification import Inapplicable
     from surctl.verification.braking import braking_claim_named, prove_braking
 
-    robot, values = load_vehicle(vehicle), load_gains(gains)
+    robot = load_vehicle(vehicle)
+    values = load_gains(gains) if isinstance(gains, str) else gains
     proofs, files, claims, refused = [], [], [], []
     for name in names:
         try:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.gains_choice import choose_gains
 from surctl.cli.output import finish, progress, same_command, stoppable, together
-from surctl.cli.single_run import further_output, run_line
+from surctl.cli.single_run import activity_line, further_output, linear_warning, run_line
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
-    from surctl.control import Gains
     from surctl.simulation import Case, SafetyClaim
     from surctl.simulation.campaign import Campaign, Plan
     from surctl.verification import Inapplicable
@@ -100,7 +100,7 @@ class CampaignOptions:
         self,
         scenarios: tuple[str, ...],
         vehicle: str | None,
-        gains: Gains,
+        gains: str | None,
         sensors: SensorOptions,
         *,
         law: str,
@@ -117,6 +117,7 @@ class CampaignOptions:
         Raises:
             InputError: a name is unknown, or the law or a scenario does not support an option.
         """
+        from surctl.control import law_source, load_gains
         from surctl.simulation import load_scenario
         from surctl.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
         from surctl.tuning import build_cases
@@ -128,9 +129,14 @@ class CampaignOptions:
         else:
             vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(vehicles[0]))]
-        cases = build_cases(missions, vehicles, gains=gains, law=law, mode=mode, sensing=sensing, guidance=guidance)
+        own = law_source(law).gains
+        base = load_gains(gains or "default", own=own)
+        cases = build_cases(missions, vehicles, gains=base, law=law, mode=mode, sensing=sensing, guidance=guidance)
         options: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
-        cases = tuple(replace(case, **options) for case in cases)
+        tuned = [choose_gains(gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
+        for line in dict.fromkeys(line for one in tuned for line in one.lines):
+            progress(line)
+        cases = tuple(replace(case, gains=one.gains, **options) for case, one in zip(cases, tuned, strict=True))
         for case in cases[:1]:
             case.build()  # reports a mistake before any file is written
         if self.worlds is None:
@@ -179,7 +185,8 @@ class CampaignOptions:
             own = None if self.worlds is not None else (plan.case.scenario.name, plan.case.scenario.vehicle)
             choice = choose_vehicle(vehicle, own)
             reports[-1]["vehicle_from"] = choice.origin
-            lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst)]
+            reports[-1]["linear"], warning = _linear(plan.case)
+            lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
             good = good and campaign.summary.stopped["reached"].count == runs
         if out is not None:
             import json
@@ -217,6 +224,19 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
         head["claim"] = _claim(case).to_dict()
     few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
     return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
+
+
+def _linear(case: Case) -> tuple[dict[str, Any] | None, list[str]]:
+    # the loop of the unchanged scenario and vehicle
+    return linear_warning(
+        case.vehicle,
+        case.gains.values,
+        cruise=case.scenario.cruise,
+        dt=case.build().dt,
+        law=case.law,
+        guidance=case.guidance,
+        model=case.model,
+    )
 
 
 def _claim(case: Case) -> SafetyClaim | Inapplicable:
@@ -287,7 +307,7 @@ def simulate_again(
     same = difference <= SAME
     result = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
     verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
-    lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}"]
+    lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}", activity_line(run)]
     lines += further_output(run, result, explained=explained, out=out, animate=animate)
     finish({"runs": [result]}, lines, as_json=as_json, passed=same and run.metrics.reached)
 

@@ -9,6 +9,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option
 from surctl.cli.next_export import MISSION
 from surctl.cli.output import as_json, finish, progress
@@ -24,7 +25,7 @@ __all__ = ["export"]
 @click.command
 @click.argument("system", nargs=-1, metavar="[FILE.py:FUNCTION [NAME=VALUE]...]")
 @seconds_option
-@click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
+@click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option(
     "--scenario", default=MISSION, metavar="FILE", help="Mission and sensors: name or file (default pool-static)."
@@ -129,7 +130,7 @@ def export(
 
     from surctl.cli.single_run import failure
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import build_law, law_source, load_gains
+    from surctl.control import build_law, law_source
     from surctl.errors import InputError, nearest
     from surctl.export import (
         REALS,
@@ -184,7 +185,8 @@ def export(
         depths=mission.depths is not None,
         actuators=robot.actuators,
     )
-    tuned = load_gains(gains, own=law_source(law).gains)
+    chosen = choose_gains(gains, robot, cruise=mission.cruise, own=law_source(law).gains)
+    tuned = chosen.gains
     numbers = law_numbers(mission, tuned, robot)
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
     within = operating_envelope(built, mission, robot, shipped.gains)
@@ -228,6 +230,7 @@ def export(
         "name": bundle.name,
         "id": bundle.id,
         "vehicle_from": choice.origin,
+        "derived_gains": chosen.data,
         "files": [str(f.path) for f in files],
         "sha256": {f.path.name: f.sha256 for f in files},
         "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
@@ -245,10 +248,10 @@ def export(
         *why,
         *(f"{f.sha256[:12]}  {f.path}" for f in files),
         "",
+        *(choice.line(robot.name), *chosen.lines),
         f"{replay_text}{metrics.time_s:.2f} s",
         sil.summary(),
     ]
-    lines.insert(len(files) + 1, choice.line(robot.name))
     lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
     lines += [] if proof is None else ["", proof.summary()]
     lines += [] if report is None else ["", report.summary()]

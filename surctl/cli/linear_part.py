@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    from surctl.control import Gains
     from surctl.vehicle import Vehicle
 
 __all__ = ["LinearPart", "law_part", "linear_part", "over_speeds", "speed_lines"]
@@ -29,22 +30,21 @@ class LinearPart(NamedTuple):
     peak: float = math.inf
 
 
-def law_part(law: str, vehicle: Vehicle, gains: str, *, cruise: float) -> LinearPart:
+def law_part(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float) -> LinearPart:
     """Return the numeric analysis of the sampled loop of a law that the cascade does not describe.
 
     Args:
         law: reference of the law.
         vehicle: plant and model of the controller; the analysis has no uncertainty.
-        gains: name or file of the gains.
+        gains: the gains.
         cruise: cruise speed [m/s].
     """
-    from surctl.control import build_law, law_source, load_gains
+    from surctl.control import build_law, law_source
     from surctl.errors import InputError
     from surctl.verification import law_loop
 
     try:
-        own = load_gains(gains, own=law_source(law).gains)
-        loop = law_loop(build_law(law), vehicle, own, cruise=cruise)
+        loop = law_loop(build_law(law), vehicle, gains.with_own(law_source(law).gains), cruise=cruise)
     except InputError as error:
         why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem}"
         return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None, cruise)
@@ -122,9 +122,11 @@ def linear_part(
 
 
 def speed_lines(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float, uncertainty: float
+    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, cap: float, dt: float, uncertainty: float
 ) -> tuple[list[str], dict[str, float]]:
     """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
+
+    If the cruise speed [m/s] is above the second speed, a line says what to change: the speed, or the gains.
 
     Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
     """
@@ -145,8 +147,25 @@ def speed_lines(
     )
     over = next((f"exceeds {limit:.3g} m/s, {what}" for limit, what in limits if cap > limit > 0), None)
     lines += [] if over is None else [f"  warning: the cap, {cap:g} m/s, {over}; lower it"]
+    if robust < cruise:
+        lines.append(_change(vehicle, cruise=cruise, dt=dt, robust=robust))
     numbers = {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
     return lines, numbers
+
+
+def _change(vehicle: Vehicle, *, cruise: float, dt: float, robust: float) -> str:
+    # what reaches the required disk margin, or a larger one
+    from surctl.tuning import derive_gains
+
+    derived = derive_gains(vehicle, cruise=cruise, dt=dt)
+    if derived.reached:
+        better = f"gains derived for {cruise:g} m/s have {derived.disk_margin:.2f} (surctl gains derive)"
+    elif derived.bearable > 0:
+        better = f"up to {derived.bearable:.3g} m/s, gains derived for the speed have 0.4 (surctl gains derive)"
+    else:
+        better = "gains derived for a lower speed have no more"
+    slower = f"cruise at {robust:.3g} m/s at most; " if robust > 0 else ""
+    return f"  to change: {slower}{better}" + ("" if derived.reached else f"; to go faster, {derived.remedy}")
 
 
 def _disk(margin: float) -> str:

@@ -77,7 +77,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     from surctl.lyapunov import load_problem
     from surctl.simulation import LIBRARY, findings, load_scenario
     from surctl.study import load_plan
-    from surctl.tuning import load_goals
+    from surctl.tuning import gains_for, load_goals
     from surctl.vehicle import load_vehicle
     from surctl.verification import load_claim
     from surctl.verification.cascade import has_cascade
@@ -99,7 +99,10 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     if kind == "scenario":
         scenario = load_scenario(path)
         robot = load_vehicle(scenario.vehicle if vehicle is None else vehicle)
-        problems = [*findings(scenario, robot), *_cap_findings(scenario, robot, load_gains("default"))]
+        problems = [
+            *findings(scenario, robot),
+            *_cap_findings(scenario, robot, gains_for(None, robot, cruise=scenario.cruise)[0]),
+        ]
     elif kind == "study":
         plan = load_plan(path)
         for leg in plan.legs:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from surctl.cli.law_option import law_words
 
 if TYPE_CHECKING:
+    from surctl.control import Gains
     from surctl.simulation import Scenario
     from surctl.vehicle import Vehicle
 
@@ -36,9 +37,10 @@ def fitting_scenario(vehicle: Vehicle, scenario: str | None = None) -> str | Non
 def export_command(
     scenario: str | None,
     vehicle: str,
-    gains: str,
+    gains: str | Gains,
     certificates: Sequence[Path] = (),
     *,
+    file: str | None = None,
     law: str = "guarded",
     guidance: str | None = None,
     sensing: str = "sonar",
@@ -48,8 +50,9 @@ def export_command(
     Args:
         scenario: name or file of the scenario; None takes a built-in scenario that fits the hull.
         vehicle: name or file of the vehicle.
-        gains: name or file of the gains.
+        gains: name or file of the gains, or the gains.
         certificates: certificate files; the command carries those that concern the law `guarded`.
+        file: name or file of the gains in the command; None: `gains` itself.
         law: the law to export, a name or FILE.py:FUNCTION.
         guidance: path guidance; None: the default of the command.
         sensing: "sonar" or "truth".
@@ -65,9 +68,10 @@ def export_command(
         return []
     travel: Sequence[Path] = ()
     if certificates:
-        numbers = law_numbers(load_scenario(chosen), load_gains(gains), robot)
+        values = load_gains(gains) if isinstance(gains, str) else gains
+        numbers = law_numbers(load_scenario(chosen), values, robot)
         travel = fitting_certificates(certificates, build_law(), robot, numbers)
-    words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", gains]
+    words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", file or str(gains)]
     words += [*law_words(law), *(() if guidance is None else ("--guidance", guidance)), "--sensing", sensing]
     return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from surctl.cli.output import progress, refusal_line
 
 if TYPE_CHECKING:
+    from surctl.control import Gains
     from surctl.verification.region import RegionStatement
 
 __all__ = ["Regions", "is_region", "prove_regions", "region_of"]
@@ -51,7 +52,7 @@ def prove_regions(
     words: Sequence[str],
     *,
     vehicle: str,
-    gains: str,
+    gains: str | Gains,
     speeds: tuple[float, float],
     seed: int = 0,
     out: Path | None = None,
@@ -60,7 +61,8 @@ def prove_regions(
 
     Args:
         words: names and files of the claims.
-        vehicle, gains: name or file of the vehicle, and name or file of the gains.
+        vehicle: name or file of the vehicle.
+        gains: name or file of the gains, or the gains.
         speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
         seed: seed of the search for a certificate.
         out: folder of the certificates.
@@ -74,7 +76,8 @@ def prove_regions(
     from surctl.verification import Inapplicable
     from surctl.verification.region import prove_statement
 
-    robot, values = load_vehicle(vehicle), load_gains(gains)
+    robot = load_vehicle(vehicle)
+    values = load_gains(gains) if isinstance(gains, str) else gains
     stated = {word: region_of(word) for word in words}
     refused: dict[str, Inapplicable] = {}
     cruise, cap = speeds

@@ -10,11 +10,12 @@ from surctl.cli.animate_option import animate_option, check_animate
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, simulate_again
 from surctl.cli.controller_options import ControllerOptions, controller_options
+from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option, trust_option
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
-from surctl.cli.single_run import further_output, linear_part, run_line
+from surctl.cli.single_run import activity_line, further_output, linear_part, run_line
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_simulate import simulate_system
 from surctl.cli.thruster_options import split_faults
@@ -26,7 +27,7 @@ __all__ = ["simulate"]
 @click.argument("scenarios", nargs=-1, metavar="SCENARIO... | FILE.py:FUNCTION NAME=VALUE...")
 @seconds_option
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
-@click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
+@click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @law_option
 @click.option(
     "--avoidance",
@@ -56,7 +57,7 @@ def simulate(
     scenarios: tuple[str, ...],
     seconds: float | None,
     vehicle: str | None,
-    gains: str,
+    gains: str | None,
     law: str | None,
     avoidance: str,
     guidance: str,
@@ -122,7 +123,9 @@ def simulate(
         prepare_folder(out)
     names = [load_scenario(name).vehicle for name in scenarios] if vehicle is None else [vehicle]
     law, lines = choose_law(law, [load_vehicle(name) for name in names])
-    chosen = load_gains(gains, own=law_source(law).gains)
+    own = law_source(law).gains
+    if gains is not None:
+        load_gains(gains, own=own)  # reports a mistake before anything is built
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(faults, refused=alone)
     sensors = SensorOptions(faults, chances, beam, own_state)
@@ -131,7 +134,7 @@ def simulate(
         campaign_plans = campaign.plans(
             scenarios,
             vehicle,
-            chosen,
+            gains,
             sensors,
             law=law,
             avoidance=avoidance,
@@ -166,7 +169,9 @@ def simulate(
     message = "the runs above are finished" + (f", files in {out}" if out else "") + "; --seed N starts at another seed"
     with stoppable(message if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
         for scenario, choice, simulated, built in zip(plans, choices, vehicles, laws, strict=True):
-            lines.append(choice.line(simulated.name))
+            tuned = choose_gains(gains, simulated, cruise=scenario.cruise, own=own)
+            chosen = tuned.gains
+            lines += [choice.line(simulated.name), *tuned.lines]
             p = law_numbers(scenario, chosen, simulated)
             with link.opened(built, p, scenario, simulated) as line:
                 for k in range(seed, seed + runs):
@@ -181,14 +186,14 @@ def simulate(
                         stepper=linked,
                         thruster_faults=broken,
                     )
-                    results.append(run.to_dict() | {"vehicle_from": choice.origin})
+                    results.append(run.to_dict() | {"vehicle_from": choice.origin, "derived_gains": tuned.data})
                     if broken:
                         results[-1]["thruster_faults"] = [fault.to_dict() for fault in broken]
                     if sensing == "sonar":
                         results[-1]["sensors"] = sensor_data(scenario)
-                    lines.append(run_line(run))
+                    lines += [run_line(run), activity_line(run)]
                     if as_json:
-                        progress(lines[-1])
+                        progress(lines[-2])
                     lines += linear_part(run, results[-1])
                     if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
                         results[-1]["stop_reason"] = stop_reason(run)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from surctl.simulation import Run
+    from surctl.vehicle import Vehicle
 
-__all__ = ["failure", "further_output", "linear_part", "run_line"]
+__all__ = ["activity_line", "failure", "further_output", "linear_part", "linear_warning", "run_line"]
+
+_CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
 
 
 def run_line(run: Run) -> str:
@@ -18,9 +22,28 @@ def run_line(run: Run) -> str:
     missed = (
         f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.arrival_radius else ""
     )
+    crab = f", but crabbing {m.crab_angle_deg:.0f} deg" if m.crab_angle_deg > _CRABBING else ""
     return (
         f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
-        f"{m.time_s:.2f} s, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m{missed}"
+        f"{m.time_s:.2f} s{crab}, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m{missed}"
+    )
+
+
+def activity_line(run: Run) -> str:
+    """Return one line with crab angle, heading error, thrust activity and wasted thrust of a run."""
+    m = run.metrics
+    angles = f"crab angle {m.crab_angle_deg:.0f} deg (largest {m.max_crab_angle_deg:.0f}), " * (m.crab_angle_deg >= 0)
+    angles += f"heading error {m.heading_error_deg:.0f} deg; " * (m.heading_error_deg >= 0)
+    axes = (
+        m.variation_surge_n_per_s,
+        m.variation_sway_n_per_s,
+        m.variation_heave_n_per_s,
+        m.variation_yaw_n_m_per_s,
+    )
+    return (
+        f"  {angles}thrust varies by {', '.join(f'{one:.2g}' for one in axes)} (N/s in surge, sway, heave, N m/s in "
+        f"yaw), {m.sign_changes_per_s:.2g} sign changes/s, saturated {m.saturated_share:.0%}; wasted "
+        f"{m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
     )
 
 
@@ -33,29 +56,66 @@ def failure(run: Run) -> str | None:
 
 
 def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
-    """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if it is not."""
+    """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
     from surctl.control import law_source
-    from surctl.errors import InputError
-    from surctl.verification.cascade import build_cascade, has_cascade
-    from surctl.verification.linear import slowest_mode
 
-    cruise, dt, gains = run.scenario.cruise, run.law.dt, run.gains.values
-    result["linear"] = None
-    if not has_cascade(run.law.ref, run.law.guidance):
-        return _sampled_part(run, result) if law_source(run.law.ref).steering is not None else []
-    try:
-        stable = build_cascade(run.vehicle, gains, cruise=cruise, dt=dt).stable
-    except InputError:  # the thrust cannot hold this speed; lint reports it
-        return []
-    result["linear"] = {"cruise_m_per_s": cruise, "stable": stable}
-    if stable:
-        return []
-    mode = slowest_mode(run.vehicle, gains, cruise=cruise, dt=dt)
-    result["linear"]["mode"] = mode.to_dict()
+    if law_source(run.law.ref).steering is not None:
+        result["linear"] = None
+        return _sampled_part(run, result)
     attitude = run.attitude
     crab = "" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg"
-    head = f"  the linear loop at this speed is unstable{crab}:"
-    return [head, *(f"    {line.strip()}" for line in mode.lines())]
+    data, lines = linear_warning(
+        run.vehicle,
+        run.gains.values,
+        cruise=run.scenario.cruise,
+        dt=run.law.dt,
+        law=run.law.ref,
+        guidance=run.law.guidance,
+        crab=crab,
+    )
+    result["linear"] = data
+    return lines
+
+
+def linear_warning(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    law: str,
+    guidance: str,
+    model: Vehicle | None = None,
+    crab: str = "",
+) -> tuple[dict[str, Any] | None, list[str]]:
+    """Return the stability and the estimated disk margin of the linear loop of a run as data, and lines about a defect.
+
+    There are lines if the loop is unstable, or if the disk margin of all loops is below the one that `surctl verify`
+    requires. The data is None if the law has no linear loop, or if the thrust cannot hold the speed (which lint
+    reports). `crab` is appended to the first line.
+    """
+    from surctl.errors import InputError
+    from surctl.verification.cascade import has_cascade
+    from surctl.verification.linear import LEAST_DISK_MARGIN, estimated_margin, slowest_mode
+
+    if not has_cascade(law, guidance):
+        return None, []
+    try:
+        margin = estimated_margin(vehicle, gains, cruise=cruise, dt=dt, model=model)
+    except InputError:
+        return None, []
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": margin > 0, "disk_margin": margin}
+    if margin >= LEAST_DISK_MARGIN:
+        return data, []
+    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model)
+    data["mode"] = mode.to_dict()
+    if margin > 0:
+        head = (
+            f"  the linear loop at this speed has a disk margin of {margin:.2f} only (at least {LEAST_DISK_MARGIN:g})"
+        )
+    else:
+        head = "  the linear loop at this speed is unstable"
+    return data, [f"{head}{crab}:", *(f"    {line.strip()}" for line in mode.lines())]
 
 
 def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:

@@ -42,6 +42,7 @@ def study(file: str | None, out: Path, workers: int, trust: bool, as_json: bool)
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
         result = conduct(plan, out, workers=workers, progress=progress, command=command)
     lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
+    lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
     marks = {True: "ok  ", False: "FAIL", None: "    "}
     lines += [f"{marks[note.passed]} {note.text}" for note in result.notes]
     loops = result.loops

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.gains_choice import choose_shared
 from surctl.cli.law_option import choose_law, law_option, law_words
 from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
@@ -62,9 +64,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     help="Vehicle: name or file; repeatable (default: each scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
-@click.option(
-    "--gains", default="default", metavar="FILE", help="All other gains: name or file (default set: default)."
-)
+@click.option("--gains", metavar="FILE", help="All other gains: name or file (default: the vehicle's).")
 @law_option
 @click.option(
     "--priority-mode",
@@ -125,7 +125,7 @@ def sweep(
     scenarios: tuple[str, ...],
     vehicles: tuple[str, ...],
     sensing: str,
-    gains: str,
+    gains: str | None,
     law: str | None,
     priority_mode: str,
     guidance: str,
@@ -182,12 +182,16 @@ def sweep(
         )
     missions, robots = [load_scenario(name) for name in scenarios], [load_vehicle(name) for name in vehicles]
     law, why = choose_law(law, robots or [load_vehicle(mission.vehicle) for mission in missions])
-    base = load_gains(gains, own=law_source(law).gains)
+    own = law_source(law).gains
     cases = build_cases(
         missions,
         robots,
-        gains=base, law=law, mode=priority_mode, sensing=sensing, guidance=guidance,
+        gains=load_gains(gains or "default", own=own),
+        law=law, mode=priority_mode, sensing=sensing, guidance=guidance,
     )  # fmt: skip
+    tuned = choose_shared(gains, [(case.vehicle, case.scenario.cruise) for case in cases], own=own)
+    base = tuned.gains
+    cases = tuple(replace(case, gains=base) for case in cases)
     executor = _executor(workers, dask)
     if locus is not None:  # report a mistake before the simulations, not after them
         swept = chosen.points[:, chosen.names.index(locus)]
@@ -209,7 +213,7 @@ def sweep(
         axis = next(axis for axis in table.axes if axis.name == locus)
         poles = _locus(cases, table.gains, locus, axis.values, at)
         pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
-    lines = [*why, *_vehicles(cases, vehicles), *_lines(table, sobol)]
+    lines = [*why, *_vehicles(cases, vehicles), *tuned.lines, *_lines(table, sobol)]
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
     lines += ["", where, *moved, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     lines += [f"plot  {picture}" for picture in pictures]

@@ -204,6 +204,9 @@ def tune(
         raise InputError("no goal is about the linear loop", key="--cruise", value=list(cruise), remedy=remedy)
     if vehicles:
         plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles])
+    derived = [] if plan.derivation is None else plan.derivation.lines()
+    for line in derived:
+        progress(line)
     pairs = [(leg.scenario, leg.vehicle) for leg in plan.deciding]
     omitted = [f"{leg.scenario.name} by {leg.vehicle.name} is left out: {leg.left_out}" for leg in plan.left_out]
     for line in omitted:
@@ -250,7 +253,7 @@ def tune(
     from surctl.report import save_tuning  # loads matplotlib only now
 
     pictures = save_tuning(tuning, out)
-    lines = [*summary(tuning), *omitted, *caps, "", f"gains {gains_path}", f"all   {everything}"]
+    lines = [*summary(tuning), *derived, *omitted, *caps, "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
     mission, robot = pairs[0]
     about = at_hand(mission, robot, str(gains_path))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.barrier_options import barrier_options
+from surctl.cli.gains_choice import GAINS_HELP, choose_gains, derive_words
 from surctl.cli.motion_verify import are_problems, verify_motion
 from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
@@ -22,6 +23,7 @@ from surctl.cli.system_verify import verify_system
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from surctl.control import Gains
     from surctl.errors import NotApplicable
     from surctl.simulation import SafetyClaim
     from surctl.vehicle import Vehicle
@@ -32,13 +34,14 @@ __all__ = ["claim_line", "verify"]
 
 
 _SHORT, _LONG = 20.0, 60.0  # s
+_GAIN_FILE = "gains.toml"  # in the printed commands, if the gains are derived
 _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 
 
 @click.command
 @click.argument("claims", nargs=-1, metavar="[CLAIM | FILE.toml | FILE.py:FUNCTION]...")
 @click.option("--vehicle", metavar="FILE", help="Vehicle (default: the scenario's, else sur540-flooded).")
-@click.option("--gains", default="default", metavar="FILE", help="Gain set: name or file (default set: default).")
+@click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @click.option(
     "--uncertainty",
     type=float,
@@ -80,7 +83,7 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 def verify(
     claims: tuple[str, ...],
     vehicle: str | None,
-    gains: str,
+    gains: str | None,
     uncertainty: float,
     cruise: tuple[float, ...] | None,
     cap: float | None,
@@ -127,18 +130,19 @@ def verify(
     from surctl.cli.next_export import export_command
     from surctl.cli.regions import is_region, prove_regions, region_of
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import CASCADE, build_law, check_forces, default_law, law_source, load_gains
+    from surctl.control import CASCADE, build_law, check_forces, default_law, law_source
     from surctl.files import prepare_folder
     from surctl.simulation import load_scenario
     from surctl.vehicle import load_vehicle
     from surctl.verification import Inapplicable, check_held, decide, write_claim
     from surctl.verification.region import write_region
 
-    values = load_gains(gains).values
     mission = None if scenario is None else load_scenario(scenario)
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
     vehicle, robot = choice.word, load_vehicle(choice.word)
     speeds = _speeds(None if cruise is None else max(cruise), cap, scenario)
+    tuned = choose_gains(gains, robot, cruise=speeds[0])
+    values = tuned.gains.values
     at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
     named = [name for name in claims if not is_region(name) and not is_braking(name)]
     chosen, left_out = _chosen(named, at_hand, robot) if named or not claims else ([], {})
@@ -164,16 +168,18 @@ def verify(
     cascaded = CASCADE in law_source(flown).parts
     linear = over_speeds(
         [
-            linear_part(robot, values, cruise=u, **about) if cascaded else law_part(flown, robot, gains, cruise=u)
+            linear_part(robot, values, cruise=u, **about) if cascaded else law_part(flown, robot, tuned.gains, cruise=u)
             for u in cruise or speeds[:1]
         ]
     )
     safety = None
     if scenario is not None and cascaded:
-        safety = _safety(scenario, robot, gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None)
+        safety = _safety(
+            scenario, robot, tuned.gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None
+        )
     region_names = [name for name in claims if is_region(name)]
-    regions = prove_regions(region_names, vehicle=vehicle, gains=gains, speeds=speeds, seed=seed, out=out)
-    braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=gains, cap=speeds[1], out=out)
+    regions = prove_regions(region_names, vehicle=vehicle, gains=tuned.gains, speeds=speeds, seed=seed, out=out)
+    braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=tuned.gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
     message = f"the finished claims are above{where}; for the other claims: surctl verify CLAIM"
@@ -185,9 +191,11 @@ def verify(
         lines.append(claim_line(verdicts[-1]))
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
     lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
-    lines += linear.lines
+    lines += [*tuned.lines, *linear.lines]
     held, held_data = (
-        ([], {}) if linear.stable is None or not cascaded else speed_lines(robot, values, cap=speeds[1], **about)
+        ([], {})
+        if linear.stable is None or not cascaded
+        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], **about)
     )
     lines += held
     result: dict[str, Any] = {
@@ -199,6 +207,7 @@ def verify(
             *regions.claims,
             *braked.claims,
         ],
+        "derived_gains": tuned.data,
         "uncertainty": uncertainty,
         "cruise_m_per_s": speeds[0],
         "cap_m_per_s": speeds[1],
@@ -235,10 +244,12 @@ def verify(
     if not then:
         then = [shlex.join(["surctl", "check", str(file)]) for file in certificates[:1]]
         if linear.stable:
+            word = gains or (_GAIN_FILE if tuned.derived else "default")
+            then += [derive_words(vehicle, speeds[0], word)] if tuned.derived else []
             then += (
-                export_command(scenario, vehicle, gains, certificates)
+                export_command(scenario, vehicle, tuned.gains, certificates, file=word)
                 if cascaded
-                else export_command(scenario, vehicle, gains, law=flown, sensing="truth")
+                else export_command(scenario, vehicle, tuned.gains, file=word, law=flown, sensing="truth")
             )
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
 
@@ -266,7 +277,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
 def _safety(
     scenario: str,
     vehicle: Vehicle,
-    gains: str,
+    gains: Gains,
     speeds: tuple[float, float],
     *,
     barrier: str,
@@ -274,7 +285,7 @@ def _safety(
     spread: float | None,
 ) -> SafetyClaim | Inapplicable:
 
-    from surctl.control import BARRIER_NAMES, MOVERS, load_gains
+    from surctl.control import BARRIER_NAMES, MOVERS
     from surctl.errors import InputError, NotApplicable, nearest
     from surctl.simulation import load_scenario, safety_claim, turn_rate
     from surctl.verification import Inapplicable
@@ -285,10 +296,9 @@ def _safety(
     mission = replace(load_scenario(scenario), cruise=speeds[0], cap=speeds[1])
     sight = mission.sensors.equipment.array.maximum
     kind: dict[str, Any] = {"barrier": barrier, "movers": movers}
-    values = load_gains(gains)
-    turning = turn_rate(mission, vehicle, values, sonar=True)
+    turning = turn_rate(mission, vehicle, gains, sonar=True)
     try:
-        return safety_claim(mission, vehicle, values, **kind, detection=sight, spread=spread, turning=turning)
+        return safety_claim(mission, vehicle, gains, **kind, detection=sight, spread=spread, turning=turning)
     except NotApplicable as reason:
         return Inapplicable.of("no contact", reason)
 

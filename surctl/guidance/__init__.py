@@ -12,7 +12,7 @@ from surctl.guidance.contacts import (
     wall_contacts,
 )
 from surctl.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.guidance.following import FOLLOWING, Follower, follow
+from surctl.guidance.following import FOLLOWING, PASSED, Follower, follow
 from surctl.guidance.path import AT_CORNER, MAX_WAYPOINTS, Path, leg_end, next_leg, path_target, wheel_over
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
@@ -24,6 +24,7 @@ __all__ = [
     "FORMS",
     "GUIDANCE",
     "MAX_WAYPOINTS",
+    "PASSED",
     "SAME_CONTACT",
     "AvoidanceForm",
     "Choice",

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.guidance.path import Path
 from surctl.ir import Port
 
-__all__ = ["FOLLOWING", "Follower", "follow"]
+__all__ = ["FOLLOWING", "PASSED", "Follower", "follow"]
 
 FAR_OFF = 1e30  # [m²] initial squared distance to a corner
 
@@ -33,6 +33,9 @@ FOLLOWING = (
     Port("missed", (1,), "m^2", "largest squared distance at which an earlier corner was passed"),
 )
 """Entries (name, shape, initial value) of the state of `follow`."""
+
+PASSED = 1 - 1e-9
+"""Share of a segment's length at which its end counts as passed."""
 
 _SHORT_CUT = 3.0  # chosen: cutting a right-angled corner on the diagonal leaves out twice the distance to the leg
 
@@ -123,6 +126,9 @@ class Follower:
 
     def _direction(self, _x: float, _y: float) -> float:
         (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
+        # past the end of a segment, which of two segments is nearer is a matter of rounding: the next one counts
+        if not self.last and self.along >= hypot(bx - ax, by - ay) * PASSED:
+            (ax, ay), (bx, by) = self._points[self.leg + 1 : self.leg + 3]
         return atan2(by - ay, bx - ax)
 
     def distance(self, x: float, y: float) -> float:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.guidance import Follower
+from surctl.simulation.metrics import MOVING
 
 __all__ = ["Attitude", "attitude_of"]
 
 Array = NDArray[np.float64]
 
-_MOVING = 0.25  # share of the cruise speed: at lower speeds a crab angle has no meaning
 _TRANSIENT = 0.4  # share of the run that is skipped before the search for an oscillation
 _SWING = 0.05  # share of the cruise speed: smallest sway amplitude that counts as an oscillation
 _ALIKE = 0.6  # smallest autocorrelation after one period that counts as an oscillation
@@ -67,7 +67,7 @@ def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: 
         >>> round(attitude.crab_angle_deg, 1), round(attitude.heading_error_deg, 1), attitude.oscillates
         (11.5, 11.5, False)
     """
-    moving = np.hypot(nu[:, 0], nu[:, 1]) > _MOVING * cruise
+    moving = np.hypot(nu[:, 0], nu[:, 1]) > MOVING * cruise
     swings, period, amplitude = _swing(time, nu[:, 1], cruise)
     if not moving.any():
         nothing = float("nan")

@@ -15,6 +15,8 @@ __all__ = [
     "LATE",
     "LINK_LOST",
     "METRICS",
+    "MOVING",
+    "SIGN",
     "STANDSTILL",
     "STOPPED_LIMIT",
     "STOPS",
@@ -26,6 +28,12 @@ __all__ = [
 
 TUBE = 0.10  # [m] an avoidance interval ends only when |y_e| is at most this (*chosen*)
 NEAR_TARGET = 1.0  # [m] distance from the target within which overshoot is measured (*chosen*)
+
+MOVING = 0.25
+"""Share of the cruise speed: a crab angle has no meaning at lower speeds (*chosen*)."""
+
+SIGN = 0.01
+"""Share of the limit: a thrust command below it has no sign (*chosen*)."""
 
 STOPPED_LIMIT = 30.0
 """Uninterrupted standstill [s] after which a run ends, if a law with perception lacks map knowledge (*chosen*)."""
@@ -71,6 +79,20 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
         "peak_thrust_share": MetricSpec("1", "largest ratio of a thrust command to its limit, over all axes", "low"),
         "saturated_share": MetricSpec("1", "share of control steps with a thrust command at its limit", "low"),
         "thrust_rate_n_per_s": MetricSpec("N/s", "rms rate of change of the horizontal thrust command", "low"),
+        "crab_angle_deg": MetricSpec(
+            "deg", "mean angle between hull and velocity, moving and outside avoidance; NaN if the hull scans", "low"
+        ),
+        "max_crab_angle_deg": MetricSpec(
+            "deg", "largest angle between hull and velocity, moving and outside avoidance", "low"
+        ),
+        "heading_error_deg": MetricSpec("deg", "rms angle between hull and path segment while moving", "low"),
+        "variation_surge_n_per_s": MetricSpec("N/s", "total variation of the surge command per second", "low"),
+        "variation_sway_n_per_s": MetricSpec("N/s", "total variation of the sway command per second", "low"),
+        "variation_heave_n_per_s": MetricSpec("N/s", "total variation of the heave command per second", "low"),
+        "variation_yaw_n_m_per_s": MetricSpec("N m/s", "total variation of the yaw command per second", "low"),
+        "sign_changes_per_s": MetricSpec("1/s", "sign changes of thrust commands above 1 % of their limit", "low"),
+        "wasted_impulse_n_s": MetricSpec("N s", "horizontal thrust beyond drag along the path, over time", "low"),
+        "wasted_share": MetricSpec("1", "wasted impulse as a share of the impulse of the horizontal thrust", "low"),
         "stopped": MetricSpec("1", "why the run ended: " + ", ".join(f"{k} {w}" for k, w in enumerate(STOPS)), None),
     }
 )
@@ -92,8 +114,14 @@ class Metrics:
         length_m: length of the path that the robot travelled.
         effort_n: mean magnitude of the horizontal thrust command.
         stopped_because: reason why the run ended, one of `STOPS`, or `LINK_LOST`.
-        max_deviation_m, missed_corner_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: metrics
-            that `METRICS` defines.
+        crab_angle_deg, max_crab_angle_deg, heading_error_deg: as in `attitude_of`, but avoidance intervals do not count
+            for the crab angle, because the robot avoids obstacles by sway. They are NaN if the law has perception,
+            which turns the hull to scan, or if the robot never moves.
+        wasted_impulse_n_s: ∫ |τ| dt − ∫ D(s) dt ≥ 0, with the horizontal thrust command τ, the surge drag D of the
+            law's model, and the speed s ≥ 0 through the water along the path segment. A robot that starts and ends at
+            rest, on the path and with the hull along it, needs just the second integral.
+        max_deviation_m, missed_corner_m, overshoot_m, peak_thrust_share, saturated_share, thrust_rate_n_per_s: and all
+            further metrics, as `METRICS` defines them.
     """
 
     reached: bool
@@ -110,6 +138,16 @@ class Metrics:
     peak_thrust_share: float
     saturated_share: float
     thrust_rate_n_per_s: float
+    crab_angle_deg: float
+    max_crab_angle_deg: float
+    heading_error_deg: float
+    variation_surge_n_per_s: float
+    variation_sway_n_per_s: float
+    variation_heave_n_per_s: float
+    variation_yaw_n_m_per_s: float
+    sign_changes_per_s: float
+    wasted_impulse_n_s: float
+    wasted_share: float
 
     def row(self) -> tuple[float, ...]:
         """Return the values of the metrics in the order of `METRICS`."""

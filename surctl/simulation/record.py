@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Law
-from surctl.simulation.metrics import NEAR_TARGET, Metrics, avoidance_intervals, path_error
+from surctl.simulation.metrics import MOVING, NEAR_TARGET, SIGN, Metrics, avoidance_intervals, path_error
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import Body
 
@@ -48,6 +48,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     near = np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET
     limit = record.law_parameters[law.gains.slice("thrust_limit")]
     jumps = np.diff(thrust, axis=0)
+    crab = _attitude(scenario, law, record, excluded)
     return Metrics(
         reached=reason == "reached",
         time_s=round(float(record.time[-1]), 9),
@@ -63,4 +64,50 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
         peak_thrust_share=float(np.max(np.abs(record.tau[:, limit > 0]) / limit[limit > 0])),
         saturated_share=float(np.mean(record.status % 2)),
         thrust_rate_n_per_s=float(np.sqrt(np.mean(np.sum(jumps**2, axis=1))) / law.dt) if len(jumps) else 0.0,
+        crab_angle_deg=crab[0],
+        max_crab_angle_deg=crab[1],
+        heading_error_deg=crab[2],
+        **_activity(law, record, limit),
+        **_waste(scenario, law, record),
     )
+
+
+def _attitude(scenario: Scenario, law: Law, record: Record, excluded: NDArray[np.bool_]) -> tuple[float, float, float]:
+    # mean and largest crab angle outside avoidance, and rms heading error [deg]
+    nothing = float("nan")
+    u, v = record.nu[:, 0], record.nu[:, 1]
+    moving = np.hypot(u, v) > MOVING * scenario.cruise
+    if law.perception is not None or not moving.any():
+        return nothing, nothing, nothing
+    counted = moving & ~excluded
+    crab = np.rad2deg(np.abs(np.arctan2(v[counted], u[counted])))
+    off = record.eta[:, 3] - scenario.follower().directions(record.eta[:, :2])
+    off = (off[moving] + np.pi) % (2 * np.pi) - np.pi
+    error = float(np.rad2deg(np.sqrt(np.mean(off**2))))
+    return (float(crab.mean()), float(crab.max()), error) if crab.size else (nothing, nothing, error)
+
+
+def _activity(law: Law, record: Record, limit: NDArray[np.float64]) -> dict[str, float]:
+    # total variation per second of each axis, and sign changes per second of all axes
+    variation = np.abs(np.diff(record.tau, axis=0)).sum(axis=0) / (max(len(record.tau) - 1, 1) * law.dt)
+    names = ("surge_n", "sway_n", "heave_n", "yaw_n_m")
+    changes = 0
+    for command, most in zip(record.tau.T, limit, strict=True):
+        signs = np.sign(command[np.abs(command) > SIGN * most])
+        changes += int(np.count_nonzero(np.diff(signs)))
+    duration = len(record.tau) * law.dt
+    columns = {f"variation_{name}_per_s": float(each) for name, each in zip(names, variation, strict=True)}
+    return columns | {"sign_changes_per_s": changes / duration}
+
+
+def _waste(scenario: Scenario, law: Law, record: Record) -> dict[str, float]:
+    linear, quadratic = (
+        float(record.law_parameters[law.gains.slice(name)][0]) for name in ("linear_drag", "quadratic_drag")
+    )
+    heading, direction = record.eta[:, 3], scenario.follower().directions(record.eta[:, :2])
+    along = record.nu[:, 0] * np.cos(heading - direction) - record.nu[:, 1] * np.sin(heading - direction)
+    current = scenario.disturbance.current_m_per_s
+    speed = np.maximum(along - current[0] * np.cos(direction) - current[1] * np.sin(direction), 0.0)
+    spent = float(np.hypot(record.tau[:, 0], record.tau[:, 1]).sum()) * law.dt
+    wasted = max(spent - float((linear * speed + quadratic * speed**2).sum()) * law.dt, 0.0)
+    return {"wasted_impulse_n_s": wasted, "wasted_share": wasted / spent if spent > 0 else 0.0}

@@ -14,7 +14,7 @@ from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Guidance
 from surctl.simulation import Case, Scenario, findings, load_scenario
-from surctl.tuning import Axis, Goal, GoalTable, goals_from_tables, load_goals
+from surctl.tuning import Axis, Derivation, Goal, GoalTable, goals_from_tables, load_goals, shared_gains
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import applicable_claims, check_held, cruise_speeds
 
@@ -46,7 +46,7 @@ class _StudyFile(Strict):
     name: str = Field(min_length=1)
     note: str = ""
     vehicle: str
-    gains: str = "default"
+    gains: str | None = None
     law: str | None = None
     guidance: Guidance = "los"
     seed: Seed = 0
@@ -84,7 +84,8 @@ class Plan:
 
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
     the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study can be tuned, but not
-    conducted.
+    conducted. `named` is false if the study names no gains; they are then the default gains of its vehicles
+    (`tuning.shared_gains`). `derivation` says how they were derived from the vehicle, if they were.
     """
 
     name: str
@@ -101,6 +102,8 @@ class Plan:
     claims: tuple[str, ...] | None
     goals: tuple[Goal, ...]
     cruise: tuple[float, ...] = ()
+    named: bool = True
+    derivation: Derivation | None = None
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
@@ -127,7 +130,11 @@ class Plan:
         """
         scenarios = {leg.scenario.name: leg.scenario for leg in self.legs}.values()
         legs = tuple(_leg(scenario, vehicle, lenient=True) for vehicle in vehicles for scenario in scenarios)
-        return _with_mission(replace(self, vehicle=vehicles[0], legs=legs))
+        plan = _with_mission(replace(self, vehicle=vehicles[0], legs=legs))
+        if self.named:
+            return plan
+        gains, derivation = shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)
+        return replace(plan, gains=gains, derivation=derivation)
 
     def check_sweep(self) -> None:
         """Raise InputError if the study file has no `[sweep]` table, from which `conduct` chooses the gains."""
@@ -213,7 +220,8 @@ def _plan(
     vehicles = [leg.vehicle for leg in legs] or [vehicle]
     law = default_law(vehicles[0]) if study.law is None else study.law
     law = law_ref(law, file=path, folder=path.parent, trust=trust)
-    gains = load_gains(near(study.gains), own=law_source(law).gains)
+    named = None if study.gains is None else near(study.gains)
+    gains, derivation = shared_gains(named, _about(legs), own=law_source(law).gains)
     try:
         for robot in vehicles:
             check_forces(law, robot)
@@ -222,6 +230,8 @@ def _plan(
             if leg.left_out is None:
                 check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
         axes = () if study.sweep is None else tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
+        if lenient and derivation is not None:
+            axes = tuple(_scaled(axis, gains) for axis in axes)
         applicable_claims(gains.values, study.claims, vehicle=vehicle)
     except InputError as error:
         raise error.inside(path) from None
@@ -240,6 +250,8 @@ def _plan(
         study.claims,
         _own_goals(study, path, None if goals is None else near(goals)),
         cruise,
+        named is not None,
+        derivation,
     )
     return _with_mission(plan)
 
@@ -262,6 +274,18 @@ def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
     for value in axis.values:
         gains.with_values({axis.gain: value})
     return Axis(axis.gain, axis.values)
+
+
+def _scaled(axis: Axis, gains: Gains) -> Axis:
+    # the built-in values are about the set `default`
+    factor = gains[axis.name] / load_gains("default")[axis.name]
+    return Axis(axis.name, tuple(float(f"{factor * value:.3g}") for value in axis.values))
+
+
+def _about(legs: Sequence[Leg]) -> list[tuple[Vehicle, float]]:
+    # vehicles and cruise speeds; those that count towards the result if there are any
+    chosen = [leg for leg in legs if leg.left_out is None] or list(legs)
+    return [(leg.vehicle, leg.scenario.cruise) for leg in chosen]
 
 
 def _leg(scenario: Scenario, vehicle: Vehicle, *, lenient: bool) -> Leg:

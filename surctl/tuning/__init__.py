@@ -2,6 +2,16 @@
 
 from surctl.tuning.axes import SEED, Axis, Span, parse_axis
 from surctl.tuning.cegis import Tuning, tune
+from surctl.tuning.derived import (
+    DERIVED_MARGIN,
+    Derivation,
+    default_cruise,
+    derive_gains,
+    derived_gains,
+    gains_for,
+    has_tuned,
+    shared_gains,
+)
 from surctl.tuning.design import DESIGNS, Design, grid, make_design, saltelli, spread
 from surctl.tuning.evaluation import (
     Condition,
@@ -34,6 +44,7 @@ from surctl.tuning.table import DELAY_FLOOR, DISK_FLOOR, SweepTable, SweptAxis, 
 
 __all__ = [
     "DELAY_FLOOR",
+    "DERIVED_MARGIN",
     "DESIGNS",
     "DISK_FLOOR",
     "LIBRARY",
@@ -45,6 +56,7 @@ __all__ = [
     "Condition",
     "Counterexample",
     "DaskExecutor",
+    "Derivation",
     "Design",
     "DifferentiableRun",
     "Evaluation",
@@ -71,14 +83,19 @@ __all__ = [
     "check_goals",
     "conditions",
     "corners",
+    "default_cruise",
     "default_tuned",
+    "derive_gains",
+    "derived_gains",
     "evaluate",
     "figures",
     "gain_ranges",
+    "gains_for",
     "goal_rows",
     "goals_at",
     "goals_from_tables",
     "grid",
+    "has_tuned",
     "judged_goals",
     "load_goals",
     "load_sweep",
@@ -92,6 +109,7 @@ __all__ = [
     "scope",
     "search",
     "sensitivity",
+    "shared_gains",
     "spread",
     "summary",
     "sweep",

@@ -44,7 +44,8 @@ Floats = NDArray[np.float64]
 
 _WORST = "_worst"
 _CRUISE = "scenario.cruise"
-_OFTEN_ABSENT = ("path_error_m",)  # NaN here means that the run has no path error, not that it failed
+_OFTEN_ABSENT = ("path_error_m", "crab_angle_deg", "max_crab_angle_deg", "heading_error_deg")
+# NaN here means that the run has no path error or that the law turns the hull to scan, not that the run failed
 
 
 @dataclass(frozen=True)

@@ -140,7 +140,7 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     form = vehicle.form
     (A,), (B,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], form=form)
     Az, By, C, D = _differentiated(law, p, nu)
-    acting = (np.abs(np.hstack([C, D])) > _COUPLED).any(axis=1)
+    acting = np.asarray((np.abs(np.hstack([C, D])) > _COUPLED).any(axis=1))
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
     tilt = range(len(STATE_NAMES), len(A))
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
@@ -167,7 +167,7 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     def step(x: Any, u: Any, q: Any) -> Any:
         held = _stacked(x, inner)
         after = law_A @ held + law_B @ _stacked(u, names)
-        return Action(_named(axes, law_C @ held), _named(inner, after))
+        return Action(_named(axes, ca.SX(law_C @ held)), _named(inner, ca.SX(after)))
 
     thrust = _layout(axes, {axis: "N m" if axis == "yaw" else "N" for axis in axes})
     plant = Plant(

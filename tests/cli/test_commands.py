@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from surctl.certcheck import seal
-from surctl.control import LAW_NAMES
+from surctl.control import LAW_NAMES, load_gains
+from surctl.simulation import LIBRARY as SCENARIOS
 from tests.cli.process import surctl
 from tests.tools import need, need_compiler
 
@@ -271,9 +272,43 @@ def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):
 
 
 def test_lint_warns_of_a_cap_above_the_bearable_speed(tmp_path):
-    done = surctl("lint", "pool-behind", "--vehicle", "bluerov2-wu", cwd=tmp_path)
+    text = 'kind = "study"\nname = "s"\nvehicle = "bluerov2-wu"\n{}[[runs]]\nscenario = "tank-speed-015"\n'
+    for name, gains in (("named", 'gains = "default"\n'), ("derived", "")):
+        (tmp_path / f"{name}.toml").write_text(text.format(gains))
+    done = surctl("lint", "named.toml", cwd=tmp_path)
     assert "warning: cap_m_per_s: the cap of 0.22 m/s is above the bearable speed of 0.2" in done.out
-    assert "bearable" not in surctl("lint", "pool-behind", cwd=tmp_path).out
+    for file in ("derived.toml", "pool-behind"):
+        assert "bearable" not in surctl("lint", file, cwd=tmp_path).out
+
+
+def test_gains_follow_from_the_vehicle_where_none_are_named(tmp_path):
+    derived = surctl(
+        "gains", "derive", "bluerov2-vonbenzon", "--cruise", 0.2, "--out", "g.toml", "--json", cwd=tmp_path
+    )
+    assert derived.status == 0 and derived.json["reached"] and derived.json["disk_margin"] >= 0.4
+    assert load_gains(str(tmp_path / "g.toml")).values == derived.json["gains"]
+    again = surctl("gains", "derive", "bluerov2-vonbenzon", "--cruise", 0.2, "--out", "g.toml", cwd=tmp_path)
+    assert again.status == 2 and "already exists" in again.complaint
+    words = ("simulate", "pool-ahead", "--vehicle", "bluerov2-vonbenzon", "--json")
+    alone, named = (surctl(*words, *more, cwd=tmp_path).json["runs"][0] for more in ((), ("--gains", "g.toml")))
+    assert alone["derived_gains"]["gains"] == derived.json["gains"] and named["derived_gains"] is None
+    assert alone["time_s"] == named["time_s"] and alone["linear"]["disk_margin"] > 0.4
+    assert 0 < alone["wasted_share"] < 1 and alone["variation_surge_n_per_s"] > 0
+
+
+def test_simulate_says_that_the_hull_crabs_in_an_unstable_loop(tmp_path):
+    mission = (SCENARIOS / "tank-speed-015.toml").read_text()
+    mission = mission[: mission.index("[[obstacles]]")]  # an empty and longer tank
+    for old, new in (("= 0.22", "= 0.47"), ("9.5", "24.5"), ("length_m = 10.0", "length_m = 25.0")):
+        mission = mission.replace(old, new)
+    (tmp_path / "fast.toml").write_text(f"{mission}[disturbance]\nwave_force_n = 0.2\n")  # pushes it off the path
+    words = ("simulate", "fast.toml", "--vehicle", "bluerov2-wu")
+    bad = surctl(*words, "--gains", "default", cwd=tmp_path)
+    assert re.search(r"reached at .* s, but crabbing \d+ deg", bad.out), bad.out
+    assert "linear loop at this speed is unstable" in bad.out
+    good = surctl(*words, cwd=tmp_path)
+    assert "gains derived from the vehicle bluerov2-wu at 0.47 m/s" in good.out and "but crabbing" not in good.out
+    assert "has a disk margin of 0.1" in good.out and "wasted" in good.out
 
 
 @pytest.mark.parametrize(("vehicle", "status"), [("sur400", 0), ("sur540-flooded", 1)])

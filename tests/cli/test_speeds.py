@@ -40,7 +40,16 @@ def test_a_loop_that_is_unstable_at_one_speed_fails_the_command(tmp_path):
     assert not over_speeds([fast, slow]).stable, "whichever is told in full"
     assert not both.stable and both.data["worst_cruise_m_per_s"]["disk_margin"] == 0.47
     done = surctl(
-        "verify", "m-norm-printed", "--vehicle", "bluerov2-wu", "--cruise", "0.1,0.47", "--json", cwd=tmp_path
+        "verify",
+        "m-norm-printed",
+        "--vehicle",
+        "bluerov2-wu",
+        "--gains",
+        "default",
+        "--cruise",
+        "0.1,0.47",
+        "--json",
+        cwd=tmp_path,
     )
     assert done.status == 1
     told = {one["cruise_m_per_s"]: one["stable"] for one in done.json["speeds"]}

@@ -28,7 +28,7 @@ WU = load_vehicle("bluerov2-wu")
 
 def test_a_claim_that_does_not_apply_has_its_own_word_and_costs_no_other_result(tmp_path: Path) -> None:
     words = ("verify", "braking-rule-20", "region-cruise-20", "braking-mass", "m-norm-corrected")
-    done = surctl(*words, "--vehicle", "bluerov2-wu", "--cruise", "0.47", "--json", cwd=tmp_path)
+    done = surctl(*words, "--vehicle", "bluerov2-wu", "--gains", "default", "--cruise", "0.47", "--json", cwd=tmp_path)
     told = {c["claim"]: c for c in done.json["claims"]}
     assert done.status == 1 and told["m-norm-corrected"]["verdict"] == "proved"
     for name in words[1:4]:
@@ -118,11 +118,16 @@ def test_next_commands_carry_scenario_vehicle_and_gains() -> None:
 def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
     mission = load_scenario("tank-static")
     fast = replace(mission, cruise=0.47, cap=0.6, time_limit=1.0)
-    for scenario, stable in ((fast, False), (replace(mission, time_limit=0.5), True)):
+    near, slow = (replace(mission, cruise=u, time_limit=0.5) for u in (0.2, 0.1))
+    for scenario, stable, told in (
+        (fast, False, "unstable"),
+        (near, True, "a disk margin of 0.01 only"),
+        (slow, True, ""),
+    ):
         run = simulate(scenario, WU, gains=GAINS, law=build_law())
         result = run.to_dict()
         lines = linear_part(run, result)
-        assert result["linear"]["stable"] is stable and bool(lines) is not stable
+        assert result["linear"]["stable"] is stable and bool(lines) is bool(told) and told in "".join(lines)
         assert set(result["attitude"]) >= {"crab_angle_deg", "heading_error_deg", "oscillates"}
     run = simulate(fast, WU, gains=GAINS, law=build_law())
     assert "the linear loop at this speed is unstable" in linear_part(run, {})[0]

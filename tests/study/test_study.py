@@ -294,3 +294,16 @@ def test_a_study_of_an_own_law_judges_nothing_of_another(tmp_path: Path) -> None
     assert notes["margins"].text == "margins: not judged, because law wall_law.py:wall has no linear model"
     assert notes["claims"].passed is None
     assert notes["runs-1"].passed
+
+
+def test_a_study_that_names_no_gains_starts_from_those_of_its_vehicle() -> None:
+    assert load_plan().gains == load_gains("default") and load_plan().derivation is None
+    plan = load_plan(str(LIBRARY / "bluerov2-vonbenzon.toml"))
+    assert plan.gains.provenance.startswith("derived from the vehicle bluerov2-vonbenzon at 0.22 m/s")
+    assert plan.derivation is not None and plan.derivation.reached
+    scale = {name: plan.gains[name] / load_gains("default")[name] for name in ("lookahead", "k_v")}
+    axes = {axis.name: axis.values for axis in plan.axes}
+    assert axes["lookahead"] == pytest.approx([scale["lookahead"] * v for v in (0.3, 0.5, 0.8, 1.2)], rel=0.01)
+    assert axes["k_v"] == pytest.approx([scale["k_v"] * v for v in (1.0, 1.5, 2.0, 2.5)], rel=0.01)
+    assert load_plan().by([plan.vehicle]).gains == plan.gains, "surctl tune --vehicle starts there too"
+    assert plan.by([load_vehicle("sur540-flooded")]).gains == load_gains("default")

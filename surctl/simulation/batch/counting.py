@@ -6,10 +6,13 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from surctl.guidance import MAX_WAYPOINTS
-from surctl.simulation.metrics import NEAR_TARGET, TUBE
+from surctl.guidance import MAX_WAYPOINTS, PASSED
+from surctl.simulation.metrics import MOVING, NEAR_TARGET, SIGN, TUBE
 
-__all__ = ["SUMS", "counted", "modulo"]
+__all__ = ["SUMS", "VARIATIONS", "counted", "modulo"]
+
+VARIATIONS = ("surge_n", "sway_n", "heave_n", "yaw_n_m")
+"""Axes of the thrust and their units, as in the names of the metrics."""
 
 SUMS = (
     ("sum_square", "m^2", "sum of the squared horizontal distance to the path"),
@@ -22,6 +25,14 @@ SUMS = (
     ("most_past", "m", "largest overshoot past the target"),
     ("most_thrust", "1", "largest thrust command as a share of its limit"),
     ("length", "m", "length of the path that the robot travelled"),
+    *((f"sum_{name}", "N or N m", "sum of the absolute changes of one thrust command") for name in VARIATIONS),
+    ("count_signs", "1", "number of sign changes of thrust commands"),
+    ("sum_needed", "N", "sum of the drag along the path"),
+    ("count_moving", "1", "number of control steps in which the robot moves"),
+    ("count_crab", "1", "number of control steps in which the robot moves and does not avoid an obstacle"),
+    ("sum_crab", "rad", "sum of the absolute crab angle in these steps"),
+    ("sum_heading", "rad^2", "sum of the squared heading error while the robot moves"),
+    ("most_crab", "rad", "largest crab angle in these steps"),
 )
 """State variables of a run for its metrics: name, unit, meaning."""
 
@@ -35,34 +46,77 @@ def counted(
     to_target: ca.SX,
     gap: ca.SX,
     leg: ca.SX,
+    along: ca.SX,
 ) -> dict[str, ca.SX]:
     """Return the sums, counts and maxima from which the metrics follow, updated for the present control step.
 
     `metrics.METRICS` defines the metrics.
     """
     place, depth = old["plant"][:2], old["plant"][2]
+    tangent = _tangent(w["waypoints"], w["legs"], leg, along)
     square = _path_square(w["waypoints"], leg, place)
     away = ca.sqrt(square)
     excluded = ca.logic_or(avoiding, ca.logic_and(old["away"], away > TUBE))
     first = old["step"] < 0.5
     thrust, step = tau[:2], place - old["last_place"]
+    change = ca.if_else(first, 0, ca.fabs(tau - old["last_thrust"]))
+    signs = ca.if_else(ca.fabs(tau) > SIGN * w["thrust_limit"], ca.if_else(tau > 0, 1, -1), old["last_signs"])
     past = ca.if_else(gap <= NEAR_TARGET, ca.dot(to_target, w["leg"]), 0)
     # an axis without thrust has no share: its command is 0
     share = ca.fabs(tau) / ca.if_else(w["thrust_limit"] > 0, w["thrust_limit"], 1)
     return {
         "away": excluded,
-        "last_thrust": thrust,
+        "last_thrust": tau,
+        "last_signs": signs,
         "sum_square": old["sum_square"] + square,
         "sum_error": old["sum_error"] + ca.if_else(excluded, 0, square + (depth - w["depth"]) ** 2),
         "count_error": old["count_error"] + ca.logic_not(excluded),
         "sum_effort": old["sum_effort"] + ca.sqrt(ca.sumsqr(thrust)),
-        "sum_jump": old["sum_jump"] + ca.if_else(first, 0, ca.sumsqr(thrust - old["last_thrust"])),
+        "sum_jump": old["sum_jump"] + ca.if_else(first, 0, ca.sumsqr(change[:2])),
         "count_saturated": old["count_saturated"] + modulo(status, 2),
         "most_away": ca.fmax(old["most_away"], away),
         "most_past": ca.fmax(old["most_past"], past),
         "most_thrust": ca.fmax(old["most_thrust"], ca.mmax(share)),
         "length": old["length"] + ca.if_else(first, 0, ca.sqrt(ca.sumsqr(step))),
+        **{f"sum_{name}": old[f"sum_{name}"] + change[k] for k, name in enumerate(VARIATIONS)},
+        "count_signs": old["count_signs"] + ca.sum1(signs * old["last_signs"] < -0.5),
+        **_directions(old, w, tangent, excluded),
     }
+
+
+def _directions(old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], tangent: ca.SX, excluded: ca.SX) -> dict[str, ca.SX]:
+    """Return the sums about crab angle, heading error and drag along the path segment with direction `tangent`."""
+    psi, u, v = old["plant"][3], old["plant"][4], old["plant"][5]
+    hull = ca.vertcat(ca.cos(psi), ca.sin(psi))
+    ahead, left = ca.dot(hull, tangent), tangent[0] * hull[1] - tangent[1] * hull[0]  # cos and sin of the heading error
+    speed = ca.fmax(u * ahead - v * left - ca.dot(w["current"], tangent), 0)
+    moving = u**2 + v**2 > (MOVING * w["cruise"]) ** 2
+    counts = ca.logic_and(moving, ca.logic_not(excluded))
+    crab, off = ca.fabs(ca.atan2(v, u)), ca.atan2(left, ahead)
+    return {
+        "sum_needed": old["sum_needed"] + w["linear_drag"][0] * speed + w["quadratic_drag"][0] * speed**2,
+        "count_moving": old["count_moving"] + moving,
+        "count_crab": old["count_crab"] + counts,
+        "sum_crab": old["sum_crab"] + ca.if_else(counts, crab, 0),
+        "sum_heading": old["sum_heading"] + ca.if_else(moving, off**2, 0),
+        "most_crab": ca.fmax(old["most_crab"], ca.if_else(counts, crab, 0)),
+    }
+
+
+def _tangent(waypoints: ca.SX, legs: ca.SX, leg: ca.SX, along: ca.SX) -> ca.SX:
+    """Return the unit direction (2, 1) of the current segment, or of the next segment past its end.
+
+    `along` is the arc length on the current segment [m], and `legs` the number of segments; as `Follower.directions`.
+    """
+    chords = [waypoints[k + 1, :].T - waypoints[k, :].T for k in range(MAX_WAYPOINTS - 1)]
+    here, following = chords[0], chords[1]
+    for k in range(1, MAX_WAYPOINTS - 1):
+        there = leg > k - 0.5
+        here = ca.if_else(there, chords[k], here)
+        following = ca.if_else(there, chords[min(k + 1, MAX_WAYPOINTS - 2)], following)
+    passed = ca.logic_and(leg < legs - 1.5, along >= ca.sqrt(ca.sumsqr(here)) * PASSED)
+    chord = ca.if_else(passed, following, here)
+    return chord / ca.sqrt(ca.fmax(ca.sumsqr(chord), 1e-12))
 
 
 def _path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:

@@ -16,6 +16,7 @@ from surctl.errors import InputError, ToolMissing, nearest
 from surctl.ir import Batch, compile_batch, fused, to_casadi, without_libm
 from surctl.simulation.batch.bodies import ABSENT
 from surctl.simulation.batch.case import Case, check_values
+from surctl.simulation.batch.counting import VARIATIONS
 from surctl.simulation.batch.loop import Loop, Structure, build_loop
 from surctl.simulation.batch.pack import Packed, pack, structure_of
 from surctl.simulation.metrics import METRICS, STOPS
@@ -175,6 +176,22 @@ def _broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[
     return spread, np.broadcast_to(seed, (n,)).astype(np.int64)
 
 
+def _crab(loop: Loop, s: Mapping[str, Columns]) -> dict[str, Columns]:
+    # NaN if the law turns the hull to scan, or if the robot never moves
+    straight = loop.law.perception is None
+
+    def mean(total: str, count: str) -> Columns:
+        average: Columns = np.full(len(s[count]), np.nan)
+        return np.divide(s[total], s[count], out=average, where=(s[count] > 0) & straight)
+
+    crab = mean("sum_crab", "count_crab")
+    return {
+        "crab_angle_deg": np.rad2deg(crab),
+        "max_crab_angle_deg": np.rad2deg(np.where(np.isnan(crab), np.nan, s["most_crab"])),
+        "heading_error_deg": np.rad2deg(np.sqrt(mean("sum_heading", "count_moving"))),
+    }
+
+
 def _metrics(loop: Loop, final: Columns) -> Columns:
     # (n, len(METRICS))
     s = {port.name: final[:, loop.state.slice(port.name)][:, 0] for port in loop.state}
@@ -195,6 +212,13 @@ def _metrics(loop: Loop, final: Columns) -> Columns:
         "peak_thrust_share": s["most_thrust"],
         "saturated_share": s["count_saturated"] / rows,
         "thrust_rate_n_per_s": np.sqrt(s["sum_jump"] / np.maximum(rows - 1, 1)) / dt,
+        **_crab(loop, s),
+        **{f"variation_{k}_per_s": s[f"sum_{k}"] / (np.maximum(rows - 1, 1) * dt) for k in VARIATIONS},
+        "sign_changes_per_s": s["count_signs"] / (rows * dt),
         "stopped": s["stop"],
     }
+    wasted = np.maximum(s["sum_effort"] - s["sum_needed"], 0.0)
+    spent = s["sum_effort"] > 0
+    columns["wasted_impulse_n_s"] = wasted * dt
+    columns["wasted_share"] = np.divide(wasted, s["sum_effort"], out=np.zeros(len(final)), where=spent)
     return np.column_stack([columns[name] for name in METRICS])

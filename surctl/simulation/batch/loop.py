@@ -153,7 +153,8 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("stop", (1,), "1", "reason why the run ended, see STOPS"),
         Port("away", (1,), "1", "1 during an avoidance interval"),
         Port("last_place", (2,), "m", "x, y at the last control step"),
-        Port("last_thrust", (2,), "N", "F_u, F_v at the last control step"),
+        Port("last_thrust", (4,), "N, N m", "thrust command at the last control step"),
+        Port("last_signs", (4,), "1", "sign of each thrust command when it was last above 1 % of its limit"),
         *FOLLOWING,
         *(Port(name, (1,), unit, meaning) for name, unit, meaning in SUMS),
     )
@@ -296,7 +297,8 @@ class _Builder:
         new |= {**standing, **following}
         tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
         avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
-        new |= counted(old, parameters, tau, status, ca.if_else(broken, 0, avoiding), to_target, gap, following["leg"])
+        path = (to_target, gap, following["leg"], following["along"])
+        new |= counted(old, parameters, tau, status, ca.if_else(broken, 0, avoiding), *path)
         return recording.block("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
 
     def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:

@@ -28,6 +28,7 @@ from surctl.vehicle.parameters import vehicle_from_table
 
 __all__ = ["Replay", "load_replay", "replay_of"]
 
+_FIRST, _ALWAYS = "crab_angle_deg", "wasted_share"  # first of the metrics added later, and one that is always finite
 _FIGURES = tuple(name for name in METRICS if name not in ("reached", "collided", "stopped"))
 
 
@@ -123,7 +124,9 @@ class Replay:
         m = run.metrics
         if m.stopped_because != self.stopped_because:
             return inf
-        measured = {name: float(getattr(m, name)) for name in _FIGURES}
+        # a file of an earlier version has no metrics of attitude and thrust activity
+        names = _FIGURES if _ALWAYS in self.figures else _FIGURES[: _FIGURES.index(_FIRST)]
+        measured = {name: float(getattr(m, name)) for name in names}
         if {name for name, value in measured.items() if isfinite(value)} != set(self.figures):
             return inf
         return max(

@@ -1,0 +1,116 @@
+"""Missions scaled to a vehicle: lengths by the hull radius, speeds by the cruise speed, times by their ratio."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surctl.guidance import Path
+from surctl.simulation import Disturbance, Obstacle, Scenario
+from surctl.simulation.paper_figure import PaperFigure
+from surctl.vehicle import Vehicle
+
+LONGER = 1.5  # factor on the scaled time limit: a vehicle that is slow to turn for its size loses time at obstacles
+CAP = 1.1  # speed cap as a share of the cruise speed
+HULLS = 20.0  # length of the straight mission in hull lengths
+
+
+def scaled(scenario: Scenario, vehicle: Vehicle, *, cruise: float, radius: float) -> Scenario:
+    """Return a scenario scaled to a vehicle.
+
+    Lengths are multiplied by the ratio of the hull radii, speeds by the ratio of the cruise speeds, and times by the
+    ratio of the two ratios; sonars, currents and forces stay as they are.
+
+    Args:
+        scenario: the scenario to scale.
+        vehicle: the vehicle.
+        cruise: its cruise speed [m/s].
+        radius: hull radius [m] of the vehicle for which the scenario was made.
+    """
+    length, speed = vehicle["radius"] / radius, cruise / scenario.cruise
+    time = length / speed
+    disturbance = scenario.disturbance
+    periods = {name: getattr(disturbance, name) * time for name in ("wave_period_s", "drift_period_s")}
+    depths = scenario.depths
+    return replace(
+        scenario,
+        name=f"{scenario.name}-{vehicle.name}",
+        vehicle=vehicle.name,
+        path=Path(length * scenario.path.waypoints),
+        depth=length * scenario.depth,
+        cruise=cruise,
+        cap=speed * scenario.cap,
+        arrival_radius=length * scenario.arrival_radius,
+        time_limit=LONGER * time * scenario.time_limit,
+        site=tuple(length * side for side in scenario.site),
+        obstacles=tuple(_obstacle(one, length, speed) for one in scenario.obstacles),
+        disturbance=disturbance.model_copy(update=periods),
+        launch=length * scenario.launch,
+        depths=None if depths is None else (length * depths[0], length * depths[1]),
+    )
+
+
+def mission(name: str, vehicle: Vehicle, corners: ArrayLike, *, cruise: float) -> Scenario:
+    """Return a mission in open water.
+
+    Args:
+        name: name of the mission.
+        vehicle: the vehicle.
+        corners: (n, 2) waypoints in hull lengths (twice the radius); the site leaves four hull lengths around them.
+        cruise: cruise speed [m/s].
+    """
+    radius = vehicle["radius"]
+    points = 2 * radius * np.asarray(corners, dtype=float)
+    points += 8 * radius - points.min(axis=0)
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    side = points.max(axis=0) + 8 * radius
+    return Scenario(
+        name=f"{name}-{vehicle.name}",
+        title=name,
+        provenance="scaled to the vehicle",
+        vehicle=vehicle.name,
+        path=Path(points),
+        depth=-4 * radius,
+        cruise=cruise,
+        cap=CAP * cruise,
+        arrival_radius=0.5 * radius,
+        time_limit=3 * length / cruise + 60,
+        site=(float(side[0]), float(side[1]), 8 * radius),
+        obstacles=(),
+        disturbance=Disturbance(),
+        paper=PaperFigure(),
+    )
+
+
+def straight(vehicle: Vehicle, *, cruise: float) -> Scenario:
+    """Return a straight mission of 20 hull lengths."""
+    return mission("straight", vehicle, [(0, 0), (HULLS, 0)], cruise=cruise)
+
+
+def two_legs(vehicle: Vehicle, *, cruise: float) -> Scenario:
+    """Return a mission of two legs of 10 hull lengths each, with a corner of 90 degrees."""
+    half = HULLS / 2
+    return mission("two-legs", vehicle, [(0, 0), (half, 0), (half, half)], cruise=cruise)
+
+
+def disturbed(scenario: Scenario, vehicle: Vehicle, *, share: float) -> Scenario:
+    """Return a scenario with waves, slow drift and thrust errors that the seed draws, as a share of the thrust."""
+    force = share * vehicle["Fu_max"]
+    return replace(
+        scenario,
+        disturbance=scenario.disturbance.model_copy(
+            update={"thrust_error": 2 * share, "wave_force_n": force, "drift_force_n": force}
+        ),
+    )
+
+
+def _obstacle(one: Obstacle, length: float, speed: float) -> Obstacle:
+    point = {name: getattr(one, name) for name in ("centre_m", "size_m", "to_m")}
+    size = {name: getattr(one, name) for name in ("radius_m", "drift_m", "bottom_m", "top_m")}
+    update = {name: tuple(length * x for x in pair) for name, pair in point.items() if pair is not None}
+    update |= {name: length * value for name, value in size.items() if value is not None}
+    update |= {"drift_period_s": one.drift_period_s * length / speed}
+    update |= {} if one.speed_m_per_s is None else {"speed_m_per_s": speed * one.speed_m_per_s}
+    return one.model_copy(update=update)

@@ -1,0 +1,60 @@
+"""`surctl gains`: write a gain file that follows from a vehicle."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+
+from surctl.cli.gains_choice import derive_words
+from surctl.cli.new import write_new
+from surctl.cli.output import as_json, finish
+
+__all__ = ["gains"]
+
+_SPEED = click.FloatRange(min=0, max=100, min_open=True)
+
+
+@click.group()
+def gains() -> None:
+    """Write a gain file: derive, gains that follow from a vehicle.
+
+    Example: surctl gains derive my-vehicle.toml --cruise 0.3 --out my-gains.toml
+    """
+
+
+@gains.command()
+@click.argument("vehicle")
+@click.option(
+    "--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: 35 % of the speed at full thrust)."
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Gain file to write (default: none).")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+@as_json
+def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as_json: bool) -> None:
+    """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and state the margin that they reach.
+
+    VEHICLE is a name or a file. If no gains reach the disk margin at the cruise speed, the largest speed at which
+    derived gains reach it is printed. Exit status: 1 if the margin is not reached.
+
+    Examples: surctl gains derive bluerov2-wu; surctl gains derive my-vehicle.toml --cruise 0.3 --out my-gains.toml
+    """
+    from surctl.control import write_gains
+    from surctl.tuning import default_cruise, derive_gains
+    from surctl.vehicle import load_vehicle
+
+    robot = load_vehicle(vehicle)
+    derivation = derive_gains(robot, cruise=default_cruise(robot) if cruise is None else cruise)
+    lines = derivation.lines()
+    lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
+    then = []
+    if not derivation.reached and derivation.bearable > 0:
+        then.append(derive_words(vehicle, derivation.bearable, "gains.toml"))
+    if out is not None:
+        target = write_new(out, write_gains(derivation.gains, warning=derivation.warning), force=force)
+        lines.append(f"wrote {target}")
+        words = ["surctl", "verify", "--vehicle", vehicle, "--gains", str(target)]
+        then.append(shlex.join([*words, "--cruise", f"{derivation.cruise:g}"]))
+    data = derivation.to_dict() | {"file": None if out is None else str(out)}
+    finish(data, lines, as_json=as_json, passed=derivation.reached, then=then)

@@ -1,0 +1,60 @@
+"""The gains that a command uses: those of `--gains`, else the set chosen for the vehicle, else derived gains."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from surctl.control import Gains, GainSpec
+    from surctl.vehicle import Vehicle
+
+__all__ = ["GAINS_HELP", "GainsChoice", "choose_gains", "choose_shared", "derive_words"]
+
+GAINS_HELP = "Gain set: name or file (default: the vehicle's)."
+"""Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
+
+
+class GainsChoice(NamedTuple):
+    """The gains, lines that say how they were derived (empty for a named set), and the same as data (or None)."""
+
+    gains: Gains
+    lines: list[str]
+    data: dict[str, Any] | None
+
+    @property
+    def derived(self) -> bool:
+        """Whether the gains were derived from the vehicle."""
+        return self.data is not None
+
+
+def choose_gains(
+    word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None
+) -> GainsChoice:
+    """Return the gains of the option `--gains`, or the default gains of the vehicle at a cruise speed [m/s]."""
+    from surctl.tuning import gains_for
+
+    gains, derivation = gains_for(word, vehicle, cruise=cruise, own=own)
+    if derivation is None:
+        return GainsChoice(gains, [], None)
+    return GainsChoice(gains, derivation.lines(), derivation.to_dict())
+
+
+def choose_shared(
+    word: str | None, pairs: Sequence[tuple[Vehicle, float]], *, own: Mapping[str, GainSpec] | None = None
+) -> GainsChoice:
+    """Return one gain set for several vehicles, each with its cruise speed [m/s]; see `tuning.shared_gains`."""
+    from surctl.tuning import has_tuned, shared_gains
+
+    gains, derivation = shared_gains(word, pairs, own=own)
+    if derivation is not None:
+        return GainsChoice(gains, derivation.lines(), derivation.to_dict())
+    others = dict.fromkeys(one.name for one, _ in pairs if word is None and not has_tuned(one))
+    why = "different vehicles share one set; for gains of one vehicle: surctl gains derive"
+    return GainsChoice(gains, [f"gains default, not derived from {', '.join(others)}: {why}"] if others else [], None)
+
+
+def derive_words(vehicle: str, cruise: float, file: str) -> str:
+    """Return the command that writes the derived gains of a vehicle to a file."""
+    return shlex.join(["surctl", "gains", "derive", vehicle, "--cruise", f"{cruise:g}", "--out", file])

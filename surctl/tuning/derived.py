@@ -1,0 +1,403 @@
+"""Gains that follow from a vehicle: explicit formulae, a check by the margins of the loop, and a small search.
+
+The formulae give the bandwidths of the inner loops from the delay of the thrust, and everything else from the inner
+loops, the thrust, the hull and the cruise speed. Each formula is a line of `rule`. The check is the disk margin of all
+loops at once (thrust commands and measured pose together) of the loop with exact Jacobians, and the stability of the
+exactly sampled loop with one period of delay. If the check fails, a search changes k_v, k_r and k_psi.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
+from surctl.errors import InputError
+from surctl.tuning.vehicle_rule import DEPENDENT, inner_start, munk_rate, rule, top_speed
+from surctl.vehicle import LIBRARY, Vehicle, load_vehicle, plant_parameters
+from surctl.vehicle.linearise import check_trim
+from surctl.verification import law_loop
+from surctl.verification.cascade import Cascade, build_cascade, build_cascades
+from surctl.verification.linear import disk_margin, open_loop, radius_of, screened_peaks
+
+__all__ = [
+    "DERIVED_MARGIN",
+    "Derivation",
+    "default_cruise",
+    "derive_gains",
+    "derived_gains",
+    "gains_for",
+    "has_tuned",
+    "shared_gains",
+]
+
+DERIVED_MARGIN = 0.4
+"""Disk margin of all loops at once that derived gains must reach: all gains off by 33 %, or all phases by 23 deg."""
+
+TUNED_FOR = ("sur400", "sur540-flooded", "sur540-light")
+"""The built-in vehicles for which the gain set `default` was chosen."""
+
+_DT = 0.05  # [s] control period of the built-in laws
+_TARGET = 0.42  # margin at which the search stops: the frequencies of its grid miss up to 3 % of a peak
+_SAFE = 0.405  # margin on the same grid that counts for the bearable speed
+_FACTORS = (1.6, 1.25, 1.1)  # of the three gains in the neighbourhoods of the search
+_NEIGHBOURS = np.array(  # exponents of the factor for k_v, k_r, k_psi
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [0, 1, -1], [1, 1, 1]]
+)
+_NEIGHBOURS = np.vstack([_NEIGHBOURS, -_NEIGHBOURS]).astype(float)
+_LEAST, _MOST = np.array([0.7, 0.5, 0.5]), np.array([2.0, 4.0, 4.0])  # bounds of the search, as shares of the formulae
+_ROUNDS = 4  # largest number of neighbourhoods for each factor
+_SLOW = 0.25  # share of the cruise speed at which the margin is checked too
+_CRUISE_SHARE = 0.35  # cruise speed as a share of the top speed, if no mission states one
+_HELD = 0.9  # largest share of the top speed for which gains are derived
+_MUNK_DELAY = 0.34  # product of Munk rate and delay at which the margin is about reached
+_BRACKET = 1.2
+_BEARABLE_STEPS = 6
+_LOWERED = 10  # largest number of times that the result is lowered by 2 %
+_SLOWER, _SLOWER_SPEEDS = 0.85, 9  # ratio and number of the speeds tried for a craft without sway force
+_UNSTABLE = 1e-3  # margin of an unstable loop in the search
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """Gains derived from a vehicle, with the margin that they reach.
+
+    Attributes:
+        gains: the gain set; its provenance states vehicle, speed and margin.
+        vehicle: name of the vehicle.
+        cruise: cruise speed [m/s] for which the gains were derived.
+        dt: control period [s].
+        disk_margin: disk margin of all loops at once at the cruise speed, shown at all frequencies; 0 if unstable.
+        bearable: largest speed [m/s], at most `cruise`, at which derived gains have a disk margin of `DERIVED_MARGIN`;
+            0 if there is none.
+        searched: whether the formulae alone did not suffice and the search changed the gains.
+        munk: growth rate [1/s] of the turn that the Munk moment causes without control; 0 if m22 ≤ m11.
+    """
+
+    gains: Gains
+    vehicle: str
+    cruise: float
+    dt: float
+    disk_margin: float
+    bearable: float
+    searched: bool
+    munk: float
+
+    @property
+    def reached(self) -> bool:
+        """Whether the gains have the required disk margin at the cruise speed."""
+        return self.disk_margin >= DERIVED_MARGIN
+
+    def lines(self) -> list[str]:
+        """Return one line about the gains; if the margin is missed, a second line with the bearable speed."""
+        head = f"gains {self.gains.provenance}"
+        if self.reached:
+            return [head]
+        if self.bearable > 0:
+            slower = f"derived gains reach {DERIVED_MARGIN:g} up to {self.bearable:.3g} m/s"
+        else:
+            slower = f"derived gains reach {DERIVED_MARGIN:g} at no speed"
+        return [head, f"  warning: {slower}; for {self.cruise:.3g} m/s, {self.remedy}"]
+
+    @property
+    def warning(self) -> str:
+        """Return the warning of `lines` without its indent; empty if the margin is reached."""
+        return "" if self.reached else self.lines()[1].strip()
+
+    def shown(self) -> list[tuple[str, float]]:
+        """Return names and values of the gains that depend on the vehicle."""
+        return [(name, self.gains[name]) for name in DEPENDENT]
+
+    @property
+    def remedy(self) -> str:
+        """Return which numbers of the vehicle limit the margin, as a text that says what to change."""
+        faster = f"shorten the thrust lag or the control period of {self.dt:g} s"
+        if self.munk <= 0:
+            return faster
+        return f"{faster}, raise m44, or bring m22 nearer to m11 (Munk moment: {self.munk:.2g} 1/s)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the derivation as plain data for JSON."""
+        return {
+            "vehicle": self.vehicle,
+            "cruise_m_per_s": self.cruise,
+            "disk_margin": self.disk_margin,
+            "required": DERIVED_MARGIN,
+            "reached": self.reached,
+            "bearable_m_per_s": self.bearable,
+            "searched": self.searched,
+            "munk_per_s": self.munk,
+            "gains": dict(self.gains.values),
+        }
+
+
+def default_cruise(vehicle: Vehicle) -> float:
+    """Return the cruise speed [m/s] where no mission states one: 35 % of the speed at full surge thrust.
+
+    Example:
+        >>> from surctl.tuning import default_cruise
+        >>> from surctl.vehicle import load_vehicle
+        >>> [round(default_cruise(load_vehicle(name)), 2) for name in ("bluerov2-wu", "bluerov2-vonbenzon")]
+        [0.48, 0.17]
+    """
+    return float(f"{_CRUISE_SHARE * top_speed(vehicle):.2g}")
+
+
+def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
+    """Return the gains that follow from a vehicle at a cruise speed [m/s]; see `derive_gains`.
+
+    Example:
+        >>> from surctl.tuning import derived_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> gains = derived_gains(load_vehicle("bluerov2-vonbenzon"), cruise=0.17)
+        >>> gains.name, gains.provenance
+        ('derived', 'derived from the vehicle bluerov2-vonbenzon at 0.17 m/s, disk margin of all loops ...')
+    """
+    return derive_gains(vehicle, cruise=cruise, dt=dt).gains
+
+
+def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivation:
+    """Derive gains from mass, drag, thrust, lag and hull of a vehicle, control period and cruise speed.
+
+    The formulae are those of `vehicle_rule.rule`. If they miss the disk margin `DERIVED_MARGIN`, a search over k_v, k_r
+    and k_psi in fixed steps follows; the result depends on nothing but the arguments. If no gains have the margin, the
+    result has the gains with the largest margin, and the largest speed at which the margin is reached.
+
+    Args:
+        vehicle: the vehicle, used both as plant and as the controller's model.
+        cruise: cruise speed U [m/s].
+        dt: control period [s].
+
+    Raises:
+        InputError: the thrust cannot hold the cruise speed, or an argument is not greater than 0.
+
+    Example:
+        >>> from surctl.tuning import derive_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> fast = derive_gains(load_vehicle("bluerov2-wu"), cruise=0.47)
+        >>> fast.reached, fast.bearable < 0.25
+        (False, True)
+    """
+    for key, value in (("cruise", cruise), ("dt", dt)):
+        if not (np.isfinite(value) and value > 0):
+            raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
+    check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    return _derive(_Hashed(vehicle), float(cruise), float(dt))
+
+
+def has_tuned(vehicle: Vehicle) -> bool:
+    """Return whether the gain set `default` was chosen for a vehicle with these parameters.
+
+    Example:
+        >>> from surctl.tuning import has_tuned
+        >>> from surctl.vehicle import load_vehicle
+        >>> [has_tuned(load_vehicle(name)) for name in ("sur400", "bluerov2-wu")]
+        [True, False]
+    """
+    return vehicle.digest() in _tuned_digests()
+
+
+def gains_for(
+    word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None, dt: float = _DT
+) -> tuple[Gains, Derivation | None]:
+    """Return the gains of a command: the named set, else `default` for the vehicles it was chosen for, else derived.
+
+    A vehicle that cannot hold the cruise speed gets the gains of the largest speed that it can hold.
+
+    Args:
+        word: name or file of the gain set, or None if none is named.
+        vehicle: the vehicle.
+        cruise: cruise speed [m/s].
+        own: gains of a law of the user's own, as in `load_gains`.
+        dt: control period [s].
+
+    Example:
+        >>> from surctl.tuning import gains_for
+        >>> from surctl.vehicle import load_vehicle
+        >>> gains_for(None, load_vehicle("sur400"), cruise=0.15)[0].name
+        'default'
+        >>> gains_for(None, load_vehicle("bluerov2-vonbenzon"), cruise=0.15)[0].name
+        'derived'
+    """
+    if word is not None or has_tuned(vehicle):
+        return load_gains(word or "default", own=own), None
+    derivation = derive_gains(vehicle, cruise=min(cruise, _HELD * top_speed(vehicle)), dt=dt)
+    return (derivation.gains.with_own(own) if own else derivation.gains), derivation
+
+
+def shared_gains(
+    word: str | None, pairs: Sequence[tuple[Vehicle, float]], *, own: Mapping[str, GainSpec] | None = None
+) -> tuple[Gains, Derivation | None]:
+    """Return one gain set for several vehicles, each with its cruise speed [m/s]; see `gains_for`.
+
+    If none is named, gains are derived at the largest speed if all vehicles are the same; different vehicles share the
+    set `default`.
+
+    Example:
+        >>> from surctl.tuning import shared_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> boat = load_vehicle("bluerov2-vonbenzon")
+        >>> shared_gains(None, [(boat, 0.15), (boat, 0.1)])[1].cruise
+        0.15
+        >>> shared_gains(None, [(boat, 0.15), (load_vehicle("sur400"), 0.15)])[0].name
+        'default'
+    """
+    vehicle = pairs[0][0]
+    if word is None and any(one.digest() != vehicle.digest() for one, _ in pairs):
+        return load_gains("default", own=own), None
+    return gains_for(word, vehicle, cruise=max(cruise for _, cruise in pairs), own=own)
+
+
+@lru_cache(maxsize=1)
+def _tuned_digests() -> frozenset[str]:
+    return frozenset(load_vehicle(str(LIBRARY / f"{name}.toml")).digest() for name in TUNED_FOR)
+
+
+class _Hashed:
+    """A vehicle that compares by name and parameters, as a key of the cache."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle, self.key = vehicle, (vehicle.name, vehicle.digest())
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Hashed) and self.key == other.key
+
+
+@lru_cache(maxsize=64)
+def _derive(hashed: _Hashed, cruise: float, dt: float) -> Derivation:
+    vehicle = hashed.vehicle
+    if vehicle["Fv_max"] == 0:
+        return _steered(vehicle, cruise, dt)
+    inner, _ = _searched(vehicle, cruise, dt)
+    searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
+    margin, bearable = _shown(vehicle, inner, cruise, dt), cruise
+    if margin < DERIVED_MARGIN:
+        bearable = _bearable(vehicle, cruise, dt, inner)
+    gains = _named(vehicle, inner, cruise, dt, margin)
+    return Derivation(gains, vehicle.name, cruise, dt, margin, bearable, searched, munk_rate(vehicle, cruise))
+
+
+def _named(vehicle: Vehicle, inner: Array, cruise: float, dt: float, margin: float) -> Gains:
+    values = rule(vehicle, inner, cruise=cruise, dt=dt)
+    reached = f"disk margin of all loops {margin:.2f}" if margin > 0 else "UNSTABLE"
+    short = "" if margin >= DERIVED_MARGIN else f", below {DERIVED_MARGIN:g}"
+    provenance = f"derived from the vehicle {vehicle.name} at {cruise:.3g} m/s, {reached}{short}"
+    return Gains("derived", {name: values[name] for name in GAINS}, provenance)
+
+
+def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
+    """Return the derivation for a craft without sway force: the formulae, checked by the sampled loop of its law."""
+
+    def margin(speed: float) -> float:
+        law = default_law(vehicle)
+        gains = _named(vehicle, inner_start(vehicle, cruise=speed, dt=dt), speed, dt, 1.0)
+        own = gains.with_own(law_source(law).gains)
+        loop = law_loop(build_law(law, dt=dt), vehicle, own, cruise=speed)
+        shown = loop.disk.guaranteed if loop.stable else 0.0
+        return 0.0 if np.isnan(shown) else float(shown)
+
+    reached, bearable = margin(cruise), cruise
+    if reached < DERIVED_MARGIN:
+        speeds = (float(f"{cruise * _SLOWER**k:.3g}") for k in range(1, _SLOWER_SPEEDS))
+        bearable = next((speed for speed in speeds if margin(speed) >= DERIVED_MARGIN), 0.0)
+    gains = _named(vehicle, inner_start(vehicle, cruise=cruise, dt=dt), cruise, dt, reached)
+    return Derivation(gains, vehicle.name, cruise, dt, reached, bearable, False, munk_rate(vehicle, cruise))
+
+
+def _searched(vehicle: Vehicle, cruise: float, dt: float, near: Array | None = None) -> tuple[Array, float]:
+    """Return the inner gains (3,) of the formulae, or better ones, and their estimated margin.
+
+    The search goes to the best neighbour until the margin is reached or no neighbour is better; then the steps become
+    smaller. The gains stay within `_LEAST` and `_MOST` times those of the formulae. `near` is the result at a similar
+    speed.
+    """
+    start = inner_start(vehicle, cruise=cruise, dt=dt)
+    best, factors = (start, _FACTORS) if near is None else (near, _FACTORS[1:])
+    margin = float(_margins(vehicle, best[None], cruise, dt, above=0.0)[0])
+    for factor in factors:
+        for _ in range(_ROUNDS):
+            if margin >= _TARGET:
+                return best, margin
+            around = np.clip(best * factor**_NEIGHBOURS, start * _LEAST, start * _MOST)
+            values = _margins(vehicle, around, cruise, dt, above=margin)
+            at = int(np.argmax(values))
+            if values[at] <= margin:
+                break
+            best, margin = around[at], float(values[at])
+    return best, margin
+
+
+def _bearable(vehicle: Vehicle, cruise: float, dt: float, inner: Array) -> float:
+    """Return the largest speed [m/s] below `cruise` at which derived gains have the margin; 0 if there is none.
+
+    The first speed tried makes the Munk moment as fast as the delay of the loop allows by experience; steps of 20 %
+    lead to a bracket, and bisection refines it.
+    """
+    low, high = 0.0, cruise
+    delay = vehicle["thrust_lag"] + 1.5 * dt
+    speed = min(_MUNK_DELAY * cruise / max(munk_rate(vehicle, cruise) * delay, 1e-9), cruise / _BRACKET)
+    for _ in range(_BEARABLE_STEPS):
+        inner, margin = _searched(vehicle, speed, dt, inner if high < cruise else None)
+        low, high = (speed, high) if margin >= _SAFE else (low, speed)
+        if low == 0.0:
+            speed = high / _BRACKET
+        elif high > _BRACKET * low:
+            speed = min(low * _BRACKET, (low + high) / 2)
+        else:
+            speed = (low + high) / 2
+    speed = float(np.floor(low * 1000) / 1000)
+    for _ in range(_LOWERED):  # without a similar speed to start from, the search may end elsewhere
+        if speed <= 0 or _searched(vehicle, speed, dt)[1] >= _SAFE:
+            return speed
+        speed = float(np.floor(speed * 980) / 1000)
+    return 0.0
+
+
+def _margins(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, above: float) -> Array:
+    """Return estimates (n,) of the disk margin of all loops at once for n inner gain sets (n, 3).
+
+    The margin is the least of two speeds; the second speed is evaluated only where the first margin is larger than
+    `above`. An unstable loop gets a number below 0.001 that is the larger, the slower its pole grows.
+    """
+    worst = _estimates(vehicle, inner, cruise, dt, speed=cruise)
+    better = np.flatnonzero(worst > max(above, _UNSTABLE))
+    if better.size:
+        worst[better] = np.minimum(worst[better], _estimates(vehicle, inner[better], cruise, dt, speed=_SLOW * cruise))
+    return worst
+
+
+def _estimates(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, speed: float) -> Array:
+    cascades = _cascades(vehicle, inner, cruise, speed, dt)
+    peaks = screened_peaks(open_loop(cascades, "both"))
+    growth = np.maximum(cascades.poles[:, 0].real, 0.0)
+    return np.where(np.isfinite(peaks), 1 / peaks, _UNSTABLE / (1 + growth))
+
+
+def _cascades(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float) -> Cascade:
+    rows = [rule(vehicle, one, cruise=cruise, dt=dt) for one in inner]
+    plant = np.tile(plant_parameters(vehicle), (len(inner), 1))
+    gains = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    form = vehicle.form
+    return build_cascades(
+        plant, gains, cruise=np.full(len(inner), speed), dt=dt, model=plant, form=form, model_form=form
+    )
+
+
+def _shown(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> float:
+    """Return the disk margin at the cruise speed, shown at all frequencies; 0 if the sampled loop is unstable."""
+    values = rule(vehicle, inner, cruise=cruise, dt=dt)
+    delayed, plain = (build_cascade(vehicle, values, cruise=cruise, dt=dt, delay=d) for d in (None, 0.0))
+    if not delayed.stable or radius_of(plain, dt, 1) >= 1:
+        return 0.0
+    shown = disk_margin(open_loop(delayed, "both")).guaranteed
+    return 0.0 if np.isnan(shown) else shown

@@ -1,0 +1,112 @@
+"""Gains that follow from a vehicle: margins reached or the bearable speed stated, for unequal masses too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surctl.control import GAINS, load_gains, write_gains
+from surctl.errors import InputError
+from surctl.tuning import DERIVED_MARGIN, default_cruise, derive_gains, derived_gains, gains_for, shared_gains
+from surctl.tuning.vehicle_rule import inner_start, munk_rate, rule
+from surctl.vehicle import Vehicle, load_vehicle
+from surctl.verification.linear import estimated_margin
+
+WU, VON_BENZON = load_vehicle("bluerov2-wu"), load_vehicle("bluerov2-vonbenzon")
+DT = 0.05
+
+
+def made(name: str, **values: float) -> Vehicle:
+    """A vehicle with other numbers, none of which has a range."""
+    base = load_vehicle("sur400")
+    changed = {key: replace(base.parameters[key], value=value, range=None) for key, value in values.items()}
+    return replace(base, name=name, parameters={**base.parameters, **changed}, source="")
+
+
+REXROV = made(
+    "rexrov", radius=1.3, m11=2643.0, m22=3085.0, m33=5523.0, m44=916.0, Xu=75.0, Yv=69.0, Zw=728.0, Nr=105.0,
+    Xuu=748.0, Yvv=993.0, Zww=1821.0, Nrr=523.0, Fu_max=2800.0, Fv_max=2800.0, Fw_max=2800.0, Fr_max=1500.0,
+)  # fmt: skip
+GIRONA = made(
+    "girona500", radius=0.75, m11=147.0, m22=147.0, m33=147.0, m44=40.0, Xu=10.0, Yv=20.0, Zw=20.0, Nr=15.0,
+    Xuu=130.0, Yvv=200.0, Zww=200.0, Nrr=30.0, Fu_max=300.0, Fv_max=150.0, Fw_max=150.0, Fr_max=60.0,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("vehicle", "cruise"), [(VON_BENZON, 0.17), (REXROV, 0.66), (GIRONA, 0.51), (WU, 0.15)])
+def test_derived_gains_have_the_margin_of_all_loops_at_once(vehicle: Vehicle, cruise: float) -> None:
+    found = derive_gains(vehicle, cruise=cruise)
+    assert found.reached and found.disk_margin >= DERIVED_MARGIN
+    assert found.disk_margin == pytest.approx(
+        estimated_margin(vehicle, found.gains.values, cruise=cruise, dt=DT), rel=0.03
+    )
+    assert found.bearable == cruise and found.warning == ""
+    # the margin holds at lower speeds too, where the Munk moment is smaller
+    slower = [estimated_margin(vehicle, found.gains.values, cruise=s * cruise, dt=DT) for s in (0.1, 0.5)]
+    assert min(slower) >= DERIVED_MARGIN
+    assert set(found.gains.values) == set(GAINS)
+
+
+def test_a_speed_that_no_gains_bear_is_stated_with_the_largest_that_they_do() -> None:
+    fast = derive_gains(WU, cruise=0.47)
+    assert not fast.reached and fast.searched and 0.15 < fast.bearable < 0.2
+    assert estimated_margin(WU, fast.gains.values, cruise=0.47, dt=DT) > 0  # stable: the best set at this speed
+    head, warning = fast.lines()
+    assert head.startswith("gains derived from the vehicle bluerov2-wu at 0.47 m/s, disk margin of all loops 0.1")
+    assert f"reach 0.4 up to {fast.bearable:.3g} m/s" in warning and "thrust lag" in warning and "m44" in warning
+    assert derive_gains(WU, cruise=fast.bearable).reached
+    quick = made("quick", **{n: p.value for n, p in WU.parameters.items()} | {"thrust_lag": 0.05})
+    assert derive_gains(quick, cruise=0.47).disk_margin > fast.disk_margin + 0.2, "the remedy that it names"
+
+
+def test_the_formulae_are_those_documented() -> None:
+    assert munk_rate(WU, 0.47) == pytest.approx(0.47 * np.sqrt((24.2 - 17.0) / 0.28))
+    assert munk_rate(GIRONA, 0.51) == 0.0
+    k_v, k_r, k_psi = inner_start(REXROV, cruise=0.66, dt=DT)
+    assert (k_v, k_r, k_psi) == pytest.approx((0.55 / 0.375, 0.55 / 0.375, 0.55 / 0.375 / 2.5))
+    slow = inner_start(made("slow", thrust_lag=1.5), cruise=0.15, dt=DT)
+    assert slow[0] == pytest.approx(0.55 / 1.575)
+    munk = inner_start(WU, cruise=0.47, dt=DT)
+    assert munk[1] * munk[2] == pytest.approx(2 * munk_rate(WU, 0.47) ** 2)
+    gains = rule(REXROV, np.array([k_v, k_r, k_psi]), cruise=0.66, dt=DT)
+    assert gains["lookahead"] == gains["wait"] == pytest.approx(4 * 1.3) and gains["margin"] == pytest.approx(0.26)
+    weak = rule(made("weak", Fu_max=0.5, Fv_max=0.5), np.array([1.0, 1.0, 0.5]), cruise=0.1, dt=DT)
+    assert weak["lookahead"] == pytest.approx(0.1**2 / 0.01) and weak["k1"] == pytest.approx(0.1)
+
+
+def test_the_result_does_not_depend_on_anything_but_the_arguments() -> None:
+    from surctl.tuning import derived
+
+    first = derive_gains(WU, cruise=0.15)
+    derived._derive.cache_clear()
+    again = derive_gains(WU, cruise=0.15)
+    assert again is not first and again.gains.values == first.gains.values
+
+
+def test_built_in_vehicles_keep_the_set_chosen_for_them(tmp_path: Path) -> None:
+    for name in ("sur400", "sur540-flooded", "sur540-light"):
+        gains, derivation = gains_for(None, load_vehicle(name), cruise=0.2)
+        assert derivation is None and gains == load_gains("default")
+    assert gains_for("default", WU, cruise=0.15)[0] == load_gains("default"), "a named set applies"
+    gains, derivation = gains_for(None, VON_BENZON, cruise=0.2)
+    assert derivation is not None and gains == derived_gains(VON_BENZON, cruise=0.2)
+    assert "derived from the vehicle bluerov2-vonbenzon at 0.2 m/s" in gains.provenance
+    file = tmp_path / "g.toml"
+    file.write_text(write_gains(gains))
+    assert load_gains(str(file)).values == gains.values
+    # a vehicle too weak for the mission's speed gets gains for a speed that it holds
+    slower = gains_for(None, VON_BENZON, cruise=2.0)[1]
+    assert slower is not None and slower.cruise < 0.5
+    mixed, none = shared_gains(None, [(VON_BENZON, 0.2), (load_vehicle("sur400"), 0.2)])
+    assert none is None and mixed == load_gains("default")
+
+
+def test_mistakes_are_one_line() -> None:
+    with pytest.raises(InputError, match=r"cruise = -1\.0: must be greater than 0"):
+        derive_gains(WU, cruise=-1.0)
+    with pytest.raises(InputError, match="thrust"):
+        derive_gains(WU, cruise=3.0)
+    assert default_cruise(WU) == 0.48
