@@ -13,18 +13,24 @@ from surctl.guidance.contacts import (
 )
 from surctl.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
 from surctl.guidance.following import FOLLOWING, Follower, follow
-from surctl.guidance.path import AT_CORNER, MAX_WAYPOINTS, Path, leg_end, next_leg, path_target
+from surctl.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, PASS, VISIT, Path, leg_end, next_leg, path_target
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
+from surctl.guidance.window import AHEAD, ROW, Window, last_first, window_next, window_values
 
 __all__ = [
+    "AHEAD",
     "AT_CORNER",
+    "BEND",
     "FAR",
     "FOLLOWING",
     "FORMS",
     "GUIDANCE",
     "MAX_WAYPOINTS",
+    "PASS",
+    "ROW",
     "SAME_CONTACT",
+    "VISIT",
     "AvoidanceForm",
     "Choice",
     "Cone",
@@ -33,6 +39,7 @@ __all__ = [
     "Guidance",
     "Path",
     "Sector",
+    "Window",
     "allowed_closing_speed",
     "along_command",
     "avoidance_course",
@@ -46,6 +53,7 @@ __all__ = [
     "encounter_side",
     "follow",
     "inside",
+    "last_first",
     "leg_end",
     "nearest_in_quadrants",
     "next_leg",
@@ -57,4 +65,6 @@ __all__ = [
     "slowed",
     "tracking_velocity",
     "wall_contacts",
+    "window_next",
+    "window_values",
 ]

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.guidance.path import Path
+from surctl.guidance.path import BEND, VISIT, Path
 from surctl.ir import Port
 
 __all__ = ["FOLLOWING", "Follower", "follow"]
@@ -43,7 +43,7 @@ class Follower:
     Args:
         path: the path that the robot follows.
         visit: distance [m] to a corner within which the corner counts as visited, if every corner must be visited;
-            None: the robot may cut corners.
+            None: the robot may cut corners. If the path has kinds of corners, `visit` holds for the corners `VISIT`.
 
     Attributes:
         leg: index of the present path segment, from 0.
@@ -65,7 +65,10 @@ class Follower:
 
     def __init__(self, path: Path, *, visit: float | None = None) -> None:
         self._points = [(float(x), float(y)) for x, y in path.waypoints]
-        self._visit = visit
+        kinds = [VISIT if visit is not None else 0.0] * len(self._points) if path.kinds is None else path.kinds.tolist()
+        self._visit = [visit if kind == VISIT else None for kind in kinds]
+        self._corner = [kind != BEND for kind in kinds]
+        self._rises = [0.0] * len(self._points) if path.rises is None else path.rises.tolist()
         self.leg, self.along = 0, 0.0
         self._missed, self._before, self._nearest = 0.0, 0.0, inf  # [m²] at earlier corners, the last, the next one
 
@@ -97,18 +100,31 @@ class Follower:
         following = (x - bx - beyond * vx) ** 2 + (y - by - beyond * vy) ** 2
         corner = (x - bx) ** 2 + (y - by) ** 2
         self._nearest = min(self._nearest, corner)
-        if self._visit is None:
+        visit = self._visit[self.leg + 1]
+        if visit is None:
             left_out = length - self.along + beyond
             moves = following < rest and left_out**2 <= _SHORT_CUT**2 * rest
         else:
-            moves = corner <= self._visit**2
+            moves = corner <= visit**2
         if moves:
             self.leg, self.along = self.leg + 1, beyond
-            self._missed, self._before, self._nearest = max(self._missed, self._before), self._nearest, inf
+            before = self._nearest if self._corner[self.leg] else 0.0
+            self._missed, self._before, self._nearest = max(self._missed, self._before), before, inf
 
     def track(self, places: ArrayLike) -> NDArray[np.float64]:
         """Move the robot to each position (n, 2) [m] in turn; return the distances (n,) [m] to the path."""
         return self._over(places, self.distance)
+
+    def rises(self, places: ArrayLike) -> NDArray[np.float64]:
+        """Move the robot to each position (n, 2) [m] in turn; return the heights (n,) [m] above the mission's depth."""
+        return self._over(places, lambda _x, _y: self.rise)
+
+    @property
+    def rise(self) -> float:
+        """Height of the path above the mission's depth [m] at the robot's progress."""
+        (ax, ay), (bx, by) = self._points[self.leg : self.leg + 2]
+        low, high = self._rises[self.leg : self.leg + 2]
+        return low + (high - low) * (self.along / hypot(bx - ax, by - ay))
 
     def directions(self, places: ArrayLike) -> NDArray[np.float64]:
         """Move the robot to each position (n, 2) [m] in turn; return the directions (n,) [rad] of its path segments."""
@@ -139,7 +155,15 @@ def _apart(a: tuple[float, float], b: tuple[float, float], x: float, y: float) -
     return hypot(px - t * dx, py - t * dy)
 
 
-def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX, *, visit: ca.SX) -> dict[str, ca.SX]:
+def follow(
+    old: Mapping[str, ca.SX],
+    waypoints: ca.SX,
+    legs: ca.SX,
+    place: ca.SX,
+    *,
+    visit: ca.SX,
+    counts: ca.SX | None = None,
+) -> dict[str, ca.SX]:
     """Return the state of `Follower` after one move of the robot, as CasADi expressions.
 
     Args:
@@ -148,6 +172,7 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
         legs: number of path segments.
         place: new position of the robot (2, 1) [m] in {E}.
         visit: distance [m] to a corner within which the corner counts as visited; 0 or less: the robot may cut corners.
+        counts: 1 if the end of the present segment is a corner, 0 if it is a point inside an arc; None: a corner.
 
     Returns:
         Value of each entry of `FOLLOWING` after the move, by name.
@@ -182,7 +207,7 @@ def follow(old: Mapping[str, ca.SX], waypoints: ca.SX, legs: ca.SX, place: ca.SX
         "leg": leg + moves,
         "along": ca.if_else(moves, beyond, along),
         "corner_ahead": ca.if_else(moves, FAR_OFF, nearest),
-        "corner_behind": ca.if_else(moves, nearest, before),
+        "corner_behind": ca.if_else(moves, nearest if counts is None else ca.if_else(counts, nearest, 0), before),
         "missed": ca.if_else(moves, ca.fmax(old["missed"], before), old["missed"]),
     }
 
