@@ -210,7 +210,7 @@ def export(
             Records(
                 record.law_state,
                 record.law_input,
-                np.zeros((len(record.law_state), 0)) if constant_gains else record.law_parameters,
+                np.zeros((len(record.law_state), 0)) if constant_gains else record.step_parameters,
             ),
         )
         (sil,) = compare_runs(controller, [records])

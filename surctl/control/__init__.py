@@ -13,6 +13,7 @@ from surctl.control.law import (
     Law,
     LawStep,
 )
+from surctl.control.mission import ARC_LENGTHS, FED, Feeder
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
 from surctl.control.registry import LAW_NAMES, LAWS, law_ref, law_source
 from surctl.control.routines import in_real
@@ -20,12 +21,14 @@ from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, L
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 
 __all__ = [
+    "ARC_LENGTHS",
     "AVOIDANCE",
     "BARRIER",
     "BARRIER_NAMES",
     "CASCADE",
     "CONTACT_SLOTS",
     "DEGRADED",
+    "FED",
     "GAINS",
     "INPUTS",
     "LAWS",
@@ -41,6 +44,7 @@ __all__ = [
     "TRAPPED",
     "Barrier",
     "Decision",
+    "Feeder",
     "GainSpec",
     "Gains",
     "Law",

@@ -71,9 +71,7 @@ class Path:
                 continue
             column = np.array(values, dtype=float)
             if column.shape != (len(points),) or not np.all(np.isfinite(column)):
-                raise InputError(
-                    f"needs one finite number for each of the {len(points)} waypoints", key=f"path.{name}"
-                )
+                raise InputError(f"needs one finite number for each of the {len(points)} waypoints", key=f"path.{name}")
             column.flags.writeable = False
             object.__setattr__(self, name, column)
 

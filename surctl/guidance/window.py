@@ -20,6 +20,7 @@ A path of `MAX_WAYPOINTS` points or fewer fits in the window, which then never m
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import sqrt
 
 import casadi as ca
@@ -100,7 +101,7 @@ class Window:
         rows = [self._rows[k] for k in self._numbers()]
         passed, at, here = 0.0, 0.0, (rows[0], rows[1])
         length = chord = _apart(*here)
-        for k, pair in enumerate(zip(rows[:-1], rows[1:], strict=True)):
+        for k, pair in enumerate(pairwise(rows)):
             chord = _apart(*pair)
             if k == 0 or progress > passed + AT_CORNER:
                 here, at, length = pair, passed, chord

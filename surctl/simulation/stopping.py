@@ -36,12 +36,13 @@ def stop_reason(run: Run) -> str:
         return _dead_end_reason(run)
     if why == "fault":
         name = (
-            lost_entry(law, record.law_state[-1], record.law_input[-1], record.law_parameters) or "a number of the step"
+            lost_entry(law, record.law_state[-1], record.law_input[-1], record.parameters_at(-1))
+            or "a number of the step"
         )
         return f"{name} is not finite at {record.time[-1]:.2f} s"
     if why != "standstill" or law.perception is None:
         raise InputError("ended neither at a standstill, in a dead end nor by a fault", key="run", value=why)
-    perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.law_parameters)
+    perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.parameters_at(-1))
     silent = np.flatnonzero(run.telemetry("healthy")[-1] < 0.5).tolist()
     if perceived[law.perception.outputs.slice("placed")][0] < 0.5:
         return "the robot does not know its position" + (f"; {_named(silent)} judged faulty" if silent else "")
