@@ -12,7 +12,7 @@ from surctl.guidance.contacts import (
     wall_contacts,
 )
 from surctl.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.guidance.following import FOLLOWING, Follower, follow
+from surctl.guidance.following import FOLLOWING, SKIPS, Follower, follow, follow_on
 from surctl.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, PASS, VISIT, Path, leg_end, next_leg, path_target
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
@@ -30,6 +30,7 @@ __all__ = [
     "PASS",
     "ROW",
     "SAME_CONTACT",
+    "SKIPS",
     "VISIT",
     "AvoidanceForm",
     "Choice",
@@ -52,6 +53,7 @@ __all__ = [
     "disc_contacts",
     "encounter_side",
     "follow",
+    "follow_on",
     "inside",
     "last_first",
     "leg_end",

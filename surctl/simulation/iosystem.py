@@ -76,6 +76,13 @@ def closed_loop_system(
         >>> loop.system.output_labels[:2], response.outputs[:2, -1].round(2).tolist()
         (['x [m]', 'y [m]'], [1.6, 1.12])
     """
+    if scenario.path.fed:
+        raise InputError(
+            f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which this system does not have",
+            file=scenario.source or None,
+            key="path_m",
+            remedy=f"give at most {MAX_WAYPOINTS} points, or use simulate",
+        )
     import control  # this import takes seconds
 
     chosen = law or build_law(depths=scenario.depths is not None)
@@ -85,13 +92,6 @@ def closed_loop_system(
             key="law",
             value=chosen.name,
             remedy="build the law with sonar=False",
-        )
-    if scenario.path.fed:
-        raise InputError(
-            f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which this system does not have",
-            file=scenario.source or None,
-            key="path_m",
-            remedy=f"give at most {MAX_WAYPOINTS} points, or use simulate",
         )
     world, gains = build_world(scenario, vehicle, seed=seed), gains.with_own(law_source(chosen.ref).gains)
     p = law_numbers(scenario, gains, model or vehicle)

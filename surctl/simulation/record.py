@@ -63,7 +63,8 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
     leg = scenario.target - scenario.path.waypoints[-2]
     past = (where - scenario.target) @ (leg / np.linalg.norm(leg))
-    near = np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET
+    on_last = scenario.follower().legs(where) == len(scenario.path.waypoints) - 2
+    near = on_last & (np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET)
     limit = record.law_parameters[law.gains.slice("thrust_limit")]
     jumps = np.diff(thrust, axis=0)
     return Metrics(

@@ -20,7 +20,7 @@ from surctl.guidance import (
 )
 
 RNG = np.random.default_rng(4)
-POINTS = np.cumsum(np.vstack([[[0.0, 0.0]], RNG.uniform(-1.5, 1.5, (29, 2)) + [0.4, 0.0]]), axis=0)
+POINTS = np.cumsum(RNG.uniform([-1.1, -1.5], [1.9, 1.5], (30, 2)), axis=0)
 POINTS[17] = POINTS[0]  # the path crosses its start
 KINDS = RNG.choice([1.0, 0.0, -1.0], 30)
 LONG = Path(POINTS, RNG.uniform(-1, 1, 30), RNG.choice([0.0, 0.3, 0.5], 30), KINDS)
@@ -53,8 +53,9 @@ def test_through_the_window_a_law_sees_the_whole_path() -> None:
     point_at = ca.Function("at", [points, s], [path_target(points, s)[0]])
     window = Window(LONG.table(), **OF_MISSION)
     corners = np.concatenate([[0.0], np.cumsum(LONG.lengths)])
-    for k, arc in enumerate(np.arange(0.0, LONG.length, 0.03)):
-        progress = arc if k == 0 else progress + 0.03
+    progress = -0.03
+    for arc in np.arange(0.0, LONG.length, 0.03):
+        progress += 0.03
         progress += window.move(progress)
         place = point_at(POINTS, arc).full().ravel() + RNG.normal(0, 0.3, 2)
         found, wanted = part(window.waypoints(), progress, place), whole(POINTS, arc, place)

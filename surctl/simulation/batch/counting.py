@@ -6,10 +6,9 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from surctl.guidance import MAX_WAYPOINTS
 from surctl.simulation.metrics import NEAR_TARGET, TUBE
 
-__all__ = ["SUMS", "counted", "modulo"]
+__all__ = ["SUMS", "counted", "modulo", "path_square"]
 
 SUMS = (
     ("sum_square", "m^2", "sum of the squared horizontal distance to the path"),
@@ -34,25 +33,27 @@ def counted(
     avoiding: ca.SX,
     to_target: ca.SX,
     gap: ca.SX,
-    leg: ca.SX,
+    square: ca.SX,
+    path_depth: ca.SX,
+    on_last: ca.SX,
 ) -> dict[str, ca.SX]:
     """Return the sums, counts and maxima from which the metrics follow, updated for the present control step.
 
-    `metrics.METRICS` defines the metrics.
+    `metrics.METRICS` defines the metrics. `square` is the squared distance to the path [m²], `path_depth` its z [m].
+    `on_last` is 1 while the robot is on the last segment of its path.
     """
     place, depth = old["plant"][:2], old["plant"][2]
-    square = _path_square(w["waypoints"], leg, place)
     away = ca.sqrt(square)
     excluded = ca.logic_or(avoiding, ca.logic_and(old["away"], away > TUBE))
     first = old["step"] < 0.5
     thrust, step = tau[:2], place - old["last_place"]
-    past = ca.if_else(gap <= NEAR_TARGET, ca.dot(to_target, w["leg"]), 0)
+    past = ca.if_else(ca.logic_and(on_last, gap <= NEAR_TARGET), ca.dot(to_target, w["leg"]), 0)
     share = ca.fabs(tau) / w["thrust_limit"]
     return {
         "away": excluded,
         "last_thrust": thrust,
         "sum_square": old["sum_square"] + square,
-        "sum_error": old["sum_error"] + ca.if_else(excluded, 0, square + (depth - w["depth"]) ** 2),
+        "sum_error": old["sum_error"] + ca.if_else(excluded, 0, square + (depth - path_depth) ** 2),
         "count_error": old["count_error"] + ca.logic_not(excluded),
         "sum_effort": old["sum_effort"] + ca.sqrt(ca.sumsqr(thrust)),
         "sum_jump": old["sum_jump"] + ca.if_else(first, 0, ca.sumsqr(thrust - old["last_thrust"])),
@@ -64,14 +65,14 @@ def counted(
     }
 
 
-def _path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
+def path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
     """Return the squared distance [m²] from `point` to the path near the current segment (number `leg`).
 
     The distance is the smallest distance to the current segment and its two neighbours. A segment between two equal
     waypoints counts as a point.
     """
     best = ca.SX(1e30)
-    for k in range(MAX_WAYPOINTS - 1):
+    for k in range(waypoints.shape[0] - 1):
         a, b = waypoints[k, :].T, waypoints[k + 1, :].T
         chord = b - a
         along = ca.dot(point - a, chord) / ca.fmax(ca.sumsqr(chord), 1e-12)

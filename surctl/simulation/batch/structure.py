@@ -27,6 +27,8 @@ class Structure:
         heights: whether some obstacle ends above the floor or below the surface.
         depths: whether the mission allows other depths than the depth of the path.
         barrier, treats: the options `barrier` and `movers` of `build_law`.
+        points: number of waypoints that a run can hold if the path is fed to the law (`Path.fed`); 0: it is not fed.
+        rises: whether the path changes its depth.
     """
 
     law: str
@@ -44,6 +46,8 @@ class Structure:
     treats: Movers = "predict"
     heights: bool = False
     depths: bool = False
+    points: int = 0
+    rises: bool = False
 
     @property
     def may_fail(self) -> bool:
