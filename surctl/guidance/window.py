@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from surctl.guidance.path import AT_CORNER, MAX_WAYPOINTS
 
-__all__ = ["AHEAD", "ROW", "Window", "last_first", "window_next", "window_values"]
+__all__ = ["AHEAD", "ROW", "SHORTEST", "Window", "last_first", "window_next", "window_values"]
 
 ROW = 5
 """Numbers of a waypoint in a mission's table: x, y, rise, speed, kind."""
@@ -37,7 +37,7 @@ ROW = 5
 AHEAD = MAX_WAYPOINTS - 2
 """Number of waypoints in a row in the window."""
 
-_SHORTEST = 1e-6  # [m] as in `path_target`
+SHORTEST = 1e-6  # [m] as in `path_target`
 
 
 def last_first(count: int) -> int:
@@ -106,7 +106,7 @@ class Window:
             if k == 0 or progress > passed + AT_CORNER:
                 here, at, length = pair, passed, chord
             passed = passed + chord
-        share = min(max((progress - at) / max(length, _SHORTEST), 0.0), 1.0)
+        share = min(max((progress - at) / max(length, SHORTEST), 0.0), 1.0)
         before, end = here
         rise = before[2] + (end[2] - before[2]) * share
         return (
@@ -159,7 +159,7 @@ def window_values(
     for k in range(MAX_WAYPOINTS - 1):
         chord = _norm((rows[k + 1, :2] - rows[k, :2]).T)
         here = ca.SX(1) if k == 0 else progress > passed + AT_CORNER
-        along = ca.fmin(ca.fmax((progress - passed) / ca.fmax(chord, _SHORTEST), 0), 1)
+        along = ca.fmin(ca.fmax((progress - passed) / ca.fmax(chord, SHORTEST), 0), 1)
         share = ca.if_else(here, along, share)
         before, end = ca.if_else(here, rows[k, :], before), ca.if_else(here, rows[k + 1, :], end)
         passed = passed + chord
