@@ -150,6 +150,7 @@ def export(
         write_bundle,
         write_fmu,
     )
+    from surctl.guidance import MAX_WAYPOINTS
     from surctl.ir import find_compiler
     from surctl.simulation import SENSING, law_numbers, load_scenario, simulate
     from surctl.vehicle import load_vehicle
@@ -182,6 +183,14 @@ def export(
     )
     tuned = load_gains(gains, own=law_source(law).gains)
     numbers = law_numbers(mission, tuned, robot)
+    if mission.path.fed and (constant_gains or target == "fmu"):
+        raise InputError(
+            f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which the program must feed",
+            file=mission.source,
+            key="path_m",
+            remedy="remove --constant-gains" if constant_gains else "remove --target fmu",
+        )
+    table = mission.path.table(visits=mission.corners == "visit") if mission.path.fed else None
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
     within = operating_envelope(built, mission, robot, shipped.gains)
     if prove and not constant_gains:
@@ -189,7 +198,7 @@ def export(
     fixed = {} if constant_gains else built.gains.unpack(numbers)
     origin = origin_of(built, robot, load_certificates(certificates))
     # written before the simulation, so that an invalid name or folder is reported at once
-    bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin)
+    bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin, mission=table)
     proof = None
     if prove:
         progress("proving")

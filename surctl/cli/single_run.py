@@ -38,7 +38,7 @@ def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
     from surctl.verification.cascade import build_cascade, has_cascade
     from surctl.verification.linear import slowest_mode
 
-    cruise, dt, gains = run.scenario.cruise, run.law.dt, run.gains.values
+    cruise, dt, gains = run.scenario.fastest, run.law.dt, run.gains.values
     result["linear"] = None
     if not has_cascade(run.law.ref, run.law.guidance):
         return []

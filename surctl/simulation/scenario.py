@@ -149,6 +149,14 @@ class Scenario:
         return self.depth if self.path.rises is None else self.depth + float(self.path.rises[-1])
 
     @property
+    def fastest(self) -> float:
+        """Largest speed of the target point along the path [m/s]."""
+        if self.path.speeds is None:
+            return self.cruise
+        speeds = self.path.speeds[1:]
+        return float(np.max(np.where(speeds > 0, speeds, self.cruise)))
+
+    @property
     def duration(self) -> float:
         """Time [s] in which the target point goes along the whole path without waiting."""
         return self.path.duration(self.cruise)

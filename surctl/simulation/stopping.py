@@ -59,6 +59,10 @@ def _dead_end_reason(run: Run) -> str:
     x, y = record.eta[first, :2]
     state = record.law_state[first]
     furthest, stalled = (float(state[law.state.slice(name)][0]) for name in ("furthest", "stalled"))
+    if run.scenario.path.fed:  # the law measures along its window
+        follower = run.scenario.follower()
+        follower.track(record.eta[: first + 1, :2])
+        furthest = float(run.scenario.path.lengths[: follower.leg].sum()) + follower.along
     length = run.scenario.path.length
     tried = [f"{change.to_m:.2f}" for change in depth_changes(run) if not change.back]
     depths = f"; depths tried besides the path's, z in m: {', '.join(tried)}" if tried else ""
