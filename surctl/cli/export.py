@@ -260,7 +260,7 @@ def export(
         and sil.conclusive
         and (report is None or report.passed)
         and (proof is None or proof.proved),
-        then=[*belong, *started],
+        then=[*belong, *(() if mission.path.fed else started)],
     )
 
 
