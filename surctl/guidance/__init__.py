@@ -16,7 +16,7 @@ from surctl.guidance.following import FOLLOWING, SKIPS, Follower, follow, follow
 from surctl.guidance.path import AT_CORNER, BEND, MAX_WAYPOINTS, PASS, VISIT, Path, leg_end, next_leg, path_target
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
-from surctl.guidance.window import AHEAD, ROW, Window, last_first, window_next, window_values
+from surctl.guidance.window import AHEAD, ROW, Window, window_next, window_values
 
 __all__ = [
     "AHEAD",
@@ -55,7 +55,6 @@ __all__ = [
     "follow",
     "follow_on",
     "inside",
-    "last_first",
     "leg_end",
     "nearest_in_quadrants",
     "next_leg",

@@ -11,13 +11,13 @@ from surctl.guidance import (
     MAX_WAYPOINTS,
     Path,
     Window,
-    last_first,
     leg_end,
     next_leg,
     path_target,
     window_next,
     window_values,
 )
+from surctl.guidance.window import last_first
 
 RNG = np.random.default_rng(4)
 POINTS = np.cumsum(RNG.uniform([-1.1, -1.5], [1.9, 1.5], (30, 2)), axis=0)
