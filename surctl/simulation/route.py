@@ -41,7 +41,7 @@ Corner = Literal["visit", "pass"]
 class Leg(Strict):
     """One leg of a route: a straight line or an arc to `to_m`.
 
-    `radius_m` and `turn` make it an arc of this radius that turns left or right; `long_way` selects the arc of more
+    `radius_m` and `turn` make it an arc of this radius that turns left or right; `large_arc` selects the arc of more
     than half a circle. `speed_m_per_s` and `depth_m` hold on this leg, in place of the scenario's cruise speed, and of
     the depth of the leg before. `corner` holds at the end of the leg.
     """
@@ -49,7 +49,7 @@ class Leg(Strict):
     to_m: Point
     radius_m: Positive | None = None
     turn: Literal["left", "right"] | None = None
-    long_way: bool = False
+    large_arc: bool = False
     speed_m_per_s: Positive | None = None
     depth_m: float | None = None
     corner: Corner | None = None
@@ -58,8 +58,8 @@ class Leg(Strict):
     def _complete(self) -> Leg:
         if (self.radius_m is None) != (self.turn is None):
             raise ValueError('an arc needs radius_m and turn; write both, turn = "left" or "right", or none')
-        if self.long_way and self.radius_m is None:
-            raise ValueError("a straight leg has no long way; add radius_m and turn, or remove long_way")
+        if self.large_arc and self.radius_m is None:
+            raise ValueError("a straight leg has no large arc; add radius_m and turn, or remove large_arc")
         return self
 
 
@@ -242,11 +242,11 @@ def _arc(start: Point, end: Point, chord: float, leg: Leg, error: float) -> list
     """Return the ends of the chords of an arc; all are on the arc, and no chord is further than `error` from it."""
     radius = max(float(leg.radius_m or 0.0), chord / 2)
     half = asin(min(chord / (2 * radius), 1.0))
-    turned = 2 * pi - 2 * half if leg.long_way else 2 * half
+    turned = 2 * pi - 2 * half if leg.large_arc else 2 * half
     left = 1.0 if leg.turn == "left" else -1.0
     ahead = (end[0] - start[0]) / chord, (end[1] - start[1]) / chord
     # the centre is on the side of the turn, or on the other side if the arc is more than half a circle
-    offset = left * radius * cos(half) * (-1.0 if leg.long_way else 1.0)
+    offset = left * radius * cos(half) * (-1.0 if leg.large_arc else 1.0)
     centre = (start[0] + end[0]) / 2 - ahead[1] * offset, (start[1] + end[1]) / 2 + ahead[0] * offset
     step = 2 * acos(max(1 - error / radius, 0.0))
     count = max(ceil(turned / step - 1e-9), 2)

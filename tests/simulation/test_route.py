@@ -51,16 +51,18 @@ def test_a_thousand_points_are_a_path_and_its_time_limit_follows_from_its_length
 
 
 @pytest.mark.parametrize(("turn", "side"), [("left", 1), ("right", -1)])
-@pytest.mark.parametrize("long_way", [False, True])
+@pytest.mark.parametrize("large_arc", [False, True])
 def test_an_arc_is_within_its_error_and_ends_where_it_says(
-    tmp_path: FilePath, turn: str, side: int, long_way: bool
+    tmp_path: FilePath, turn: str, side: int, large_arc: bool
 ) -> None:
-    body = f'to_m = [14, 12]\nradius_m = 3.0\nturn = "{turn}"\nlong_way = {str(long_way).lower()}'
+    body = f'to_m = [14, 12]\nradius_m = 3.0\nturn = "{turn}"\nlarge_arc = {str(large_arc).lower()}'
     scenario = loaded(tmp_path, text("path_m = [[5, 10], [10, 10]]", legs(body, "to_m = [20, 12]")))
     points = scenario.path.waypoints
     arc = points[1:-1]
     chord = np.hypot(4, 2)
-    centre = np.array([12, 11]) + side * (-1 if long_way else 1) * np.sqrt(9 - chord**2 / 4) * np.array([-2, 4]) / chord
+    centre = (
+        np.array([12, 11]) + side * (-1 if large_arc else 1) * np.sqrt(9 - chord**2 / 4) * np.array([-2, 4]) / chord
+    )
     assert np.linalg.norm(arc - centre, axis=1) == pytest.approx(3.0, abs=1e-9)
     middles = (arc[1:] + arc[:-1]) / 2
     assert 0 < 3.0 - np.linalg.norm(middles - centre, axis=1).min() <= 0.001
@@ -68,7 +70,7 @@ def test_an_arc_is_within_its_error_and_ends_where_it_says(
     turns = d[:-1, 0] * d[1:, 1] - d[:-1, 1] * d[1:, 0]
     assert (np.sign(turns) == side).all() and arc[0].tolist() == [10, 10] and arc[-1].tolist() == [14, 12]
     half = np.arcsin(chord / 6)
-    length = 3.0 * (2 * np.pi - 2 * half if long_way else 2 * half)
+    length = 3.0 * (2 * np.pi - 2 * half if large_arc else 2 * half)
     assert np.linalg.norm(d, axis=1).sum() == pytest.approx(length, rel=2e-4)
     kinds = scenario.path.kinds
     assert (kinds[2:-2] == BEND).all() and (kinds[[0, 1, -2, -1]] == PASS).all()

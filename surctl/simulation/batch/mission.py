@@ -16,23 +16,23 @@ from surctl.control import ARC_LENGTHS, Law
 from surctl.guidance import AHEAD, ROW, SKIPS, Path, follow_on, window_next, window_values
 from surctl.ir import Call, Gather, Layout, Port, Program, Step, lower_named
 
-__all__ = ["Mission", "mission_table", "room_for"]
+__all__ = ["Mission", "mission_table", "capacity_for"]
 
 _LEAST = 16  # waypoints: paths of similar length use the same compiled loop
 _AROUND = SKIPS + 4  # rows around the robot: from the waypoint before its segment on
 
 
-def room_for(path: Path) -> int:
+def capacity_for(path: Path) -> int:
     """Return the number of waypoints in the parameters of a run: a power of two if the path is fed, else 0."""
     if not path.fed:
         return 0
     return max(_LEAST, 1 << (len(path.waypoints) - 1).bit_length())
 
 
-def mission_table(path: Path, room: int, *, visits: bool) -> NDArray[np.float64]:
-    """Return `Path.table` with `room` rows (room, 5); the last waypoint fills the remaining rows."""
+def mission_table(path: Path, capacity: int, *, visits: bool) -> NDArray[np.float64]:
+    """Return `Path.table` with `capacity` rows (capacity, 5); the last waypoint fills the remaining rows."""
     table = path.table(visits=visits)
-    return table[np.minimum(np.arange(room), len(table) - 1)]
+    return table[np.minimum(np.arange(capacity), len(table) - 1)]
 
 
 class Mission:
@@ -40,12 +40,12 @@ class Mission:
 
     Args:
         law: the law of the loop.
-        room: number of waypoints in the parameters, see `room_for`.
+        capacity: number of waypoints in the parameters, see `capacity_for`.
         rises: whether the path changes its depth.
     """
 
-    def __init__(self, law: Law, room: int, *, rises: bool) -> None:
-        self.law, self.room, self.rises = law, room, rises
+    def __init__(self, law: Law, capacity: int, *, rises: bool) -> None:
+        self.law, self.capacity, self.rises = law, capacity, rises
 
     @staticmethod
     def state() -> Port:
@@ -56,7 +56,7 @@ class Mission:
         """Return the entries that the mission adds to the parameters of a run, after the entries `before`."""
         return (
             Port("alignment", (-before.size % ROW,), "1", "not used: the table begins at a whole number of rows"),
-            Port("mission", (self.room, ROW), "m, m/s, 1", "one waypoint per row, see Path.table"),
+            Port("mission", (self.capacity, ROW), "m, m/s, 1", "one waypoint per row, see Path.table"),
         )
 
     @property

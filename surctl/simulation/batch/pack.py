@@ -13,7 +13,7 @@ from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.simulation.batch.case import Case, case_parameters
 from surctl.simulation.batch.loop import Loop, Structure
-from surctl.simulation.batch.mission import mission_table, room_for
+from surctl.simulation.batch.mission import mission_table, capacity_for
 from surctl.simulation.numbers import VISITED, law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
 from surctl.vehicle import PLANT_PARAMETERS
@@ -60,7 +60,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         "treats": case.movers,
         "heights": any(not obstacle.heights.whole for obstacle in case.scenario.obstacles),
         "depths": case.scenario.depths is not None,
-        "points": room_for(case.scenario.path),
+        "points": capacity_for(case.scenario.path),
         "rises": case.scenario.path.rises is not None,
     }
     if case.sensing == "truth":
