@@ -154,6 +154,14 @@ def window_values(
         rows: (`MAX_WAYPOINTS`, 5) rows of the mission's table in the window.
         progress: arc length of the target point along the window [m].
         depth, cruise, visit: as for `Window`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.guidance import Path, window_values
+        >>> table = Path([[0, 0], [2, 0], [2, 3]], rises=[0, -1, -1], speeds=[0, 0.3, 0]).table(visits=True)
+        >>> rows = ca.DM(table[[0, 1, 2, 2, 2, 2, 2, 2]])
+        >>> [float(v) for v in window_values(rows, ca.DM(1.0), depth=ca.DM(-2), cruise=ca.DM(0.2), visit=ca.DM(0.1))]
+        [-2.5, 0.3, 0.1]
     """
     passed, share, before, end = ca.SX(0), ca.SX(0), rows[0, :], rows[1, :]
     for k in range(MAX_WAYPOINTS - 1):

@@ -16,7 +16,7 @@ from surctl.control import ARC_LENGTHS, Law
 from surctl.guidance import AHEAD, ROW, SKIPS, Path, follow_on, window_next, window_values
 from surctl.ir import Call, Gather, Layout, Port, Program, Step, lower_named
 
-__all__ = ["Mission", "mission_table", "capacity_for"]
+__all__ = ["Mission", "capacity_for", "mission_table"]
 
 _LEAST = 16  # waypoints: paths of similar length use the same compiled loop
 _AROUND = SKIPS + 4  # rows around the robot: from the waypoint before its segment on
@@ -82,12 +82,12 @@ class Mission:
         s, old = state.symbols("s")
         w, known = parameters.symbols("w")
         base = parameters.slice("mission").start // ROW
-        wanted = [ca.SX(0), *(old["first"] + k for k in range(AHEAD + 1)), known["legs"]]
-        wanted += [old["leg"] - 1 + k for k in range(_AROUND)]
+        numbers = [ca.SX(0), *(old["first"] + k for k in range(AHEAD + 1)), known["legs"]]
+        numbers += [old["leg"] - 1 + k for k in range(_AROUND)]
         names = (*self._window, *self.around)
         places = {
             f"at_{name}": base + ca.fmin(ca.fmax(number, 0), known["legs"])
-            for name, number in zip(names, wanted, strict=True)
+            for name, number in zip(names, numbers, strict=True)
         }
         return lower_named("places", {"s": s, "w": w}, places)
 

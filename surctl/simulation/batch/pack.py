@@ -13,7 +13,7 @@ from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.simulation.batch.case import Case, case_parameters
 from surctl.simulation.batch.loop import Loop, Structure
-from surctl.simulation.batch.mission import mission_table, capacity_for
+from surctl.simulation.batch.mission import capacity_for, mission_table
 from surctl.simulation.numbers import VISITED, law_numbers
 from surctl.simulation.world import WorldDraw, draw_world
 from surctl.vehicle import PLANT_PARAMETERS
