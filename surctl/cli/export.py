@@ -153,6 +153,7 @@ def export(
     from surctl.guidance import MAX_WAYPOINTS
     from surctl.ir import find_compiler
     from surctl.simulation import SENSING, law_numbers, load_scenario, simulate
+    from surctl.simulation.numbers import fed_ranges
     from surctl.vehicle import load_vehicle
 
     checked = (("--target", target, ("c99", "fmu")), ("--real", real, REALS), ("--sensing", sensing, SENSING))
@@ -194,7 +195,7 @@ def export(
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
     within = operating_envelope(built, mission, robot, shipped.gains)
     if prove and not constant_gains:
-        within = replace(within, gains=gain_box(built, numbers, tuned.ranges))
+        within = replace(within, gains=gain_box(built, numbers, {**tuned.ranges, **fed_ranges(mission)}))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
     origin = origin_of(built, robot, load_certificates(certificates))
     # written before the simulation, so that an invalid name or folder is reported at once

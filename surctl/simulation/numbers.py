@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Feeder, Gains, Law, law_parameters
-from surctl.simulation.scenario import Scenario
+from surctl.simulation.scenario import Scenario, check_spacing
 from surctl.vehicle import Vehicle
 
-__all__ = ["VISITED", "feeder_of", "law_numbers"]
+__all__ = ["VISITED", "fed_ranges", "feeder_of", "law_numbers"]
 
 VISITED = 0.5
 """Share of the visit distance within which the law counts a corner as visited by its measured position (*chosen*).
@@ -52,7 +52,26 @@ def feeder_of(scenario: Scenario, law: Law, p: NDArray[np.float64]) -> Feeder | 
         scenario: the mission.
         law: the law.
         p: its parameters from `law_numbers`.
+
+    Raises:
+        InputError: two points of the path are too close together, see `check_spacing`.
     """
     if not scenario.path.fed:
         return None
+    check_spacing(scenario, cap=scenario.cap)
     return Feeder(scenario.path.table(visits=scenario.corners == "visit"), law.state, law.gains, p)
+
+
+def fed_ranges(scenario: Scenario) -> dict[str, tuple[float, float]]:
+    """Return the range of each parameter that changes along the path; empty if the parameters stay as they are."""
+    path = scenario.path
+    if not path.fed:
+        return {}
+    speeds = path.table()[1:, 3]
+    cruise = [scenario.cruise, *speeds[speeds > 0].tolist()]
+    return {
+        "waypoints": (float(path.waypoints.min()), float(path.waypoints.max())),
+        "depth": scenario.depth_range,
+        "cruise": (min(cruise), max(cruise)),
+        "visit": (0.0, 0.0 if scenario.visit is None else VISITED * scenario.visit),
+    }

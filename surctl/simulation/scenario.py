@@ -24,7 +24,7 @@ from surctl.simulation.sensors import OwnStateTable, Sensors, SonarTable, Statio
 from surctl.simulation.uncertainty import Uncertainty
 from surctl.world import Box, Disc, Wall, site_walls
 
-__all__ = ["LIBRARY", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
+__all__ = ["LIBRARY", "Scenario", "Shape", "check_spacing", "load_scenario", "scenario_from_table"]
 
 LIBRARY = FilePath(__file__).parent / "library"
 
@@ -273,7 +273,7 @@ def _check(scenario: Scenario) -> None:
             remedy="lower it or raise the cap",
         )
     _check_depths(scenario)
-    _check_spacing(scenario)
+    check_spacing(scenario, cap=scenario.cap)
     inside = [("path_m", point) for point in scenario.path.waypoints.tolist()]
     inside += [(f"obstacles.{o.name}.centre_m", list(o.centre_m)) for o in scenario.obstacles]
     for key, (x, y) in inside:
@@ -311,16 +311,19 @@ def _in_water(scenario: Scenario, key: str, depth: float | None) -> None:
         )
 
 
-def _check_spacing(scenario: Scenario) -> None:
-    # the law's window moves on by at most one waypoint in a control period
-    lengths, least = scenario.path.lengths, scenario.cap * PERIOD
+def check_spacing(scenario: Scenario, *, cap: float) -> None:
+    """Raise InputError for points of a long path that are nearer than a robot at speed `cap` moves in a control period.
+
+    The law's window moves on by at most one waypoint in a control period.
+    """
+    lengths, least = scenario.path.lengths, cap * PERIOD
     if len(lengths) < MAX_WAYPOINTS or lengths.min() >= least:
         return
     near = int(np.argmin(lengths))
     raise InputError(
-        f"is {lengths[near]:.3g} m from the next point of the path, but at the cap of {scenario.cap:g} m/s the robot "
+        f"is {lengths[near]:.3g} m from the next point of the path, but at the cap of {cap:g} m/s the robot "
         f"moves {least:.3g} m in a control period",
-        file=scenario.source,
+        file=scenario.source or None,
         key="path_m",
         value=[round(float(c), 4) for c in scenario.path.waypoints[near]],
         remedy="leave out points, raise arc_error_m, or lower the cap",

@@ -14,6 +14,7 @@ from surctl.guidance import Path
 from surctl.simulation import METRICS, Case, Scenario, closed_loop_system, load_scenario, simulate, simulate_batch
 from surctl.simulation.batch import build_loop
 from surctl.simulation.batch.pack import structure_of
+from surctl.simulation.numbers import fed_ranges
 from surctl.simulation.scenario import scenario_from_table
 from surctl.vehicle import load_vehicle
 
@@ -106,6 +107,9 @@ def test_legs_with_speeds_depths_and_visits() -> None:
     assert run.metrics.reached and abs(eta[-1, 2] + 1.0) < scenario.arrival_radius
     assert run.metrics.path_error_m < 0.1
     same(Case(scenario, VEHICLE, GAINS), np.array(run.metrics.row()))
+    for name, (low, high) in fed_ranges(scenario).items():
+        fed = run.record.step_parameters[:, run.law.gains.slice(name)]
+        assert low - 1e-12 <= fed.min() and fed.max() <= high + 1e-12, name
 
 
 @pytest.mark.parametrize(("corner", "missed"), [("pass", 0.81), ("visit", 0.0)])
@@ -143,3 +147,14 @@ def test_what_has_no_window_says_so() -> None:
     scenario = replace(SITE, path=Path(loops(20, 0.1)), obstacles=())
     with pytest.raises(InputError, match=r"path_m: has more than 8 points.*; give at most 8 points, or use simulate"):
         closed_loop_system(scenario, VEHICLE, gains=GAINS)
+
+
+def test_points_too_close_for_the_window_are_refused_in_both_loops() -> None:
+    scenario = replace(SITE, path=Path(loops(20, 0.01)), obstacles=(), cap=0.3)
+    case = Case(scenario, VEHICLE, GAINS, law="closed_form")
+    fragment = (
+        r"path_m = .*: is 0.01 m from the next point of the path, but at the cap of 0.3 m/s the robot moves 0.015 m"
+    )
+    for loop in (lambda: simulate(scenario, VEHICLE, gains=GAINS, law=case.build()), lambda: simulate_batch(case)):
+        with pytest.raises(InputError, match=fragment):
+            loop()

@@ -15,6 +15,7 @@ from surctl.simulation.batch.case import Case, case_parameters
 from surctl.simulation.batch.loop import Loop, Structure
 from surctl.simulation.batch.mission import capacity_for, mission_table
 from surctl.simulation.numbers import VISITED, law_numbers
+from surctl.simulation.scenario import check_spacing
 from surctl.simulation.world import WorldDraw, draw_world
 from surctl.vehicle import PLANT_PARAMETERS
 
@@ -137,6 +138,7 @@ class _Filler:
         self._law(out[:, : self.loop.law.gains.size])
         if self.loop.structure.points:
             scenario = self.case.scenario
+            check_spacing(scenario, cap=float(np.max(self.number("scenario.cap"))))
             table = mission_table(scenario.path, self.loop.structure.points, visits=scenario.corners == "visit")
             out[:, layout.slice("mission")] = table.ravel()
         for name, columns in self._world().items():
