@@ -34,6 +34,7 @@ NAMES = {
     "architecture",
     "design",
     "export",
+    "missions",
     "own-law",
     "region",
     "tune",

@@ -88,8 +88,16 @@ class ControllerOptions:
         if self.controller is None:
             yield None
             return
+        from surctl.errors import InputError
         from surctl.export import build_bundle, closed_form, connect, emulated, emulated_target, operating_envelope
 
+        if mission.path.fed:
+            raise InputError(
+                "cannot be fed with a path of more than 8 points, or with speeds and depths of its legs",
+                key="--controller",
+                value=self.controller,
+                remedy="give at most 8 points, or call mission.c of the bundle in the controller's own process",
+            )
         if self.controller.startswith("tcp://"):
             with connect(self.controller, **({} if self.timeout is None else {"patience": self.timeout})) as line:
                 yield line

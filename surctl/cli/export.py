@@ -152,8 +152,10 @@ def export(
         write_bundle,
         write_fmu,
     )
+    from surctl.guidance import MAX_WAYPOINTS
     from surctl.ir import find_compiler
     from surctl.simulation import SENSING, law_numbers, load_scenario, simulate
+    from surctl.simulation.numbers import fed_ranges
     from surctl.vehicle import load_vehicle
 
     checked = (("--target", target, ("c99", "fmu")), ("--real", real, REALS), ("--sensing", sensing, SENSING))
@@ -188,14 +190,22 @@ def export(
     chosen = choose_gains(gains, robot, cruise=mission.cruise, own=law_source(law).gains)
     tuned = chosen.gains
     numbers = law_numbers(mission, tuned, robot)
+    if mission.path.fed and (constant_gains or target == "fmu"):
+        raise InputError(
+            f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which the program must feed",
+            file=mission.source,
+            key="path_m",
+            remedy="remove --constant-gains" if constant_gains else "remove --target fmu",
+        )
+    table = mission.path.table(visits=mission.corners == "visit") if mission.path.fed else None
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
     within = operating_envelope(built, mission, robot, shipped.gains)
     if prove and not constant_gains:
-        within = replace(within, gains=gain_box(built, numbers, tuned.ranges))
+        within = replace(within, gains=gain_box(built, numbers, {**tuned.ranges, **fed_ranges(mission)}))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
     origin = origin_of(built, robot, load_certificates(certificates))
     # written before the simulation, so that an invalid name or folder is reported at once
-    bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin)
+    bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin, mission=table)
     proof = None
     if prove:
         progress("proving")
@@ -216,7 +226,7 @@ def export(
             Records(
                 record.law_state,
                 record.law_input,
-                np.zeros((len(record.law_state), 0)) if constant_gains else record.law_parameters,
+                np.zeros((len(record.law_state), 0)) if constant_gains else record.step_parameters,
             ),
         )
         (sil,) = compare_runs(controller, [records])
@@ -264,7 +274,7 @@ def export(
         and sil.conclusive
         and (report is None or report.passed)
         and (proof is None or proof.proved),
-        then=[*belong, *started],
+        then=[*belong, *(() if mission.path.fed else started)],
     )
 
 

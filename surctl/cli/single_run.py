@@ -67,7 +67,7 @@ def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
     data, lines = linear_warning(
         run.vehicle,
         run.gains.values,
-        cruise=run.scenario.cruise,
+        cruise=run.scenario.fastest,
         dt=run.law.dt,
         law=run.law.ref,
         guidance=run.law.guidance,
@@ -123,7 +123,7 @@ def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:
     from surctl.verification import law_loop
 
     try:
-        loop = law_loop(run.law, run.vehicle, run.gains, cruise=run.scenario.cruise)
+        loop = law_loop(run.law, run.vehicle, run.gains, cruise=run.scenario.fastest)
     except InputError:  # the thrust cannot hold this speed; lint reports it
         return []
     result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}

@@ -14,6 +14,7 @@ from surctl.control.law import (
     Law,
     LawStep,
 )
+from surctl.control.mission import ARC_LENGTHS, FED, Feeder
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
 from surctl.control.registry import LAW_NAMES, LAWS, check_forces, default_law, law_ref, law_source
 from surctl.control.routines import in_real
@@ -22,12 +23,14 @@ from surctl.control.steering import turning_radius
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 
 __all__ = [
+    "ARC_LENGTHS",
     "AVOIDANCE",
     "BARRIER",
     "BARRIER_NAMES",
     "CASCADE",
     "CONTACT_SLOTS",
     "DEGRADED",
+    "FED",
     "GAINS",
     "INPUTS",
     "LAWS",
@@ -44,6 +47,7 @@ __all__ = [
     "WORKING",
     "Barrier",
     "Decision",
+    "Feeder",
     "GainSpec",
     "Gains",
     "Law",

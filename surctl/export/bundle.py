@@ -86,6 +86,7 @@ def build_bundle(
     real: Real = "float64",
     envelope: Envelope | None = None,
     origin: Origin | None = None,
+    mission: Vector | None = None,
 ) -> Bundle:
     """Return the C bundle of a control law with tuned gains.
 
@@ -96,6 +97,7 @@ def build_bundle(
         real: "float32" for a processor with a single-precision unit; every number in the C text is then a float.
         envelope: ranges that the input check of the exported C accepts; None accepts any finite number.
         origin: vehicle and certificates to record in the bundle.
+        mission: waypoints (n, 5) of a mission for the file `mission_data.h`, see `guidance.Path.table`; None: no file.
 
     Raises:
         InputError: a name is not a valid C identifier, a gain is unknown or not finite, the sizes that the law declares
@@ -124,7 +126,7 @@ def build_bundle(
     within = (envelope or anywhere(law)).fitted(law, real)
     identity = law_id(law, p, real=real)
     tests = self_test_vectors(in_precision(law, real, within), rounded(p, real), within)
-    files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real)
+    files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real, mission=mission)
     files |= {} if origin is None else origin.files
     table = _manifest(law, prefix, identity, real, within) | manifest_entries(law, p, origin)
     if origin is not None:

@@ -38,7 +38,7 @@ STATUS: tuple[tuple[str, int, str], ...] = (
 )
 """(name, code, meaning) of each status of a step: positive codes are bits, a negative code is a refused step."""
 
-FILES = ("sil_main", "link", "controller", "target_start", "target_link", "fmu", "proof")
+FILES = ("sil_main", "link", "mission", "controller", "target_start", "target_link", "fmu", "proof")
 """Names of the bundle's C files, without ending, that are not part of the controller."""
 _HEADERS_OF_C = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "

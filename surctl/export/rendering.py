@@ -26,6 +26,7 @@ from surctl.export.direct import changing, direct_law, results
 from surctl.export.envelope import Envelope
 from surctl.export.fields import entries, field, starts, transfers
 from surctl.export.guard_text import ANY_NUMBER, box_lines, flat_lines, jump_lines, keep_lines, number_calls, range_text
+from surctl.export.missions import DATA, MISSION_FILES, data_rows, is_fed, mission_values
 from surctl.export.vectors import TOLERANCE, SelfTest
 from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
 from surctl.ir.c99_folded import PRAGMA
@@ -45,6 +46,7 @@ def render_files(
     identity: str,
     tests: SelfTest,
     real: Real = "float64",
+    mission: Vector | None = None,
 ) -> dict[str, str]:
     """Return the text of every file except the manifest, by file name.
 
@@ -56,6 +58,7 @@ def render_files(
         identity: id of the law (see `law_id`).
         tests: inputs and expected results of the built-in self-test.
         real: precision of every number.
+        mission: waypoints (n, 5) of a mission to add as C data, see `guidance.Path.table`.
     """
     block = law.block
     parts = (
@@ -65,7 +68,9 @@ def render_files(
     )
     values = _values(law, gains, within, name, identity, tests, real) | {"prototypes": parts.prototypes}
     of_law = _law_files(name, parts)
-    values |= {"law_files": [(file, about) for file, about, _ in of_law]}
+    values |= {"law_files": [(file, about) for file, about, _ in of_law], "fed": is_fed(law)}
+    values |= mission_values(law, real) if is_fed(law) else {}
+    values |= {"rows": data_rows(law, mission, real)} if mission is not None else {}
     templates = {
         f"{name}.h": "law.h.j2",
         f"{name}_internal.h": "internal.h.j2",
@@ -81,6 +86,8 @@ def render_files(
         "target_link.c": "target_link.c.j2",
         "target.ld": "target.ld.j2",
         "README.md": "README.md.j2",
+        **({file: f"{file}.j2" for file in MISSION_FILES} if is_fed(law) else {}),
+        **({DATA: f"{DATA}.j2"} if mission is not None else {}),
     }
     environment = _environment()
     own = {file: {"about": about, "text": text} for file, about, text in of_law}

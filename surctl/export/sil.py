@@ -65,7 +65,7 @@ class SilReport:
         id: the law's id.
         steps: number of steps T.
         resets: number of steps whose recorded state does not follow from the previous step; there, C continues from the
-            recorded state.
+            recorded state. Steps at which the law's host moved the window of its waypoints do not count.
         tau, state, telemetry: largest differences of thrust, of state and of telemetry.
         status_mismatches: number of steps at which C and Python return different status codes.
         fault_cases: number of invalid inputs tried in C and in Python, see `faults`.
@@ -252,7 +252,7 @@ def _compare(controller: Controller, run: Records) -> SilReport:
         name=controller.bundle.name,
         id=controller.bundle.id,
         steps=len(run),
-        resets=tuple(int(k) for k in np.flatnonzero(load) if k > 0),
+        resets=tuple(int(k) for k in np.flatnonzero(load & ~_moved(law, run)) if k > 0),
         tau=_difference(c.tau, python.tau),
         state=_difference(c.state, python.state),
         telemetry=_difference(c.telemetry[done], python.telemetry[done]),
@@ -285,6 +285,14 @@ def _resets(run: Records, python: Rows) -> NDArray[np.bool_]:
     for k in range(1, len(run)):
         load[k] = not bool(np.all(_mixed(run.X[k], python.state[k - 1]) <= _JUMP))
     return load
+
+
+def _moved(law: Exportable, run: Records) -> NDArray[np.bool_]:
+    # (T,): steps at which the host fed other waypoints, and changed the arc lengths in the state with them
+    if "waypoints" not in law.gains:
+        return np.zeros(len(run), dtype=bool)
+    waypoints = run.P[:, law.gains.slice("waypoints")]
+    return np.append(False, np.any(waypoints[1:] != waypoints[:-1], axis=1))
 
 
 def _difference(mine: Vector, theirs: Vector) -> Difference:

@@ -12,20 +12,38 @@ from surctl.guidance.contacts import (
     wall_contacts,
 )
 from surctl.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.guidance.following import FOLLOWING, PASSED, Follower, follow
-from surctl.guidance.path import AT_CORNER, MAX_WAYPOINTS, Path, leg_end, next_leg, path_target, wheel_over
+from surctl.guidance.following import FOLLOWING, PASSED, SKIPS, Follower, follow, follow_on
+from surctl.guidance.path import (
+    AT_CORNER,
+    BEND,
+    MAX_WAYPOINTS,
+    PASS,
+    VISIT,
+    Path,
+    leg_end,
+    next_leg,
+    path_target,
+    wheel_over,
+)
 from surctl.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
 from surctl.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
+from surctl.guidance.window import AHEAD, ROW, Window, window_next, window_values
 
 __all__ = [
+    "AHEAD",
     "AT_CORNER",
+    "BEND",
     "FAR",
     "FOLLOWING",
     "FORMS",
     "GUIDANCE",
     "MAX_WAYPOINTS",
+    "PASS",
     "PASSED",
+    "ROW",
     "SAME_CONTACT",
+    "SKIPS",
+    "VISIT",
     "AvoidanceForm",
     "Choice",
     "Cone",
@@ -34,6 +52,7 @@ __all__ = [
     "Guidance",
     "Path",
     "Sector",
+    "Window",
     "allowed_closing_speed",
     "along_command",
     "avoidance_course",
@@ -46,6 +65,7 @@ __all__ = [
     "disc_contacts",
     "encounter_side",
     "follow",
+    "follow_on",
     "inside",
     "leg_end",
     "nearest_in_quadrants",
@@ -59,4 +79,6 @@ __all__ = [
     "tracking_velocity",
     "wall_contacts",
     "wheel_over",
+    "window_next",
+    "window_values",
 ]

@@ -1,4 +1,7 @@
-"""The reference path: a polyline with arc length, as numbers (`Path`) and as CasADi expressions (`path_target`)."""
+"""The reference path: a polyline with arc length, as numbers (`Path`) and as CasADi expressions (`path_target`).
+
+A law sees at most `MAX_WAYPOINTS` waypoints of its path at a time; `guidance.window` feeds it a longer path.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,24 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["AT_CORNER", "MAX_WAYPOINTS", "Path", "leg_end", "next_leg", "path_target", "wheel_over"]
+__all__ = [
+    "AT_CORNER",
+    "BEND",
+    "MAX_WAYPOINTS",
+    "PASS",
+    "VISIT",
+    "Path",
+    "leg_end",
+    "next_leg",
+    "path_target",
+    "wheel_over",
+]
 
 MAX_WAYPOINTS = 8
+"""Number of waypoints that a law sees at a time."""
+
+VISIT, PASS, BEND = 1.0, 0.0, -1.0
+"""Kinds of waypoints: a corner to visit, a corner that may be cut, and a point inside an arc, which is no corner."""
 
 AT_CORNER = 1e-4  # [m] arc length: less than the target point moves in a period, more than single-precision errors
 _SHARPEST = 0.25  # least 1 + cos of a turn in the wheel-over distance: at a turn of 139° or more it no longer grows
@@ -21,19 +39,26 @@ _ON_LEG = 0.1  # [m] from a leg, below which the robot follows it to its end; se
 
 @dataclass(frozen=True)
 class Path:
-    """A reference path: a horizontal polyline in {E}.
+    """A reference path: a polyline in {E}, with speeds, heights and kinds of corners if the mission has them.
 
     Attributes:
-        waypoints: (n, 2) [m], 2 ≤ n ≤ `MAX_WAYPOINTS`; consecutive points differ.
+        waypoints: (n, 2) [m], n ≥ 2; consecutive points differ.
+        rises: (n,) height of each waypoint above the mission's depth [m], linear between two waypoints; the first is 0.
+            None: 0.
+        speeds: (n,) speed [m/s] on the path segment that ends at each waypoint; 0: the mission's cruise speed. None: 0.
+        kinds: (n,) kind of each waypoint: `VISIT`, `PASS` or `BEND`. None: as the mission says for all corners.
     """
 
     waypoints: NDArray[np.float64]
+    rises: NDArray[np.float64] | None = None
+    speeds: NDArray[np.float64] | None = None
+    kinds: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         points = np.array(self.waypoints, dtype=float)
-        if points.ndim != 2 or points.shape[1] != 2 or not 2 <= len(points) <= MAX_WAYPOINTS:
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
             raise InputError(
-                f"a path has 2 to {MAX_WAYPOINTS} points with two coordinates each",
+                "a path has at least 2 points with two coordinates each",
                 key="path",
                 value=points.tolist(),
                 remedy="give the start, the end and the corners between them",
@@ -43,22 +68,66 @@ class Path:
                 "contains a number that is not finite", key="path", value=points.tolist(), remedy="correct it"
             )
         if np.any(np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-6):
+            at = int(np.argmax(np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-6))
             raise InputError(
-                "has two equal points in a row", key="path", value=points.tolist(), remedy="remove one of them"
+                f"has two equal points in a row, number {at} and {at + 1} counted from 0",
+                key="path",
+                value=points[at].tolist(),
+                remedy="remove one of them",
             )
         points.flags.writeable = False
         object.__setattr__(self, "waypoints", points)
+        for name in ("rises", "speeds", "kinds"):
+            values = getattr(self, name)
+            if values is None:
+                continue
+            column = np.array(values, dtype=float)
+            if column.shape != (len(points),) or not np.all(np.isfinite(column)):
+                raise InputError(f"needs one finite number for each of the {len(points)} waypoints", key=f"path.{name}")
+            column.flags.writeable = False
+            object.__setattr__(self, name, column)
 
     @property
     def length(self) -> float:
         """Arc length of the path [m]."""
-        return float(np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1).sum())
+        return float(self.lengths.sum())
+
+    @property
+    def lengths(self) -> NDArray[np.float64]:
+        """Length of each path segment (n - 1,) [m]."""
+        lengths: NDArray[np.float64] = np.linalg.norm(np.diff(self.waypoints, axis=0), axis=1)
+        return lengths
+
+    @property
+    def fed(self) -> bool:
+        """Whether the law's parameters change along the path: more than `MAX_WAYPOINTS` points, or unequal segments."""
+        return len(self.waypoints) > MAX_WAYPOINTS or any(
+            column is not None for column in (self.rises, self.speeds, self.kinds)
+        )
 
     @property
     def slots(self) -> NDArray[np.float64]:
-        """The waypoints as an array (`MAX_WAYPOINTS`, 2) [m] in which the last waypoint fills the remaining rows."""
-        spare = MAX_WAYPOINTS - len(self.waypoints)
-        return np.vstack([self.waypoints, np.repeat(self.waypoints[-1:], spare, axis=0)])
+        """The waypoints that a law sees at the start, as an array (`MAX_WAYPOINTS`, 2) [m].
+
+        The last waypoint fills the remaining rows; it is also the last row if the path has more waypoints than rows.
+        """
+        rows = [*range(MAX_WAYPOINTS - 1), len(self.waypoints) - 1]
+        return self.waypoints[np.minimum(rows, len(self.waypoints) - 1)]
+
+    def table(self, *, visits: bool = False) -> NDArray[np.float64]:
+        """Return one row for each waypoint (n, 5): x, y [m], rise [m], speed [m/s] of the segment before it, kind.
+
+        `visits` says whether the corners are `VISIT`; it has no effect if the path has `kinds`.
+        """
+        n = len(self.waypoints)
+        kind = np.full(n, VISIT if visits else PASS) if self.kinds is None else self.kinds
+        rise, speed = (np.zeros(n) if column is None else column for column in (self.rises, self.speeds))
+        return np.column_stack([self.waypoints, rise, speed, kind])
+
+    def duration(self, cruise: float) -> float:
+        """Return the time [s] in which the target point goes along the whole path, at cruise speed `cruise` [m/s]."""
+        speeds = np.zeros(len(self.waypoints)) if self.speeds is None else self.speeds
+        return float((self.lengths / np.where(speeds[1:] > 0, speeds[1:], cruise)).sum())
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the distances (k,) [m] from k points (k, 2) to the path."""

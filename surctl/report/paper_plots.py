@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from surctl.errors import InputError
 from surctl.report.theme import BAD, curve, dress, head, legend_above, legend_below, new_axes, new_figure, printable
 from surctl.simulation import Run
+from surctl.simulation.record import path_depths
 
 __all__ = ["plot_coordinates", "plot_position_errors", "plot_series"]
 
@@ -70,7 +71,8 @@ def plot_position_errors(runs: Sequence[Run], *, title: str, bound: float | None
     ax = dress(new_axes(9.0, 3.8), title=title, x="time [s]", y="distance to the path [m]")
     for k, run in enumerate(runs):
         away = run.scenario.follower().track(run.record.eta[:, :2])
-        curve(ax, run.record.time, np.hypot(away, run.record.eta[:, 2] - run.scenario.depth), label=_name(run), k=k)
+        above = run.record.eta[:, 2] - path_depths(run.scenario, run.record.eta[:, :2])
+        curve(ax, run.record.time, np.hypot(away, above), label=_name(run), k=k)
     if bound is not None:
         ax.axhline(bound, color=BAD, linewidth=1.2, linestyle="--", label="the paper's E_p")
     legend_above(ax, columns=4)

@@ -13,6 +13,7 @@ from surctl.report.plan_view import describe
 from surctl.report.theme import AVOIDING, BAD, MUTED, curve, dress, head, legend_above, new_figure
 from surctl.simulation import Run
 from surctl.simulation.metrics import avoidance_intervals
+from surctl.simulation.record import path_depths
 
 __all__ = [
     "plot_clearance",
@@ -79,7 +80,7 @@ def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
     record, scenario = run.record, run.scenario
     curve(ax, record.time, run.telemetry("path_error")[:, 1], label="y_e in the law", k=1, faint=True)
     curve(ax, record.time, scenario.follower().track(record.eta[:, :2]), label="distance to path", k=0)
-    curve(ax, record.time, record.eta[:, 2] - scenario.depth, label="z error", k=2)
+    curve(ax, record.time, record.eta[:, 2] - path_depths(scenario, record.eta[:, :2]), label="z error", k=2)
     legend_above(ax)
     return ax
 

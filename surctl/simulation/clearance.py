@@ -33,9 +33,11 @@ def clearance_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> li
 
 
 def _met(scenario: Scenario, vehicle: Vehicle) -> list[Obstacle]:
-    # a hull at the path's depth can touch the obstacle, or passes it vertically within `_CLEARANCE`
-    extent = vehicle["radius"] + _CLEARANCE
-    return [o for o in scenario.obstacles if o.heights.crosses(scenario.depth, extent)]
+    # a hull at a depth of the path can touch the obstacle, or passes it vertically within `_CLEARANCE`
+    low, high = scenario.depth_range
+    extent = vehicle["radius"] + _CLEARANCE + (high - low) / 2
+    middle = scenario.depth if low == high else (low + high) / 2
+    return [o for o in scenario.obstacles if o.heights.crosses(middle, extent)]
 
 
 def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
@@ -48,8 +50,7 @@ def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
     # name, position, and the distance [m] at which the point counts as reached
-    corners = scenario.path.waypoints[1:-1] if scenario.visit else ()
-    visited = [(f"corner ({c[0]:g}, {c[1]:g})", c, scenario.arrival_radius) for c in corners]
+    visited = [(f"corner ({c[0]:g}, {c[1]:g})", c, scenario.arrival_radius) for c in scenario.visited]
     return [("start", scenario.start, 0.0), *visited, ("target", scenario.target, 0.0)]
 
 
@@ -110,7 +111,7 @@ def _at_moving(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list
     if obstacle.removed:
         text = (
             f"the obstacle ends on the target and is removed at {when:.1f} s; at cruise speed the robot is there at "
-            f"{scenario.path.length / scenario.cruise:.1f} s, but cannot arrive while the obstacle is near"
+            f"{scenario.duration:.1f} s, but cannot arrive while the obstacle is near"
         )
         return [Finding("warning", f"{key}.to_m", text)]
     near = f"{-clearance:.3f} m too close to the target for the hull of {vehicle.name}"
@@ -186,7 +187,7 @@ def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
 
 
 def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    out = vehicle["radius"] + scenario.depth
+    out = vehicle["radius"] + scenario.depth_range[1]
     if out <= 0:
         return []
     text = f"the top of the hull is {out:.2f} m above the surface at this depth; the model has no buoyancy (E16)"

@@ -45,7 +45,7 @@ def explain(run: Run) -> list[Explanation]:
     for k, status in enumerate(record.status):
         if status < 0:
             continue
-        solution = run.law.explained(record.law_state[k], record.law_input[k], record.law_parameters)
+        solution = run.law.explained(record.law_state[k], record.law_input[k], record.parameters_at(k))
         binding, relaxed = tuple(name for name, _ in solution.binding), tuple(solution.relaxed)
         if not explanations or (binding, relaxed) != (explanations[-1].binding, explanations[-1].relaxed):
             explanations.append(Explanation(float(record.time[k]), binding, relaxed, solution.explain()))

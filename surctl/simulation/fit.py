@@ -13,6 +13,7 @@ from surctl.sensing import SonarArray
 from surctl.sensing.mapping.local_map import MIDDLE, LocalMap
 from surctl.simulation.clearance import clearance_findings
 from surctl.simulation.finding import Finding
+from surctl.simulation.mission_fit import mission_findings
 from surctl.simulation.motion import motion_findings
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.steering_fit import steering_findings
@@ -47,7 +48,7 @@ def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None
     results = [*clearance_findings(scenario, vehicle, gains), *motion_findings(scenario, vehicle)]
     results += [*steering_findings(scenario, vehicle, gains), *tilt_findings(scenario, vehicle)]
     results += _sonars(scenario, vehicle, gains) if vehicle["Fv_max"] > 0 else []
-    results += thruster_findings(vehicle)
+    results += [*mission_findings(scenario, vehicle, gains), *thruster_findings(vehicle)]
     return sorted(results, key=lambda f: ("error", "warning", "info").index(f.level))
 
 
@@ -106,15 +107,16 @@ def _widest_gap(array: SonarArray) -> float:
 
 
 def _short(scenario: Scenario, array: SonarArray, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    # stopping distance v²/(2a) + v t from the cruise speed v
+    # stopping distance v²/(2a) + v t from the largest speed v along the path
     deceleration = gains["brake"] * float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
-    braking = scenario.cruise**2 / (2 * deceleration) + scenario.cruise * gains["reaction"]
+    speed = scenario.fastest
+    braking = speed**2 / (2 * deceleration) + speed * gains["reaction"]
     if array.maximum >= braking:
         return []
     ahead = gains["brake"] * vehicle["Fu_max"] / vehicle["m11"]
-    stop = scenario.cruise**2 / (2 * ahead) + scenario.cruise * gains["reaction"]
+    stop = speed**2 / (2 * ahead) + speed * gains["reaction"]
     text = (
-        f"the sonars reach {array.maximum:g} m; from the cruise speed of {scenario.cruise:g} m/s {vehicle.name} stops "
+        f"the sonars reach {array.maximum:g} m; from the cruise speed of {speed:g} m/s {vehicle.name} stops "
         f"within {stop:.2f} m by surge thrust, "
     )
     if stop <= array.maximum:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from surctl.control import Gains, Law, build_law, law_source
 from surctl.errors import InputError
+from surctl.guidance import MAX_WAYPOINTS
 from surctl.sensing import NoiseStream
 from surctl.simulation.loop import Loop
 from surctl.simulation.numbers import law_numbers
@@ -60,7 +61,7 @@ def closed_loop_system(
 
     Raises:
         InputError: the law uses sonars, whose state this system does not contain; or the hull starts inside an
-            obstacle.
+            obstacle; or the path is fed to the law (`Path.fed`).
 
     Example:
         >>> import control
@@ -75,6 +76,13 @@ def closed_loop_system(
         >>> loop.system.output_labels[:2], response.outputs[:2, -1].round(2).tolist()
         (['x [m]', 'y [m]'], [1.6, 1.12])
     """
+    if scenario.path.fed:
+        raise InputError(
+            f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which this system does not have",
+            file=scenario.source or None,
+            key="path_m",
+            remedy=f"give at most {MAX_WAYPOINTS} points, or use simulate",
+        )
     import control  # this import takes seconds
 
     chosen = law or build_law(depths=scenario.depths is not None, actuators=vehicle.actuators)

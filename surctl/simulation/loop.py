@@ -27,7 +27,7 @@ from surctl.errors import InputError, nearest
 from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
 from surctl.simulation.column import beside, column
 from surctl.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
-from surctl.simulation.numbers import law_numbers
+from surctl.simulation.numbers import feeder_of, law_numbers
 from surctl.simulation.record import Record, measure
 from surctl.simulation.run import SENSING, Run, Sensing
 from surctl.simulation.scenario import Scenario
@@ -159,6 +159,8 @@ class Loop:
         self.firings = firing_plan(self.array)
         self.state = plant_state(vehicle.form).pack({"eta": world.scenario.start_pose})
         self.law_state = law.initial_state()
+        self.feeder = feeder_of(world.scenario, law, p)
+        self.fed: list[Vector] = []
         self.faults = fault_state(self.array)
         self.fresh = np.zeros(self.array.size)
         self.instant = 0
@@ -182,7 +184,8 @@ class Loop:
             self._listen(bodies, noise, 0)
             clearance = self._clearance(bodies)
             u = self._inputs(bodies, noise, index)
-            step = self.stepper(self.law_state, u, self.p)
+            p = self._fed()
+            step = self.stepper(self.law_state, u, p)
             self.rows.append(
                 (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
             )
@@ -211,7 +214,7 @@ class Loop:
     def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
         """Return the law's control step in a given state, and the next plant state with the additional thrust `added`.
 
-        The method is only for sensing `truth`, where the sensors have no state.
+        The method is only for sensing `truth`, where the sensors have no state, and for paths that are not fed.
         """
         self.state, time, noise = state, index * self.law.dt, self._draw()
         step = self.stepper(law_state, self._inputs(self.world.bodies(time), noise, index), self.p)
@@ -234,7 +237,15 @@ class Loop:
             np.array(status),
             np.array(telemetry),
             bodies,
+            np.array(self.fed) if self.feeder else None,
         )
+
+    def _fed(self) -> Vector:
+        if self.feeder is None:
+            return self.p
+        self.law_state, p = self.feeder.feed(self.law_state)
+        self.fed.append(p)
+        return p
 
     def _draw(self) -> _StepNoise:
         # in a fixed order: sonar firings, own state, then every moving obstacle
@@ -291,10 +302,12 @@ class Loop:
         self.instant += 1
 
     def _left(self) -> float:
-        # horizontal if the mission allows only one depth
+        # horizontal if the mission has only one depth
         scenario = self.world.scenario
         level = float(np.hypot(*(self.state[:2] - scenario.target)))
-        return level if scenario.depths is None else float(np.hypot(level, self.state[2] - scenario.depth))
+        if scenario.depths is None and scenario.path.rises is None:
+            return level
+        return float(np.hypot(level, self.state[2] - scenario.end_depth))
 
     def _clearance(self, bodies: Sequence[Body]) -> float:
         clearance = self.world.clearance(self.state[:3], bodies)

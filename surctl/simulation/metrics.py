@@ -73,7 +73,9 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
         "deviation_m": MetricSpec("m", "rms horizontal distance to the path over the whole run", "low"),
         "max_deviation_m": MetricSpec("m", "largest horizontal distance to the path", "low"),
         "missed_corner_m": MetricSpec("m", "largest distance at which the robot passed a path corner", "low"),
-        "overshoot_m": MetricSpec("m", "largest overshoot past the target along the last leg", "low"),
+        "overshoot_m": MetricSpec(
+            "m", "largest overshoot past the target along the last leg, while on this leg", "low"
+        ),
         "length_m": MetricSpec("m", "length of the path that the robot travelled", "low"),
         "effort_n": MetricSpec("N", "mean magnitude of the horizontal thrust command", "low"),
         "peak_thrust_share": MetricSpec("1", "largest ratio of a thrust command to its limit, over all axes", "low"),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from surctl.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_distance_with_drag
 from surctl.simulation.finding import Finding
+from surctl.simulation.mission_fit import leg_speeds
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
@@ -116,10 +117,10 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """
     d = scenario.disturbance
     current, weak = np.array(d.current_m_per_s), 1 - d.thrust_error - d.thrust_bias
-    worst, figures = 0.0, (0.0, 0.0, 0.0)
-    for leg in np.diff(scenario.path.waypoints, axis=0):
+    worst, figures = 0.0, (0.0, 0.0, 0.0, 0.0)
+    for leg, cruise in zip(np.diff(scenario.path.waypoints, axis=0), leg_speeds(scenario).tolist(), strict=True):
         ahead = leg / np.linalg.norm(leg)
-        through = scenario.cruise * ahead - current
+        through = cruise * ahead - current
         along, across = float(through @ ahead), float(through[1] * ahead[0] - through[0] * ahead[1])
         speed = float(np.linalg.norm(through))
         surge, sway = (
@@ -130,12 +131,12 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         aside = vehicle["Fv_max"] > 0
         needed, limit = min(surge, max(sway, side, key=_share), key=_share) if aside else surge
         if needed / limit > worst:
-            worst, figures = needed / limit, (speed, needed, limit)
+            worst, figures = needed / limit, (cruise, speed, needed, limit)
     if worst <= 1:
         return []
-    speed, needed, limit = figures
+    cruise, speed, needed, limit = figures
     text = (
-        f"at the cruise speed of {scenario.cruise:g} m/s {vehicle.name} moves at {speed:.3g} m/s through the water and "
+        f"at the cruise speed of {cruise:g} m/s {vehicle.name} moves at {speed:.3g} m/s through the water and "
         f"needs {needed:.2f} N, but its thrusters deliver {limit:.2f} N"
     )
     return [Finding("error", "cruise_m_per_s", text)]
@@ -168,12 +169,12 @@ def _drag(vehicle: Vehicle, axis: str, speed: float) -> float:
 
 
 def _time(scenario: Scenario) -> list[Finding]:
-    length = scenario.path.length
-    least = length / scenario.cruise
+    length, least = scenario.path.length, scenario.duration
     if scenario.time_limit >= least:
         return []
     text = (
-        f"the path is {length:.2f} m long and takes {least:.1f} s at the cruise speed of {scenario.cruise:g} m/s; "
+        f"the path is {length:.2f} m long and takes {least:.1f} s at the cruise speed of {scenario.cruise:g} m/s"
+        f"{' and the speeds of its legs' if scenario.path.speeds is not None else ''}; "
         f"the run ends at {scenario.time_limit:g} s"
     )
     return [Finding("error", "time_limit_s", text)]

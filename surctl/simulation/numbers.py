@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Gains, law_parameters
-from surctl.simulation.scenario import Scenario
+from surctl.control import Feeder, Gains, Law, law_parameters
+from surctl.simulation.scenario import Scenario, check_spacing
 from surctl.vehicle import Vehicle
 
-__all__ = ["VISITED", "law_numbers"]
+__all__ = ["VISITED", "fed_ranges", "feeder_of", "law_numbers"]
 
 VISITED = 0.5
 """Share of the visit distance within which the law counts a corner as visited by its measured position (*chosen*).
@@ -20,6 +20,8 @@ The rest of the distance covers the error of that position.
 
 def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
     """Return the law's parameter vector, packed as in `PARAMETERS`, from a scenario, gains and the law's vehicle model.
+
+    If the path is fed (`Path.fed`), waypoints, depth, cruise speed and visits are those from which `feeder_of` begins.
 
     Example:
         >>> from surctl.control import PARAMETERS, load_gains
@@ -41,3 +43,35 @@ def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.
         launch=scenario.launch,
         visit=0.0 if scenario.visit is None else VISITED * scenario.visit,
     )
+
+
+def feeder_of(scenario: Scenario, law: Law, p: NDArray[np.float64]) -> Feeder | None:
+    """Return what feeds a law with the mission's window before each step; None if the parameters stay as they are.
+
+    Args:
+        scenario: the mission.
+        law: the law.
+        p: its parameters from `law_numbers`.
+
+    Raises:
+        InputError: two points of the path are too close together, see `check_spacing`.
+    """
+    if not scenario.path.fed:
+        return None
+    check_spacing(scenario, cap=scenario.cap)
+    return Feeder(scenario.path.table(visits=scenario.corners == "visit"), law.state, law.gains, p)
+
+
+def fed_ranges(scenario: Scenario) -> dict[str, tuple[float, float]]:
+    """Return the range of each parameter that changes along the path; empty if the parameters stay as they are."""
+    path = scenario.path
+    if not path.fed:
+        return {}
+    speeds = path.table()[1:, 3]
+    cruise = [scenario.cruise, *speeds[speeds > 0].tolist()]
+    return {
+        "waypoints": (float(path.waypoints.min()), float(path.waypoints.max())),
+        "depth": scenario.depth_range,
+        "cruise": (min(cruise), max(cruise)),
+        "visit": (0.0, 0.0 if scenario.visit is None else VISITED * scenario.visit),
+    }

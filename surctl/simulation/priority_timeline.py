@@ -69,7 +69,9 @@ def priority_timeline(run: Run) -> PriorityTimeline:
     """
     record, law = run.record, run.law
     steps = np.flatnonzero(record.status >= 0)
-    solutions = [law.explained(record.law_state[k], record.law_input[k], record.law_parameters) for k in steps]
+    solutions = [
+        law.explained(record.law_state[k], record.law_input[k], record.parameters_at(k)) for k in steps.tolist()
+    ]
     names = tuple(name for name, _, _ in law.levels)
     missed = [{row: by for row, by in a.relaxed.items() if by > NOTICEABLE} for a in solutions]
     held = [{row for row, _ in a.binding} for a in solutions]

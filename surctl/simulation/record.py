@@ -13,12 +13,15 @@ from surctl.simulation.metrics import MOVING, NEAR_TARGET, SIGN, Metrics, avoida
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import Body
 
-__all__ = ["Record", "measure"]
+__all__ = ["Record", "measure", "path_depths"]
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """All recorded signals of a run, one entry per control step, for plots and for replays in other programs."""
+    """All recorded signals of a run, one entry per control step, for plots and for replays in other programs.
+
+    `law_parameters` are the law's parameters; if the path is fed (`Path.fed`), `fed` has them at each control step.
+    """
 
     time: NDArray[np.float64]
     eta: NDArray[np.float64]
@@ -31,6 +34,21 @@ class Record:
     status: NDArray[np.int_]
     telemetry: NDArray[np.float64]
     obstacles: Sequence[Sequence[Body]]
+    fed: NDArray[np.float64] | None = None
+
+    @property
+    def step_parameters(self) -> NDArray[np.float64]:
+        """The law's parameters (np,), or at each control step (n, np) if the path is fed."""
+        return self.law_parameters if self.fed is None else self.fed
+
+    def parameters_at(self, k: int) -> NDArray[np.float64]:
+        """Return the law's parameters (np,) at control step `k`."""
+        return self.law_parameters if self.fed is None else self.fed[k]
+
+
+def path_depths(scenario: Scenario, where: NDArray[np.float64]) -> NDArray[np.float64] | float:
+    """Return z of the path [m] at the robot's progress, for its positions (n, 2) in turn; one number if it is level."""
+    return scenario.depth if scenario.path.rises is None else scenario.depth + scenario.follower().rises(where)
 
 
 def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least: float) -> Metrics:
@@ -45,7 +63,8 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     steps = np.linalg.norm(np.diff(where, axis=0), axis=1)
     leg = scenario.target - scenario.path.waypoints[-2]
     past = (where - scenario.target) @ (leg / np.linalg.norm(leg))
-    near = np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET
+    on_last = scenario.follower().legs(where) == len(scenario.path.waypoints) - 2
+    near = on_last & (np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET)
     limit = record.law_parameters[law.gains.slice("thrust_limit")]
     jumps = np.diff(thrust, axis=0)
     crab = _attitude(scenario, law, record, excluded)
@@ -53,7 +72,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
         reached=reason == "reached",
         time_s=round(float(record.time[-1]), 9),
         min_clearance_m=float(least),
-        path_error_m=path_error(away, record.eta[:, 2] - scenario.depth, excluded),
+        path_error_m=path_error(away, record.eta[:, 2] - path_depths(scenario, where), excluded),
         deviation_m=float(np.sqrt(np.mean(away**2))),
         length_m=float(steps.sum()),
         effort_n=float(np.mean(np.hypot(thrust[:, 0], thrust[:, 1]))),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import ceil
 from pathlib import Path as FilePath
 from typing import Any, Literal
 
@@ -14,15 +15,16 @@ from pydantic import Field
 
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
-from surctl.guidance import Follower, Path
+from surctl.guidance import MAX_WAYPOINTS, VISIT, Follower, Path
 from surctl.simulation.disturbance import Disturbance
-from surctl.simulation.obstacle import NotNegative, Obstacle, Point, Positive
+from surctl.simulation.obstacle import NotNegative, Obstacle, Positive
 from surctl.simulation.paper_figure import PaperFigure
+from surctl.simulation.route import PERIOD, Corner, Route
 from surctl.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
 from surctl.simulation.uncertainty import Uncertainty
 from surctl.world import Box, Disc, Wall, site_walls
 
-__all__ = ["LIBRARY", "Scenario", "Shape", "load_scenario", "scenario_from_table"]
+__all__ = ["LIBRARY", "Scenario", "Shape", "check_spacing", "load_scenario", "scenario_from_table"]
 
 LIBRARY = FilePath(__file__).parent / "library"
 
@@ -35,21 +37,20 @@ class _Site(Strict):
     depth_m: Positive
 
 
-class _ScenarioFile(Strict):
+class _ScenarioFile(Route):
     kind: Literal["scenario"]
     name: str = Field(min_length=1)
     title: str = Field(min_length=1)
     provenance: str = Field(min_length=1)
     vehicle: str
-    path_m: list[Point]
     depth_m: float
     cruise_m_per_s: Positive
     cap_m_per_s: Positive
     arrival_m: Positive = 0.10
-    time_limit_s: Positive
+    time_limit_s: Positive | None = None
     launch_m: NotNegative = 0.0
     depths_m: tuple[float, float] | None = None
-    corners: Literal["pass", "visit"] = "pass"
+    corners: Corner = "pass"
     site: _Site
     obstacles: tuple[Obstacle, ...] = ()
     disturbance: Disturbance = Disturbance()
@@ -81,7 +82,9 @@ class Scenario:
             path's; None: the robot keeps to the path's depth. With `depths` the robot has two echo sounders, one
             upwards and one downwards.
         corners: `pass`: the robot may skip corners of the path on a detour; `visit`: the robot must come within
-            `arrival_radius` of every corner, in order, before it can arrive.
+            `arrival_radius` of every corner, in order, before it can arrive. If the path has kinds of corners, these
+            hold instead.
+        route: the entries of the file that describe the path; None if the scenario is not from a file.
     """
 
     name: str
@@ -103,7 +106,8 @@ class Scenario:
     launch: float = 0.0
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     depths: tuple[float, float] | None = None
-    corners: Literal["pass", "visit"] = "pass"
+    corners: Corner = "pass"
+    route: Route | None = None
 
     @cached_property
     def walls(self) -> tuple[Wall, ...]:
@@ -122,8 +126,40 @@ class Scenario:
 
     @property
     def visit(self) -> float | None:
-        """Distance [m] to a corner within which the corner counts as visited; None if corners may be skipped."""
-        return self.arrival_radius if self.corners == "visit" else None
+        """Distance [m] to a corner within which the corner counts as visited; None if all corners may be skipped."""
+        visits = self.corners == "visit" if self.path.kinds is None else bool(np.any(self.path.kinds == VISIT))
+        return self.arrival_radius if visits else None
+
+    @property
+    def visited(self) -> NDArray[np.float64]:
+        """Corners of the path that must be visited (k, 2) [m]."""
+        kinds = self.path.table(visits=self.corners == "visit")[:, 4]
+        corners: NDArray[np.float64] = self.path.waypoints[1:-1][kinds[1:-1] == VISIT]
+        return corners
+
+    @property
+    def depth_range(self) -> tuple[float, float]:
+        """Lowest and highest z [m] of the path."""
+        rises = np.zeros(1) if self.path.rises is None else self.path.rises
+        return self.depth + float(rises.min()), self.depth + float(rises.max())
+
+    @property
+    def end_depth(self) -> float:
+        """z of the path's end [m]."""
+        return self.depth if self.path.rises is None else self.depth + float(self.path.rises[-1])
+
+    @property
+    def fastest(self) -> float:
+        """Largest speed of the target point along the path [m/s]."""
+        if self.path.speeds is None:
+            return self.cruise
+        speeds = self.path.speeds[1:]
+        return float(np.max(np.where(speeds > 0, speeds, self.cruise)))
+
+    @property
+    def duration(self) -> float:
+        """Time [s] in which the target point goes along the whole path without waiting."""
+        return self.path.duration(self.cruise)
 
     @property
     def seeded(self) -> bool:
@@ -159,10 +195,7 @@ def load_scenario(name_or_path: str) -> Scenario:
 def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
     """Return a scenario from the content of its TOML file; `source` names the file in error messages."""
     model = validate(table, _ScenarioFile, file=source)
-    try:
-        path = Path(np.array(model.path_m))
-    except InputError as error:
-        raise error.inside(source, "path_m") from None
+    route, path = _route(model, source)
     try:
         sensors = sensors_from_tables(model.sonar, model.base_station, model.own_state)
     except InputError as error:
@@ -177,7 +210,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.cruise_m_per_s,
         model.cap_m_per_s,
         model.arrival_m,
-        model.time_limit_s,
+        model.time_limit_s or _time_limit(path, model),
         (model.site.length_m, model.site.width_m, model.site.depth_m),
         model.obstacles,
         model.disturbance,
@@ -188,9 +221,27 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.uncertainty,
         model.depths_m,
         model.corners,
+        route,
     )
     _check(scenario)
     return scenario
+
+
+def _route(model: _ScenarioFile, source: str) -> tuple[Route, Path]:
+    route = Route(**{name: getattr(model, name) for name in Route.model_fields})
+    try:
+        path = route.path(
+            depth=model.depth_m, cruise=model.cruise_m_per_s, cap=model.cap_m_per_s, corners=model.corners
+        )
+    except InputError as error:
+        raise error.inside(source, "path_m" if error.key == "path" else error.key) from None
+    return route, path
+
+
+def _time_limit(path: Path, model: _ScenarioFile) -> float:
+    # chosen: twice the time that the target point takes, 10 s for each visit, and a minute
+    visits = np.sum(path.table(visits=model.corners == "visit")[1:-1, 4] == VISIT)
+    return float(ceil(2 * path.duration(model.cruise_m_per_s) + 10 * visits + 60))
 
 
 def _check(scenario: Scenario) -> None:
@@ -221,6 +272,8 @@ def _check(scenario: Scenario) -> None:
             value=scenario.cruise,
             remedy="lower it or raise the cap",
         )
+    _check_depths(scenario)
+    check_spacing(scenario, cap=scenario.cap)
     inside = [("path_m", point) for point in scenario.path.waypoints.tolist()]
     inside += [(f"obstacles.{o.name}.centre_m", list(o.centre_m)) for o in scenario.obstacles]
     for key, (x, y) in inside:
@@ -230,6 +283,51 @@ def _check(scenario: Scenario) -> None:
             )
     _unique([o.name for o in scenario.obstacles], source)
     _apart([o for o in scenario.obstacles if o.still], scenario)
+
+
+def _check_depths(scenario: Scenario) -> None:
+    if scenario.depths is not None and scenario.path.rises is not None and np.any(scenario.path.rises):
+        raise InputError(
+            "cannot be combined with a path that changes its depth",
+            file=scenario.source,
+            key="depths_m",
+            value=list(scenario.depths),
+            remedy="remove it, or remove depth_m from the legs",
+        )
+    for k, leg in enumerate(scenario.route.leg if scenario.route else ()):
+        _in_water(scenario, f"leg.{k}.depth_m", leg.depth_m)
+    if scenario.route and scenario.route.survey:
+        _in_water(scenario, "survey.depth_m", scenario.route.survey.depth_m)
+
+
+def _in_water(scenario: Scenario, key: str, depth: float | None) -> None:
+    if depth is not None and not -scenario.site[2] < depth < 0:
+        raise InputError(
+            "is not in the water",
+            file=scenario.source,
+            key=key,
+            value=depth,
+            remedy=f"z points up: write a value between {-scenario.site[2]:g} and 0",
+        )
+
+
+def check_spacing(scenario: Scenario, *, cap: float) -> None:
+    """Raise InputError for points of a long path that are nearer than a robot at speed `cap` moves in a control period.
+
+    The law's window moves on by at most one waypoint in a control period.
+    """
+    lengths, least = scenario.path.lengths, cap * PERIOD
+    if len(lengths) < MAX_WAYPOINTS or lengths.min() >= least:
+        return
+    near = int(np.argmin(lengths))
+    raise InputError(
+        f"is {lengths[near]:.3g} m from the next point of the path, but at the cap of {cap:g} m/s the robot "
+        f"moves {least:.3g} m in a control period",
+        file=scenario.source or None,
+        key="path_m",
+        value=[round(float(c), 4) for c in scenario.path.waypoints[near]],
+        remedy="leave out points, raise arc_error_m, or lower the cap",
+    )
 
 
 def _unique(names: Sequence[str], source: str) -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from math import degrees, inf, nextafter, pi
 from typing import Any
 
+import numpy as np
+
 from surctl.errors import InputError
+from surctl.guidance import Path
 from surctl.sensing import BaseStation, Delivery, OwnState, SonarArray
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import Sensors
@@ -29,7 +32,7 @@ def scenario_table(scenario: Scenario) -> dict[str, Any]:
         "title": scenario.title,
         "provenance": scenario.provenance,
         "vehicle": scenario.vehicle,
-        "path_m": scenario.path.waypoints.tolist(),
+        **_route(scenario),
         "depth_m": scenario.depth,
         "cruise_m_per_s": scenario.cruise,
         "cap_m_per_s": scenario.cap,
@@ -46,6 +49,33 @@ def scenario_table(scenario: Scenario) -> dict[str, Any]:
         "paper": scenario.paper.model_dump(exclude_unset=True),
     }
     return table
+
+
+def _route(scenario: Scenario) -> dict[str, Any]:
+    """Return the entries that describe the path: those of the scenario's file if they give this path, or all points."""
+    path, route = scenario.path, scenario.route
+    if route is not None:
+        try:
+            same = route.path(depth=scenario.depth, cruise=scenario.cruise, cap=scenario.cap, corners=scenario.corners)
+        except InputError:
+            same = None
+        if same is not None and _equal(same, path):
+            return route.model_dump(exclude_none=True, exclude_defaults=True, mode="json")
+    if any(column is not None for column in (path.rises, path.speeds, path.kinds)):
+        raise InputError(
+            "has speeds, depths or kinds of corners that the scenario's route does not give",
+            key="path_m",
+            remedy="describe them by legs in a scenario file",
+        )
+    return {"path_m": path.waypoints.tolist()}
+
+
+def _equal(one: Path, other: Path) -> bool:
+    for name in ("waypoints", "rises", "speeds", "kinds"):
+        a, b = getattr(one, name), getattr(other, name)
+        if (a is None) != (b is None) or (a is not None and not np.array_equal(a, b)):
+            return False
+    return True
 
 
 def _sensors(sensors: Sensors) -> dict[str, Any]:

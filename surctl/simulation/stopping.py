@@ -36,12 +36,13 @@ def stop_reason(run: Run) -> str:
         return _dead_end_reason(run)
     if why == "fault":
         name = (
-            lost_entry(law, record.law_state[-1], record.law_input[-1], record.law_parameters) or "a number of the step"
+            lost_entry(law, record.law_state[-1], record.law_input[-1], record.parameters_at(-1))
+            or "a number of the step"
         )
         return f"{name} is not finite at {record.time[-1]:.2f} s"
     if why != "standstill" or law.perception is None:
         raise InputError("ended neither at a standstill, in a dead end nor by a fault", key="run", value=why)
-    perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.law_parameters)
+    perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.parameters_at(-1))
     silent = np.flatnonzero(run.telemetry("healthy")[-1] < 0.5).tolist()
     if perceived[law.perception.outputs.slice("placed")][0] < 0.5:
         return "the robot does not know its position" + (f"; {_named(silent)} judged faulty" if silent else "")
@@ -58,6 +59,10 @@ def _dead_end_reason(run: Run) -> str:
     x, y = record.eta[first, :2]
     state = record.law_state[first]
     furthest, stalled = (float(state[law.state.slice(name)][0]) for name in ("furthest", "stalled"))
+    if run.scenario.path.fed:  # the law measures along its window
+        follower = run.scenario.follower()
+        follower.track(record.eta[: first + 1, :2])
+        furthest = float(run.scenario.path.lengths[: follower.leg].sum()) + follower.along
     length = run.scenario.path.length
     tried = [f"{change.to_m:.2f}" for change in depth_changes(run) if not change.back]
     depths = f"; depths tried besides the path's, z in m: {', '.join(tried)}" if tried else ""

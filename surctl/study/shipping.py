@@ -67,7 +67,7 @@ class Shipment:
         Raises:
             SurctlError: the compiler rejects the bundle, or the compiled program crashes during a replay.
         """
-        records = [Records(r.law_state, r.law_input, r.law_parameters) for r in (run.record for run in runs)]
+        records = [Records(r.law_state, r.law_input, r.step_parameters) for r in (run.record for run in runs)]
         return compare_runs(self.compiling.result(), records)
 
 

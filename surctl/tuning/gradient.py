@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from surctl.control import CONTACT_SLOTS, Law
 from surctl.errors import InputError
+from surctl.guidance import MAX_WAYPOINTS
 from surctl.ir import Instruction, Program, lower, to_casadi
 from surctl.sensing import SonarArray
 from surctl.simulation import Case, World, advance, build_world, law_numbers
@@ -107,7 +108,7 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
 
     Raises:
         InputError: the mode, the sensing or the law has no gradient, a gain is unknown, or the scenario starts inside
-            an obstacle or has too many obstacles.
+            an obstacle, has too many obstacles or a path that is fed to the law (`Path.fed`).
 
     Example:
         >>> import numpy as np
@@ -136,6 +137,9 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
         raise InputError("has no gradient", key="law", value=case.law, remedy=remedy)
     scenario = case.scenario
     world = build_world(scenario, case.vehicle, seed=seed)
+    if scenario.path.fed:
+        remedy = f"use at most {MAX_WAYPOINTS} points, without speeds and depths of legs"
+        raise InputError("has no gradient: it is fed to the law", file=scenario.source, key="path_m", remedy=remedy)
     if len(scenario.obstacles) > CONTACT_SLOTS:
         raise InputError(f"has more than {CONTACT_SLOTS} obstacles", file=scenario.source, key="obstacles")
     p = law_numbers(scenario, case.gains, case.model or case.vehicle)

@@ -46,7 +46,7 @@ def starting_sets(
             progress(f"{case.vehicle.name}: {error.problem}; the search starts without LQR gains")
             continue
         sets.append({s.name: regulator.get(s.name, request.base[s.name]) for s in request.space})
-    smooth = [c for c in request.cases if c.mode == "nsb" and c.sensing == "truth"]
+    smooth = [c for c in request.cases if c.mode == "nsb" and c.sensing == "truth" and not c.scenario.path.fed]
     if descend and smooth:
         progress(f"descent along exact gradients over {len(smooth)} cases")
         ranges = {s.name: (s.low, s.high) for s in request.space}

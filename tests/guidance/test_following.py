@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, Follower, Path, follow
+from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, SKIPS, Follower, Path, follow, follow_on
 from surctl.ir import Layout, on_vectors
 
 FOLD = Path(np.array([[1.0, 2.5], [6.0, 2.5], [1.0, 2.5]]))
@@ -99,3 +99,53 @@ def test_numbers_and_symbols_agree(visit: float | None) -> None:
             assert np.sqrt(max(got["missed"][0], got["corner_behind"][0])) == pytest.approx(follower.missed, abs=1e-12)
         moved += follower.leg
     assert moved > 50
+
+
+def test_numbers_and_symbols_agree_on_a_fed_path() -> None:
+    state, visit = Layout(FOLLOWING), 0.15
+    old, parts = state.symbols("s")
+    rows, count, place = ca.SX.sym("r", SKIPS + 2, 5), ca.SX.sym("n"), ca.SX.sym("x", 2)
+    after, advanced = follow_on(parts, rows, count, place, visit=ca.SX(visit))
+    step = on_vectors(ca.Function("follow", [old, rows, count, place], [state.join(after), advanced]))
+    rng, jumps, arrived = np.random.default_rng(6), 0, 0
+    for _ in range(20):
+        n = int(rng.integers(9, 30))
+        nodes = np.cumsum(rng.uniform(-0.4, 0.6, (n, 2)), axis=0)
+        path = Path(nodes, rng.uniform(-1, 0, n), kinds=rng.choice([1.0, 0.0, -1.0], n, p=[0.05, 0.6, 0.35]))
+        follower, now, table = Follower(path, visit=visit), state.pack(), path.table()
+        places = along(*map(tuple, nodes.tolist()), step=0.05)
+        for x, y in (places + np.cumsum(rng.normal(0, 0.02, places.shape), axis=0)).tolist():
+            leg = follower.leg
+            follower.move(x, y)
+            piece = table[np.minimum(leg + np.arange(SKIPS + 2), n - 1)]
+            now, moved = step(now, piece, n - 1, [x, y])
+            got = state.unpack(now)
+            assert (got["leg"][0], float(moved[0])) == (follower.leg, follower.leg - leg)
+            assert got["along"][0] == pytest.approx(follower.along, abs=1e-12)
+            assert np.sqrt(max(got["missed"][0], got["corner_behind"][0])) == pytest.approx(follower.missed, abs=1e-12)
+            jumps += follower.leg - leg > 1
+        arrived += follower.last
+    assert jumps > 10 and arrived > 5
+
+
+def test_a_dense_track_with_jitter_is_followed_to_its_end() -> None:
+    """Points of a recorded track, 0.1 m apart and up to 0.15 m off: the robot smooths them, and still advances."""
+    rng = np.random.default_rng(1)
+    track = np.stack([0.1 * np.arange(300), np.zeros(300)], axis=1) + rng.uniform(-0.15, 0.15, (300, 2))
+    places = along((0.0, 0.0), (30.0, 0.0))
+    fed = Follower(Path(track))
+    assert max(fed.track(places)) < 0.3 and fed.last and fed.missed < 0.4
+
+
+def test_points_inside_an_arc_are_no_corners_and_corners_to_visit_are_not_left_out() -> None:
+    points, kinds = np.array([[k, 0.3 * (k % 2)] for k in range(12)], float), np.array([0.0, *[-1.0] * 10, 0.0])
+    assert Follower(Path(points)).missed == 0.0
+    free = Follower(Path(points, kinds=kinds))
+    free.track(along((0.0, -0.2), (11.0, -0.2)))
+    assert free.last and free.missed == 0.0
+    kinds[5] = 1.0
+    bound = Follower(Path(points, kinds=kinds), visit=0.15)
+    bound.track(along((0.0, -0.2), (11.0, -0.2)))
+    assert bound.leg == 4
+    bound.track(along((11.0, -0.2), (5.0, 0.3), (11.0, 0.2)))
+    assert bound.last

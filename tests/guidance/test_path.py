@@ -104,15 +104,14 @@ def test_waypoints_cannot_be_changed() -> None:
 @pytest.mark.parametrize(
     ("points", "problem"),
     [
-        ([[0.0, 0.0]], "2 to 8 points"),
-        ([], "2 to 8 points"),
-        ([[0.1 * k, 0.0] for k in range(9)], "2 to 8 points"),
-        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], "2 to 8 points"),
+        ([[0.0, 0.0]], "at least 2 points"),
+        ([], "at least 2 points"),
+        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], "at least 2 points"),
         ([[0.0, 0.0], [np.nan, 0.0]], "not finite"),
         ([[0.0, 0.0], [np.inf, 0.0]], "not finite"),
-        ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]], "two equal points"),
+        ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]], "two equal points in a row, number 1 and 2"),
     ],
-    ids=["one", "none", "nine", "3-D", "nan", "inf", "equal"],
+    ids=["one", "none", "3-D", "nan", "inf", "equal"],
 )
 def test_what_is_no_path(points: list[list[float]], problem: str) -> None:
     with pytest.raises(InputError, match=problem):

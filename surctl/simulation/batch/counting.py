@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from surctl.guidance import MAX_WAYPOINTS, PASSED
+from surctl.guidance import PASSED
 from surctl.simulation.metrics import MOVING, NEAR_TARGET, SIGN, TUBE
 
-__all__ = ["SUMS", "VARIATIONS", "counted", "modulo"]
+__all__ = ["SUMS", "VARIATIONS", "counted", "modulo", "path_square", "path_tangent"]
 
 VARIATIONS = ("surge_n", "sway_n", "heave_n", "yaw_n_m")
 """Axes of the thrust and their units, as in the names of the metrics."""
@@ -45,23 +45,24 @@ def counted(
     avoiding: ca.SX,
     to_target: ca.SX,
     gap: ca.SX,
-    leg: ca.SX,
-    along: ca.SX,
+    square: ca.SX,
+    tangent: ca.SX,
+    path_depth: ca.SX,
+    on_last: ca.SX,
 ) -> dict[str, ca.SX]:
     """Return the sums, counts and maxima from which the metrics follow, updated for the present control step.
 
-    `metrics.METRICS` defines the metrics.
+    `metrics.METRICS` defines the metrics. `square` is the squared distance to the path [m²], `tangent` the direction of
+    its segment (2, 1), `path_depth` its z [m]. `on_last` is 1 while the robot is on the last segment of its path.
     """
     place, depth = old["plant"][:2], old["plant"][2]
-    tangent = _tangent(w["waypoints"], w["legs"], leg, along)
-    square = _path_square(w["waypoints"], leg, place)
     away = ca.sqrt(square)
     excluded = ca.logic_or(avoiding, ca.logic_and(old["away"], away > TUBE))
     first = old["step"] < 0.5
     thrust, step = tau[:2], place - old["last_place"]
     change = ca.if_else(first, 0, ca.fabs(tau - old["last_thrust"]))
     signs = ca.if_else(ca.fabs(tau) > SIGN * w["thrust_limit"], ca.if_else(tau > 0, 1, -1), old["last_signs"])
-    past = ca.if_else(gap <= NEAR_TARGET, ca.dot(to_target, w["leg"]), 0)
+    past = ca.if_else(ca.logic_and(on_last, gap <= NEAR_TARGET), ca.dot(to_target, w["leg"]), 0)
     # an axis without thrust has no share: its command is 0
     share = ca.fabs(tau) / ca.if_else(w["thrust_limit"] > 0, w["thrust_limit"], 1)
     return {
@@ -69,7 +70,7 @@ def counted(
         "last_thrust": tau,
         "last_signs": signs,
         "sum_square": old["sum_square"] + square,
-        "sum_error": old["sum_error"] + ca.if_else(excluded, 0, square + (depth - w["depth"]) ** 2),
+        "sum_error": old["sum_error"] + ca.if_else(excluded, 0, square + (depth - path_depth) ** 2),
         "count_error": old["count_error"] + ca.logic_not(excluded),
         "sum_effort": old["sum_effort"] + ca.sqrt(ca.sumsqr(thrust)),
         "sum_jump": old["sum_jump"] + ca.if_else(first, 0, ca.sumsqr(change[:2])),
@@ -103,30 +104,31 @@ def _directions(old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], tangent: ca.SX
     }
 
 
-def _tangent(waypoints: ca.SX, legs: ca.SX, leg: ca.SX, along: ca.SX) -> ca.SX:
+def path_tangent(waypoints: ca.SX, leg: ca.SX, along: ca.SX, on_last: ca.SX) -> ca.SX:
     """Return the unit direction (2, 1) of the current segment, or of the next segment past its end.
 
-    `along` is the arc length on the current segment [m], and `legs` the number of segments; as `Follower.directions`.
+    `leg` is the number of the segment among the `waypoints`, and `along` the arc length on it [m]; as
+    `Follower.directions`.
     """
-    chords = [waypoints[k + 1, :].T - waypoints[k, :].T for k in range(MAX_WAYPOINTS - 1)]
+    chords = [waypoints[k + 1, :].T - waypoints[k, :].T for k in range(waypoints.shape[0] - 1)]
     here, following = chords[0], chords[1]
-    for k in range(1, MAX_WAYPOINTS - 1):
+    for k in range(1, len(chords)):
         there = leg > k - 0.5
         here = ca.if_else(there, chords[k], here)
-        following = ca.if_else(there, chords[min(k + 1, MAX_WAYPOINTS - 2)], following)
-    passed = ca.logic_and(leg < legs - 1.5, along >= ca.sqrt(ca.sumsqr(here)) * PASSED)
+        following = ca.if_else(there, chords[min(k + 1, len(chords) - 1)], following)
+    passed = ca.logic_and(ca.logic_not(on_last), along >= ca.sqrt(ca.sumsqr(here)) * PASSED)
     chord = ca.if_else(passed, following, here)
     return chord / ca.sqrt(ca.fmax(ca.sumsqr(chord), 1e-12))
 
 
-def _path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
+def path_square(waypoints: ca.SX, leg: ca.SX, point: ca.SX) -> ca.SX:
     """Return the squared distance [m²] from `point` to the path near the current segment (number `leg`).
 
     The distance is the smallest distance to the current segment and its two neighbours. A segment between two equal
     waypoints counts as a point.
     """
     best = ca.SX(1e30)
-    for k in range(MAX_WAYPOINTS - 1):
+    for k in range(waypoints.shape[0] - 1):
         a, b = waypoints[k, :].T, waypoints[k + 1, :].T
         chord = b - a
         along = ca.dot(point - a, chord) / ca.fmax(ca.sumsqr(chord), 1e-12)

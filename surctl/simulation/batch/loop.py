@@ -14,7 +14,7 @@ from functools import cache
 import casadi as ca
 
 from surctl.control import WORKING, Law, build_law
-from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, follow
+from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.ir import (
     Block,
     Call,
@@ -31,8 +31,9 @@ from surctl.ir import (
 )
 from surctl.sensing import NOISE_STATE, SLOT, FaultChances
 from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
-from surctl.simulation.batch.counting import SUMS, counted
+from surctl.simulation.batch.counting import SUMS, counted, path_square, path_tangent
 from surctl.simulation.batch.listening import Listening, flat, slots
+from surctl.simulation.batch.mission import Mission
 from surctl.simulation.batch.structure import Structure
 from surctl.simulation.column import LONGEST
 from surctl.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
@@ -88,6 +89,7 @@ def build_loop(structure: Structure) -> Loop:
     move = shared_divisors(nearby_angles(lower(advance(structure.form)), source=0, entry=_HEADING))
     outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
     steps = (
+        *(builder.mission.steps(state, parameters) if builder.mission else ()),
         Call(sense, ("s", "w"), outputs[0]),
         Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
         Call(drive, ("w", "tau"), ("thrust",)),
@@ -123,12 +125,12 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("fault_chances", (len(FaultChances.kinds()),), "1", "fault probabilities per firing, see FaultChances"),
     )
     heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
-    mission = Port("depths", (2,), "m", "lowest and highest z that the hull may use")
-    upright = (*((heights,) if structure.heights else ()), *((mission,) if structure.depths else ()))
+    allowed = Port("depths", (2,), "m", "lowest and highest z that the hull may use")
+    upright = (*((heights,) if structure.heights else ()), *((allowed,) if structure.depths else ()))
     there = [Port("there", (len(structure.bodies),), "1", "1 if the obstacle is in the water")]
     optional = there if structure.optional else []
     thrusters = [law.inputs.port(WORKING)] if WORKING in law.inputs else []
-    return (
+    listed = (
         *law.gains,
         *world,
         *bodies,
@@ -137,6 +139,12 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         *upright,
         *(port for port in failing if structure.may_fail and port.size),
     )
+    mission = _mission_of(structure, law)
+    return (*listed, *mission.parameters(Layout(listed))) if mission else listed
+
+
+def _mission_of(structure: Structure, law: Law) -> Mission | None:
+    return Mission(law, structure.points, rises=structure.rises) if structure.points else None
 
 
 def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
@@ -155,6 +163,7 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("last_place", (2,), "m", "x, y at the last control step"),
         Port("last_thrust", (4,), "N, N m", "thrust command at the last control step"),
         Port("last_signs", (4,), "1", "sign of each thrust command when it was last above 1 % of its limit"),
+        *((Mission.state(),) if structure.points else ()),
         *FOLLOWING,
         *(Port(name, (1,), unit, meaning) for name, unit, meaning in SUMS),
     )
@@ -164,6 +173,7 @@ class _Builder:
     def __init__(self, structure: Structure, law: Law, state: Layout, parameters: Layout) -> None:
         self.structure, self.law, self.state, self.parameters = structure, law, state, parameters
         self.sonar, self.listening = structure.sensing == "sonar", Listening(structure, law)
+        self.mission = _mission_of(structure, law)
 
     def sense(self) -> Program:
         # world, first sonar firing, inputs of the law and the plant
@@ -173,7 +183,7 @@ class _Builder:
         time = step * dt
         bodies = self._bodies(parameters, time)
         eta, nu = state["plant"][:4], state["plant"][4:8]
-        out: dict[str, ca.SX] = {"x": state["law"], "p": w[: self.law.gains.size]}
+        out: dict[str, ca.SX] = {} if self.mission else {"x": state["law"], "p": w[: self.law.gains.size]}
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
         if self.sonar:
             own, message_noise, loss = self.listening.draw(state["noise"], out, movers=self._movers(parameters))
@@ -258,6 +268,7 @@ class _Builder:
             "fresh_next": self.structure.equipment.array.size if sonar else 1,
             "late": self._late.size,
             "noise_next": NOISE_STATE if sonar else 1,
+            **({"first_next": 1} | dict.fromkeys(self.mission.around, ROW) if self.mission else {}),
         }
         v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
         place = old["plant"][:2]
@@ -267,10 +278,18 @@ class _Builder:
         total += ca.sum1(v["tau"]) + ca.sum1(v["telemetry"])
         to_target = place - parameters["waypoints"][MAX_WAYPOINTS - 1, :].T
         gap = ca.sqrt(ca.sumsqr(to_target))
-        left = ca.sqrt(gap**2 + (old["plant"][2] - parameters["depth"]) ** 2) if self.structure.depths else gap
+        end_depth = parameters["depth"] + (parameters["mission"][-1, 2] if self.structure.rises else 0)
+        level = not (self.structure.depths or self.structure.rises)
+        left = gap if level else ca.sqrt(gap**2 + (old["plant"][2] - end_depth) ** 2)
         collided = clearance <= 0
-        following = follow(old, parameters["waypoints"], parameters["legs"], place, visit=parameters["visited"])
-        arrived = ca.logic_and(following["leg"] > parameters["legs"] - 1.5, left <= parameters["arrival_radius"])
+        near, path_depth = parameters["waypoints"], parameters["depth"]
+        if self.mission:
+            following, near, here, path_depth = self.mission.progress(old, parameters, v)
+        else:
+            following = follow(old, near, parameters["legs"], place, visit=parameters["visited"])
+            here = following["leg"]
+        on_last = following["leg"] > parameters["legs"] - 1.5
+        arrived = ca.logic_and(on_last, left <= parameters["arrival_radius"])
         reached = ca.logic_and(ca.logic_not(collided), arrived)
         broken = ca.logic_not(ca.fabs(total) <= _FINITE)
         standing, stop = self._standing(old, v["telemetry"])
@@ -294,11 +313,12 @@ class _Builder:
         if sonar:
             new |= {**self.listening.echoes.split(v["echoes_next"]), "fresh": v["fresh_next"], "noise": v["noise_next"]}
             new |= self._late.split(v["late"])
-        new |= {**standing, **following}
+        new |= {**standing, **following, **({"first": v["first_next"]} if self.mission else {})}
         tau, status = ca.if_else(broken, 0, v["tau"]), ca.if_else(broken, 0, v["status"])
         avoiding = v["telemetry"][law.telemetry_slice("avoiding")] > 0.5
-        path = (to_target, gap, following["leg"], following["along"])
-        new |= counted(old, parameters, tau, status, ca.if_else(broken, 0, avoiding), *path)
+        square, tangent = path_square(near, here, place), path_tangent(near, here, following["along"], on_last)
+        avoiding = ca.if_else(broken, 0, avoiding)
+        new |= counted(old, parameters, tau, status, avoiding, to_target, gap, square, tangent, path_depth, on_last)
         return recording.block("close", {"s": s, "w": w, **v}, {"s_next": self.state.join(new)})
 
     def _standing(self, old: Mapping[str, ca.SX], telemetry: ca.SX) -> tuple[dict[str, ca.SX], ca.SX]:

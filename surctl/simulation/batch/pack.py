@@ -15,7 +15,9 @@ from surctl.sensing import FaultChances, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.simulation.batch.case import Case, case_parameters
 from surctl.simulation.batch.loop import Loop, Structure
+from surctl.simulation.batch.mission import capacity_for, mission_table
 from surctl.simulation.numbers import VISITED, law_numbers
+from surctl.simulation.scenario import check_spacing
 from surctl.simulation.world import WorldDraw, draw_world
 from surctl.vehicle import plant_layout, plant_state
 
@@ -63,6 +65,8 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         "depths": case.scenario.depths is not None,
         "form": case.vehicle.form,
         "actuators": case.vehicle.actuators,
+        "points": capacity_for(case.scenario.path),
+        "rises": case.scenario.path.rises is not None,
     }
     if case.sensing == "truth":
         return Structure(case.law, case.avoidance, case.mode, case.sensing, tuple(kinds), **shared)
@@ -141,6 +145,11 @@ class _Filler:
         layout = self.loop.parameters
         out = np.empty((len(self.seeds), layout.size))
         self._law(out[:, : self.loop.law.gains.size])
+        if self.loop.structure.points:
+            scenario = self.case.scenario
+            check_spacing(scenario, cap=float(np.max(self.number("scenario.cap"))))
+            table = mission_table(scenario.path, self.loop.structure.points, visits=scenario.corners == "visit")
+            out[:, layout.slice("mission")] = table.ravel()
         for name, columns in self._world().items():
             here = layout.slice(name)
             for k, column in enumerate(columns):
@@ -155,7 +164,7 @@ class _Filler:
             out[:, layout.slice(name).start] = self.number(name)
         for name in ("depth", "cruise", "cap"):
             out[:, layout.slice(name).start] = self.number(f"scenario.{name}")
-        if case.scenario.corners == "visit":
+        if case.scenario.visit is not None:
             out[:, layout.slice("visit").start] = VISITED * self.number("scenario.arrival_radius")
         for vector, members in _VECTORS.items():
             for k, member in enumerate(members):
@@ -183,7 +192,7 @@ class _Filler:
             "world_hull": [hull],
             "arrival_radius": [self.number("scenario.arrival_radius")],
             "legs": [np.asarray(float(len(scenario.path.waypoints) - 1))],
-            "visited": [self.number("scenario.arrival_radius") if scenario.corners == "visit" else np.zeros(())],
+            "visited": [self.number("scenario.arrival_radius") if scenario.visit is not None else np.zeros(())],
             "steps": [self.step_limits],
             "leg": [np.asarray(leg[0]), np.asarray(leg[1])],
             "current": [self.number("scenario.current_x"), self.number("scenario.current_y")],
@@ -219,6 +228,8 @@ class _Filler:
         if structure.heights:
             ends = [(o.heights.bottom, o.heights.top) for o in scenario.obstacles]
             columns["heights"] = [np.asarray(z) for z in np.clip(np.ravel(ends), -NO_END, NO_END)]
+        if structure.points:
+            columns["alignment"] = [np.zeros(())] * self.loop.parameters.port("alignment").size
         if structure.depths:
             columns["depths"] = [np.asarray(z) for z in scenario.depths or ()]
         for k, (obstacle, kind) in enumerate(zip(scenario.obstacles, self.loop.structure.bodies, strict=True)):

@@ -30,6 +30,8 @@ class Structure:
         barrier, treats: the options `barrier` and `movers` of `build_law`.
         form: the optional terms of the vehicle's dynamics.
         actuators: the thrusters to which the law allocates its thrust; None: each axis has its own limit.
+        points: number of waypoints that a run can hold if the path is fed to the law (`Path.fed`); 0: it is not fed.
+        rises: whether the path changes its depth.
     """
 
     law: str
@@ -49,6 +51,8 @@ class Structure:
     depths: bool = False
     form: PlantForm = field(default_factory=PlantForm)
     actuators: Actuators | None = None
+    points: int = 0
+    rises: bool = False
 
     @property
     def may_fail(self) -> bool:
