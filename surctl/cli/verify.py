@@ -156,15 +156,15 @@ def verify(
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_folder(out)
-    flown = default_law(robot)
+    chosen_law = default_law(robot)
     if any(is_region(name) or is_braking(name) for name in claims):
         check_forces("guarded", robot, key="claim")
     law = build_law()
     about = {"dt": law.dt, "uncertainty": uncertainty}
-    cascaded = CASCADE in law_source(flown).parts
+    cascaded = CASCADE in law_source(chosen_law).parts
     linear = over_speeds(
         [
-            linear_part(robot, values, cruise=u, **about) if cascaded else law_part(flown, robot, gains, cruise=u)
+            linear_part(robot, values, cruise=u, **about) if cascaded else law_part(chosen_law, robot, gains, cruise=u)
             for u in cruise or speeds[:1]
         ]
     )
@@ -237,7 +237,7 @@ def verify(
             then += (
                 export_command(scenario, vehicle, gains, certificates)
                 if cascaded
-                else export_command(scenario, vehicle, gains, law=flown, sensing="truth")
+                else export_command(scenario, vehicle, gains, law=chosen_law, sensing="truth")
             )
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
 
