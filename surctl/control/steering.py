@@ -175,6 +175,6 @@ def moved(
     half = 0.5 * step * r
     c, s = (1 - half * half) / (1 + half * half), 2 * half / (1 + half * half)
     hull = ca.vertcat(c * now.hull[0] - s * now.hull[1], s * now.hull[0] + c * now.hull[1])
-    way = step * (ca.vertcat(u * hull[0] - v * hull[1], u * hull[1] + v * hull[0]) + stream)
+    shift = step * (ca.vertcat(u * hull[0] - v * hull[1], u * hull[1] + v * hull[0]) + stream)
     travelled = now.travelled + step * ca.sqrt(u * u + v * v)
-    return Moving(now.place + way, hull, ca.vertcat(u, v, r), travelled)
+    return Moving(now.place + shift, hull, ca.vertcat(u, v, r), travelled)

@@ -139,15 +139,15 @@ def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Arr
 def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     (A,), (B,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None])
     Az, By, C, D = _differentiated(law, p, nu)
-    acting: list[bool] = (np.abs(np.hstack([C, D])) > _COUPLED).any(axis=1).tolist()
+    acting = [bool(np.abs(row).max() > _COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
     # x, y and psi follow the surge, sway and yaw motion; only heave stands alone
     apart = [] if acting[2] else [2, 6]
     moving = [k for k in range(8) if k not in apart]
     thrusts = [8 + k for k in range(4) if lagged and acting[k]]
-    kept, driven = [*moving, *thrusts], [k for k in range(4) if acting[k]]
-    states = [STATE_NAMES[k] for k in kept]
-    A, B = A[np.ix_(kept, kept)], B[np.ix_(kept, driven)]
+    included, driven = [*moving, *thrusts], [k for k in range(4) if acting[k]]
+    states = [STATE_NAMES[k] for k in included]
+    A, B = A[np.ix_(included, included)], B[np.ix_(included, driven)]
     own = _in_loop(Az, By[:, moving], C)
     Az, By, C, D = Az[np.ix_(own, own)], By[np.ix_(own, moving)], C[np.ix_(driven, own)], D[np.ix_(driven, moving)]
     names, axes = states[: len(moving)], [_AXES[k] for k in driven]
