@@ -79,23 +79,36 @@ def craft(name: str, **changed: float) -> Vehicle:
     return vehicle_from_table(table, source=f"{name}.toml")
 
 
-def mission(path: list[list[float]], name: str, *, size: tuple[float, float], time: float, **more: Any) -> Scenario:
-    """Return a mission at the surface without obstacles, at the cruise speed of a craft."""
-    table = {
+def table(path: list[list[float]], name: str, *, size: tuple[float, float], time: float, **more: Any) -> dict[str, Any]:
+    """Return the table of a mission without obstacles, at the cruise speed of a craft."""
+    return {
         "kind": "scenario",
         "name": "test",
         "title": "test",
         "provenance": "test",
         "vehicle": "sur400",
         "path_m": path,
-        "depth_m": -0.5,
+        "depth_m": -2.0,
         "cruise_m_per_s": CRUISE[name],
         "cap_m_per_s": 1.1 * CRUISE[name],
         "arrival_m": 1.0,
         "time_limit_s": time,
         "site": {"length_m": size[0], "width_m": size[1], "depth_m": 5.0},
-    }
-    return scenario_from_table(table | more, source="test.toml")
+    } | more
+
+
+def mission(path: list[list[float]], name: str, *, size: tuple[float, float], time: float, **more: Any) -> Scenario:
+    """Return the mission of `table`."""
+    return scenario_from_table(table(path, name, size=size, time=time, **more), source="test.toml")
+
+
+def factor(vehicle: Vehicle, radius: float) -> float:
+    """Return the factor between lengths of the library's missions and lengths for a craft.
+
+    It is the larger of two ratios: hull radius over the 0.27 m of the vehicle of `tank-static`, and turning radius
+    `radius` [m] over the 0.44 m on which that vehicle turns at its cruise speed of 0.2 m/s and spin rate of 0.45 rad/s.
+    """
+    return max(vehicle["radius"] / 0.27, radius / 0.44)
 
 
 def scaled(library: str, factor: float, name: str) -> Scenario:

@@ -160,15 +160,17 @@ def verify(
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_folder(out)
-    flown = default_law(robot)
+    chosen_law = default_law(robot)
     if any(is_region(name) or is_braking(name) for name in claims):
         check_forces("guarded", robot, key="claim")
     law = build_law()
     about = {"dt": law.dt, "uncertainty": uncertainty}
-    cascaded = CASCADE in law_source(flown).parts
+    cascaded = CASCADE in law_source(chosen_law).parts
     linear = over_speeds(
         [
-            linear_part(robot, values, cruise=u, **about) if cascaded else law_part(flown, robot, tuned.gains, cruise=u)
+            linear_part(robot, values, cruise=u, **about)
+            if cascaded
+            else law_part(chosen_law, robot, tuned.gains, cruise=u)
             for u in cruise or speeds[:1]
         ]
     )
@@ -249,7 +251,7 @@ def verify(
             then += (
                 export_command(scenario, vehicle, tuned.gains, certificates, file=word)
                 if cascaded
-                else export_command(scenario, vehicle, tuned.gains, file=word, law=flown, sensing="truth")
+                else export_command(scenario, vehicle, tuned.gains, file=word, law=chosen_law, sensing="truth")
             )
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
 

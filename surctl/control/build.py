@@ -86,8 +86,8 @@ def build_law(
     """Build a law, or load it from the cache; the values of its gains are inputs of the law, not part of it.
 
     Args:
-        law: `guarded`, the paper's law `paper`, `closed_form`, or a textbook law: `apf`, `dwa`, `vo`, `cbf`; or a law
-            of the user's own, FILE.py:FUNCTION (see `law_ref`).
+        law: `guarded`, `steered`, the paper's law `paper`, `closed_form`, or a textbook law: `apf`, `dwa`, `vo`, `cbf`;
+            or a law of the user's own, FILE.py:FUNCTION (see `law_ref`).
         avoidance: form of the avoidance velocity, equation (20) of the paper; all laws except `paper` accept only
             `corrected`.
         mode: priority mode: `nsb` ignores limits; `filter`, `projected` and `lexicographic` respect them.

@@ -22,7 +22,7 @@ import numpy as np
 from surctl.control.baselines.situation import NEVER, Situation, length
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GainSpec
-from surctl.control.steering import SLOWEST, Moving, Steering, moved, planned_yaw_rate
+from surctl.control.steering import SLOWEST, Moving, Steering, drifted, moved, planned_yaw_rate
 from surctl.guidance import FAR, Contact
 from surctl.ir import Port, fold, repeat, tabulated
 from surctl.tasks import depth_task
@@ -37,7 +37,10 @@ STEERED_GAINS: Mapping[str, GainSpec] = {
 }
 """Gains of this law in addition to `GAINS`."""
 
-STEERED_PORTS = (Port("crab", (1,), "rad", "filtered crab angle: course minus heading"),)
+STEERED_PORTS = (
+    Port("crab", (1,), "rad", "filtered crab angle: course minus heading"),
+    Port("sway", (1,), "m/s", "sway speed through the water that the model predicts from surge speed and yaw rate"),
+)
 
 COURSES = tuple(
     np.radians([0, *(s * a for a in (10, 20, 30, 45, 60, 80, 100, 125, 150) for s in (1, -1)), 180]).tolist()
@@ -56,6 +59,7 @@ STEPS = 16
 
 _HIT, _SLOW, _OTHER_SIDE, _OTHER_COURSE = 4.0, 0.5, 2.5, 0.1  # weights of the cost
 _INADMISSIBLE = 1e3
+_BLUR = 0.2  # share of the hull radius added to the margin, because the prediction has few steps
 _CLEAR = _HIT / STEPS  # cost below which the desired course and speed have no contact in the prediction
 _BACK = 3.0  # [rad] offset above which a course leads back
 _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
@@ -80,6 +84,8 @@ def steered_law(s: Situation) -> Decision:
     error = ca.atan2(hull[0] * heading[1] - hull[1] * heading[0], ahead)
     surge = speed * ca.fmax(ahead, p["steerage"])
     yaw_rate = _yaw_rate(error, s.nu[0], p)
+    # the reference follows the drift in a turn: no thruster acts against it, and a current is no drift
+    sway = drifted(s.x["sway"], s.nu[0], s.nu[3], p, s.dt)
 
     velocity = speed * course
     side = ca.if_else(clear, 0, ca.if_else(_sided(offset), ca.if_else(offset > 0, 1, -1), s.x["side"]))
@@ -89,12 +95,13 @@ def steered_law(s: Situation) -> Decision:
         [
             TaskLevel("turn", ca.SX([[0, 0, 0, 1]]), yaw_rate, "rad/s"),
             TaskLevel("speed", ca.SX([[1, 0, 0, 0]]), surge, "m/s"),
+            TaskLevel("drift", ca.SX([[0, 1, 0, 0]]), sway, "m/s"),
             depth._replace(J=heaves * depth.J, reference=heaves * depth.reference),
         ],
         velocity=velocity,
         avoiding=length(velocity - s.desired.velocity) > _CHANGED,
         degraded=blocked,
-        state={"side": side, "blocker": s.x["blocker"], "last_velocity": velocity, "crab": crab},
+        state={"side": side, "blocker": s.x["blocker"], "last_velocity": velocity, "crab": crab, "sway": sway},
     )
 
 
@@ -121,7 +128,9 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
     stopping = p["cruise"] ** 2 / (2 * steering.deceleration) + p["cruise"] * p["reaction"]
     distance = p["foresight"] * steering.radius + stopping
     step = distance / (p["cruise"] * STEPS)
-    start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.nu[1], s.nu[3]), ca.SX(0))
+    aside = s.nu[1] - s.x["sway"]
+    stream = ca.vertcat(-hull[1] * aside, hull[0] * aside)
+    start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.x["sway"], s.nu[3]), ca.SX(0))
     contacts = _contacts(s)
     side = s.x["side"]
     last = s.x["last_velocity"] / ca.fmax(length(s.x["last_velocity"]), 1e-6)
@@ -134,7 +143,7 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
         # every candidate is predicted over the same distance
         longer = step / share
         gain = ca.fmin(p["k_psi"], 0.5 / longer)
-        hit, travelled = _first_hit(start, towards, share * speed, contacts, p, step=longer, gain=gain)
+        hit, travelled = _first_hit(start, towards, share * speed, contacts, p, step=longer, gain=gain, stream=stream)
         stop = speed * share * (speed * share / (2 * steering.deceleration) + p["reaction"])
         met = hit < NEVER
         # a turn takes time, so the distance counts too
@@ -158,7 +167,7 @@ def _contacts(s: Situation) -> ca.SX:
     for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):
         for c in contacts:
             # a contact that is nearer than the margin must not come nearer; an empty slot is nowhere
-            margin = ca.fmin(s.p["margin"], c.clearance - 1e-3)
+            margin = ca.fmin(s.p["margin"] + _BLUR * s.p["hull"], c.clearance - 1e-3)
             margin = ca.if_else(ca.fabs(c.clearance - FAR) < 1e-9, -1e6, margin)
             half_plane = ca.SX(1) if flat else c.combined_radius <= s.p["hull"] + 1e-6
             rows.append((*c.row, margin, half_plane))
@@ -174,11 +183,14 @@ def _first_hit(
     *,
     step: ca.SX,
     gain: ca.SX,
+    stream: ca.SX,
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the step of the prediction in which the craft first touches a contact, or `NEVER`; and the way there."""
+    """Return the step of the prediction in which the craft first touches a contact, or `NEVER`; and the distance travelled until then."""
 
-    def ahead(place: ca.SX, hull: ca.SX, nu: ca.SX, way: ca.SX, k: ca.SX, *_: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
-        now = moved(Moving(place, hull, nu, way), course, speed, p, step=step, gain=gain)
+    def ahead(
+        place: ca.SX, hull: ca.SX, nu: ca.SX, gone: ca.SX, k: ca.SX, *_: ca.SX
+    ) -> tuple[list[ca.SX], list[ca.SX]]:
+        now = moved(Moving(place, hull, nu, gone), course, speed, p, step=step, gain=gain, stream=stream)
         time = step * (k + 1)
 
         def touches(met: ca.SX, row: ca.SX) -> ca.SX:
@@ -191,7 +203,7 @@ def _first_hit(
 
         met = fold("touches", touches, ca.SX(0), contacts)
         after = [now.place, now.hull, now.nu, now.travelled, k + 1]
-        return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, way, 0), met], []
+        return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, gone, 0), met], []
 
     state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0, 0))]
     # the prediction ends at the first contact
@@ -205,13 +217,15 @@ def steered_thrust(
     """Return thrust and next integral of the surge, heave and yaw loops; sway has no thrust.
 
     The loops are those of `velocity_control`. In addition, the thrust cancels the Munk moment (m22 − m11) u v and the
-    force m22 v r in surge, because no sway force keeps the sway speed v at 0.
+    force m22 v r in surge. The sway speed v is that of the reference, which is the drift through the water: the
+    measured sway speed also contains the current, which causes no Munk moment.
     """
     m, limit = p["mass"], p["thrust_limit"]
     error = reference - nu
     gain = ca.vertcat(p["k_v"], 0, p["k_v"], p["k_r"])
     drag = p["linear_drag"] * reference + p["quadratic_drag"] * reference * ca.fabs(reference)
-    coriolis = ca.vertcat(-m[1] * nu[1] * nu[3], 0, 0, (m[1] - m[0]) * nu[0] * nu[1])
+    v = reference[1]
+    coriolis = ca.vertcat(-m[1] * v * nu[3], 0, 0, (m[1] - m[0]) * nu[0] * v)
     driven = ca.vertcat(1, 0, limit[2] > 0, 1)
     free = driven * (drag + m * (gain * error + integral) + coriolis)
     held = ca.fabs(free) > limit

@@ -22,7 +22,17 @@ import casadi as ca
 from surctl.control.closing import yaw_limit
 from surctl.vehicle import Vehicle
 
-__all__ = ["MUNK_SHARE", "SLOWEST", "Moving", "Steering", "moved", "planned_yaw_rate", "steering_of", "turning_radius"]
+__all__ = [
+    "MUNK_SHARE",
+    "SLOWEST",
+    "Moving",
+    "Steering",
+    "drifted",
+    "moved",
+    "planned_yaw_rate",
+    "steering_of",
+    "turning_radius",
+]
 
 MUNK_SHARE = 0.5
 """Share of the largest yaw moment that the Munk moment of a planned turn may reach (*chosen*)."""
@@ -118,11 +128,29 @@ class Moving:
     travelled: ca.SX
 
 
-def moved(now: Moving, course: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX], *, step: ca.SX, gain: ca.SX) -> Moving:
+def drifted(v: ca.SX, u: ca.SX, r: ca.SX, p: Mapping[str, ca.SX], step: ca.SX | float) -> ca.SX:
+    """Return the sway speed through the water [m/s] after one step [s], from centripetal force and sway drag.
+
+    The step is implicit in the drag, so it is stable for any length.
+    """
+    damping = (p["linear_drag"][1] + p["quadratic_drag"][1] * ca.fabs(v)) / p["mass"][1]
+    return (v - step * p["mass"][0] / p["mass"][1] * u * r) / (1 + step * damping)
+
+
+def moved(
+    now: Moving,
+    course: ca.SX,
+    speed: ca.SX,
+    p: Mapping[str, ca.SX],
+    *,
+    step: ca.SX,
+    gain: ca.SX,
+    stream: ca.SX,
+) -> Moving:
     """Return the motion after one step of prediction, while the craft turns to a course and takes up a speed.
 
     The yaw rate follows the heading error within the yaw acceleration that half the yaw moment gives, and within
-    `planned_yaw_rate`. The sway speed follows from the centripetal force and the sway drag, by an implicit step.
+    `planned_yaw_rate`. The sway speed through the water follows from `drifted`.
 
     Args:
         now: the motion before the step.
@@ -131,6 +159,7 @@ def moved(now: Moving, course: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX], *, s
         p: parameters by name.
         step: length of the step [s].
         gain: heading gain [1/s], at most 1/`step`.
+        stream: (2, 1) velocity [m/s] in {E} that is added to the motion through the water.
     """
     u, v, r = now.nu[0], now.nu[1], now.nu[2]
     ahead = ca.dot(now.hull, course)
@@ -141,12 +170,11 @@ def moved(now: Moving, course: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX], *, s
     r = ca.fmin(ca.fmax(turn, r - swing), r + swing)
     change = step * p["brake"] * p["thrust_limit"][0] / p["mass"][0]
     u = ca.fmin(ca.fmax(speed * ca.fmax(ahead, p["steerage"]), u - change), u + change)
-    damping = (p["linear_drag"][1] + p["quadratic_drag"][1] * ca.fabs(v)) / p["mass"][1]
-    v = (v - step * p["mass"][0] / p["mass"][1] * u * r) / (1 + step * damping)
+    v = drifted(v, u, r, p, step)
     # a rotation by 2 atan(half) needs no trigonometric function
     half = 0.5 * step * r
     c, s = (1 - half * half) / (1 + half * half), 2 * half / (1 + half * half)
     hull = ca.vertcat(c * now.hull[0] - s * now.hull[1], s * now.hull[0] + c * now.hull[1])
-    way = step * ca.vertcat(u * hull[0] - v * hull[1], u * hull[1] + v * hull[0])
+    shift = step * (ca.vertcat(u * hull[0] - v * hull[1], u * hull[1] + v * hull[0]) + stream)
     travelled = now.travelled + step * ca.sqrt(u * u + v * v)
-    return Moving(now.place + way, hull, ca.vertcat(u, v, r), travelled)
+    return Moving(now.place + shift, hull, ca.vertcat(u, v, r), travelled)

@@ -181,9 +181,7 @@ def brakes_of(
     disturbance: float = 0.0,
     current: float = 0.0,
 ) -> Brakes:
-    """Return the braking data of a vehicle in the worst case of its parameter ranges.
-
-    A vehicle without sway force brakes along its hull, so only its surge force, mass and drag count.
+    """Return the braking data of a vehicle in the worst case of its ranges; without sway force, of surge alone.
 
     Args:
         vehicle: the vehicle.
@@ -201,8 +199,8 @@ def brakes_of(
         ranges = [_ends(vehicle, name, spread) for name in names]
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
-    limits = ("Fu_max", "Fv_max") if vehicle["Fv_max"] > 0 else ("Fu_max",)
-    axes = slice(len(limits))
+    axes = slice(2 if vehicle["Fv_max"] > 0 else 1)
+    limits = ("Fu_max", "Fv_max")[axes]
     most = [vehicle[n] if spread is not None else _ends(vehicle, n, None)[1] for n in limits]
     most += [vehicle[name] for axis, name in vehicle.form.reverse() if axis < 2]
     return Brakes(

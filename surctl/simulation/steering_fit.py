@@ -33,7 +33,7 @@ def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> lis
         *results,
         Finding("info", "vehicle", text),
         *_corners(scenario, radius),
-        *_room(scenario, vehicle, radius),
+        *_turning_circle(scenario, vehicle, radius),
         *_station(scenario, vehicle),
     ]
 
@@ -67,7 +67,7 @@ def _corners(scenario: Scenario, radius: float) -> list[Finding]:
     return results
 
 
-def _room(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
+def _turning_circle(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
     needed, hull = 2 * radius, vehicle["radius"]
     results = []
     width = min(scenario.site[:2]) - 2 * hull

@@ -93,6 +93,9 @@ def lqr_start(
         >>> {name: round(value, 2) for name, value in gains.items()}
         {'k1': 0.14, 'k2': 0.19, 'k_psi': 0.41, 'k_r': 2.26, 'k_v': 0.61, 'lookahead': 0.85}
     """
+    if not vehicle["Fv_max"] > 0:
+        problem = f"{vehicle.name} has no sway force, and these gains are those of laws that move in any direction"
+        raise InputError(problem, key="Fv_max", value=0.0, remedy="start from a gain file")
     import control  # takes seconds to import
 
     state_weights, thrust = _weights("q", q, 1 / np.square(_DEVIATION)), _weights("r", r, 1 / vehicle.thrust_limit**2)

@@ -276,7 +276,8 @@ class _Problem:
         self.steps, self.slopes = step.mapaccum(len(log.time) - 1), slope.map(len(log.time) - 1)
         began = [log.motion[p, k][0] if p.any() else 0.0 for k, p in enumerate(self.present.T)]
         self.first = np.concatenate([np.zeros(len(self.names)), began, log.thrust[0]])
-        self.thrust = start.thrust_limit
+        # an axis without thrust starts at rest, with any scale
+        self.thrust = np.where(start.thrust_limit > 0, start.thrust_limit, 1.0)
         # masses are positive; an estimate of a drag near 0 may be negative, otherwise its interval would be wrong
         low = np.full(len(self.first), -np.inf)
         low[:4] = -0.95

@@ -112,7 +112,7 @@ def build_cascade(
         delay: loop delay [s] in place of 1.5 dt; 0 omits the delay, for callers that model sampling exactly.
 
     Raises:
-        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed.
+        InputError: a gain is missing or not positive, or the vehicle cannot cruise at that speed or has no sway force.
 
     Example:
         >>> from surctl.control import load_gains
@@ -123,6 +123,14 @@ def build_cascade(
         (True, (24, 24), -0.22)
     """
     check_positive({"cruise": np.atleast_1d(cruise)})
+    for craft in (vehicle, model or vehicle):
+        if not craft["Fv_max"] > 0:
+            raise InputError(
+                f"the cascade moves in any direction, but {craft.name} has no sway force",
+                key="Fv_max",
+                value=craft["Fv_max"],
+                remedy="use law_loop with the law steered",
+            )
     check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
     many = build_cascades(
         plant_parameters(vehicle)[None],

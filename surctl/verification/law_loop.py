@@ -140,7 +140,7 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     form = vehicle.form
     (A,), (B,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], form=form)
     Az, By, C, D = _differentiated(law, p, nu)
-    acting = np.asarray((np.abs(np.hstack([C, D])) > _COUPLED).any(axis=1))
+    acting = [bool(np.abs(row).max() > _COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
     tilt = range(len(STATE_NAMES), len(A))
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
@@ -148,13 +148,13 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     apart = [] if acting[2] else [2] if coupled else [2, 6]
     moving = [k for k in range(8) if k not in apart]
     thrusts = [8 + k for k in range(4) if lagged and acting[k]]
-    kept, driven = [*moving, *thrusts, *tilt], [k for k in range(4) if acting[k]]
-    states = [(*STATE_NAMES, *TILT_NAMES)[k] for k in kept]
-    A, B = A[np.ix_(kept, kept)], B[np.ix_(kept, driven)]
+    included, driven = [*moving, *thrusts, *tilt], [k for k in range(4) if acting[k]]
+    states = [(*STATE_NAMES, *TILT_NAMES)[k] for k in included]
+    A, B = A[np.ix_(included, included)], B[np.ix_(included, driven)]
     own = _in_loop(Az, By[:, moving], C)
     Az, By, C, D = Az[np.ix_(own, own)], By[np.ix_(own, moving)], C[np.ix_(driven, own)], D[np.ix_(driven, moving)]
     names, axes = states[: len(moving)], [_AXES[k] for k in driven]
-    # numbers of the law's ports are unit by unit, so the loop names its states by number
+    # a state of the law may have several entries, so the loop names them by number
     inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
     zero = np.zeros((len(driven), len(driven)))
     law_A = np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]])
@@ -162,7 +162,7 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     law_C = np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))])
 
     def ode(x: Any, f: Any, d: Any, q: Any) -> dict[str, ca.SX]:
-        return _named(states, A @ _stacked(x, states) + B @ _stacked(f, axes))
+        return _named(states, ca.SX(A @ _stacked(x, states) + B @ _stacked(f, axes)))
 
     def step(x: Any, u: Any, q: Any) -> Any:
         held = _stacked(x, inner)
@@ -190,9 +190,9 @@ def _differentiated(law: Law, p: Array, nu: Array) -> tuple[Array, Array, Array,
 
     x[law.state.slice("progress")] = _FAR  # arc length of the path's middle
     indices = np.arange(law.inputs.size)
-    seen = np.concatenate([indices[law.inputs.slice(name)] for name in ("eta", "nu")])
+    measured = np.concatenate([indices[law.inputs.slice(name)] for name in ("eta", "nu")])
     columns = []
-    for which, k in [*((0, k) for k in range(size)), *((1, int(k)) for k in seen)]:
+    for which, k in [*((0, k) for k in range(size)), *((1, int(k)) for k in measured)]:
         results = []
         for sign in (1.0, -1.0):
             z, u = x.copy(), at.copy()

@@ -81,7 +81,7 @@ def _disc(x: float, y: float, radius: float = 0.3, vx: float = 0.0, vy: float = 
 
 
 def test_every_law_of_the_registry_is_built_in_every_mode() -> None:
-    assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES)
+    assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES, "steered")
     for name in BASELINES:
         for mode in MODES:
             assert build_law(name, mode=mode).name == f"surctl_{name}"
