@@ -197,7 +197,7 @@ def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]
         if field is None:
             continue
         here = _model_in(field.annotation)
-    return list(getattr(here, "model_fields", {}))
+    return [field.alias or name for name, field in getattr(here, "model_fields", {}).items()]
 
 
 def _model_in(annotation: Any) -> Any:

@@ -81,8 +81,7 @@ def commands(actuators: Actuators, count: int, *, seed: int = 0) -> Array:
 def exactness(count: int) -> tuple[list[str], float, float]:
     """Lines, largest error of a thruster force [N], largest violation of a limit or of a curve's inverse."""
     lines = [
-        "| thrusters | failed | commands | reached | error of force, N | of total, N, N m | beyond a limit, N "
-        "| curve, N |",
+        "| thrusters | failed | commands | reached | error of force, N | of total, N | beyond a limit, N | curve, N |",
         "|---|---|---|---|---|---|---|---|",
     ]
     worst, breach = 0.0, 0.0

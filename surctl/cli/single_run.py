@@ -137,9 +137,12 @@ def further_output(
 
     Explanations and the path of the animation are also added to `result`.
     """
-    from surctl.simulation import depth_changes
+    from surctl.simulation import depth_changes, thruster_use
 
     lines = [f"  {change}" for change in depth_changes(run)]
+    if (use := thruster_use(run)) is not None:
+        result["thrusters"] = use.to_dict()
+        lines.append(f"  {use.line()}")
     if explained:
         from surctl.simulation import explain
 

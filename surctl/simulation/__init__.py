@@ -43,6 +43,7 @@ from surctl.simulation.stepping import advance
 from surctl.simulation.stopping import stop_reason
 from surctl.simulation.thruster_faults import ThrusterFault
 from surctl.simulation.thruster_fit import thruster_findings
+from surctl.simulation.thruster_use import ThrusterUse, thruster_use
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
@@ -83,6 +84,7 @@ __all__ = [
     "SlowerEngine",
     "Stepper",
     "ThrusterFault",
+    "ThrusterUse",
     "World",
     "advance",
     "attitude_of",
@@ -104,5 +106,6 @@ __all__ = [
     "simulate_batch",
     "stop_reason",
     "thruster_findings",
+    "thruster_use",
     "turn_rate",
 ]

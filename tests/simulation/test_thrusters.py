@@ -9,7 +9,7 @@ import pytest
 
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.simulation import METRICS, Case, Run, ThrusterFault, load_scenario, simulate, simulate_batch
+from surctl.simulation import METRICS, Case, Run, ThrusterFault, load_scenario, simulate, simulate_batch, thruster_use
 from surctl.vehicle import load_vehicle
 
 HEAVY = load_vehicle("bluerov2-heavy")
@@ -24,9 +24,12 @@ def _run(*faults: ThrusterFault, allocated: bool = True, seconds: float | None =
 
 
 def test_the_mission_is_reached_with_any_thruster_failed() -> None:
+    assert thruster_use(_run(allocated=False, seconds=0.5)) is None
     for name in ("T1", "T6"):
         run = _run(ThrusterFault(name, start=1.0))
         assert run.metrics.reached, name
+        use = thruster_use(run)
+        assert use is not None and use.missed == 0.0 and "every command reached" in use.line()
         forces = run.telemetry("thruster_force")[:, int(name[1]) - 1]
         early = run.record.time < 1.0 - 1e-6
         assert (forces[~early] == 0.0).all()

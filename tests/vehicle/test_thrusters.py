@@ -143,6 +143,7 @@ def _read(tmp_path: Path, *tables: dict[str, str], base: str = BASE, more: str =
         ),
         ({"lag": '"0.1 s"'}, "thruster.0.lag", "differs from the lag"),
         ({"force": '"1 N"'}, "thruster.0.force", "unknown key"),
+        ({"pusch": "[1.0, 0.0, 0.0]"}, "thruster.0.pusch", "did you mean 'push'"),
         ({"provenance": '""'}, "thruster.0.provenance", ""),
     ],
 )
