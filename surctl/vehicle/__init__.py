@@ -14,7 +14,9 @@ from surctl.vehicle.dynamics import (
 )
 from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, swap_body, swap_pose
 from surctl.vehicle.geometry import sphere
-from surctl.vehicle.identify import FITTED, Identified, identify
+from surctl.vehicle.identification.identify import identify
+from surctl.vehicle.identification.model import CONSTANT_FORCE, FITTED
+from surctl.vehicle.identification.result import Identified, with_constant_force
 from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
