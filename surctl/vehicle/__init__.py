@@ -16,7 +16,8 @@ from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, swap_b
 from surctl.vehicle.geometry import sphere
 from surctl.vehicle.identification.identify import identify
 from surctl.vehicle.identification.model import CONSTANT_FORCE, FITTED
-from surctl.vehicle.identification.result import Identified, with_constant_force
+from surctl.vehicle.identification.prediction import HELD_OUT, Prediction, held_out, predict, predict_with
+from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
@@ -26,9 +27,11 @@ from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, pa
 from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
+    "CONSTANT_FORCE",
     "FITTED",
     "FRAMES",
     "FRAME_TEXT",
+    "HELD_OUT",
     "LIBRARY",
     "LOG_MOTION",
     "LOG_THRUST",
@@ -44,10 +47,12 @@ __all__ = [
     "ParameterSpec",
     "Plant",
     "PlantForm",
+    "Prediction",
     "Vehicle",
     "build_plant",
     "check_equation_3",
     "check_frame",
+    "held_out",
     "identify",
     "jacobian",
     "linearise",
@@ -58,6 +63,8 @@ __all__ = [
     "plant_layout",
     "plant_parameters",
     "plant_system",
+    "predict",
+    "predict_with",
     "read_motion_log",
     "sphere",
     "steady_speed",

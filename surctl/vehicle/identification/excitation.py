@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.vehicle.identification.intervals import Spread
-from surctl.vehicle.identification.model import CONSTANT_FORCE, FITTED, MASS_OF, Model, Section
+from surctl.vehicle.identification.model import CONSTANT_FORCE, FITTED, Model, Section, axes_of
 from surctl.vehicle.motion_log import LOG_MOTION, MotionLog
 
 __all__ = ["at_rest", "few_thrusts", "ill_excited", "notes_of"]
@@ -59,11 +59,14 @@ def ill_excited(
     The combinations are the eigenvectors of the covariance of the relative changes with a large eigenvalue.
     """
     texts = [f"{_AXES[k]}: no motion above the noise, so {k} and its drag are unknown" for k in FITTED[:4] if k in rest]
-    names = [k for k in model.names if MASS_OF.get(k, k) not in rest]
+    names = [k for k in model.names if not axes_of(k) & rest]
     places = [model.names.index(k) for k in names]
     scale = model.scale[places]
     size = np.array(
-        [max(abs(estimates[k][0]), (0.1 if k in CONSTANT_FORCE else 1.0) * s) for k, s in zip(names, scale, strict=True)]
+        [
+            max(abs(estimates[k][0]), (0.1 if k in CONSTANT_FORCE else 1.0) * s)
+            for k, s in zip(names, scale, strict=True)
+        ]
     )
     covariance = spread.covariance[np.ix_(places, places)] * np.outer(scale / size, scale / size)
     values, vectors = np.linalg.eigh(covariance)

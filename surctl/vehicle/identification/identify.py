@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from surctl.vehicle.identification.excitation import at_rest, few_thrusts, ill_excited, notes_of
 from surctl.vehicle.identification.intervals import Spread, spread_of
-from surctl.vehicle.identification.model import CONSTANT_FORCE, FITTED, MASS_OF, Model, sections_of
-from surctl.vehicle.identification.result import Identified, with_constant_force
+from surctl.vehicle.identification.model import CONSTANT_FORCE, MASS_OF, Model, axes_of, sections_of
+from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.identification.solve import beginning, minimise, simulable
 from surctl.vehicle.motion_log import LOG_MOTION, MotionLog
-from surctl.vehicle.parameters import PARAMETERS, Parameter, Vehicle
+from surctl.vehicle.parameters import Parameter, Vehicle
+from surctl.vehicle.specs import TERMS, parameter_spec
 
 __all__ = ["identify"]
 
@@ -76,7 +77,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     full = _full_fit(log, start)
     model, estimates = full.model, full.estimates
     rest = at_rest(model, full.theta, full.noise)
-    excluded = {k for k in FITTED if MASS_OF.get(k, k) in rest}
+    excluded = {k for k in estimates if axes_of(k) & rest}
     notes: list[str] = [] if full.converged else ["the fit has not converged: estimates and intervals are rough"]
     if "thrust_lag" in estimates:
         reason = few_thrusts(log, model.sections)
@@ -86,16 +87,16 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
             excluded.add("thrust_lag")
             notes.append(f"thrust_lag is not determined: {reason}")
     identified = tuple(k for k in estimates if k not in excluded and _ratio(model, estimates, k) <= 1.0)
-    theta, held, zeroed = _consistent(full, excluded)
+    # a constant force that cannot be told from 0 gets no entry in the vehicle
+    small = {k for k in CONSTANT_FORCE if abs(estimates[k][0]) <= estimates[k][1] and k not in start.parameters}
+    theta, held, zeroed = _consistent(full, excluded | small)
     notes += _negative_notes(zeroed, estimates)
     values = model.values(theta)
-    force = np.array([values[k] for k in CONSTANT_FORCE])
     vehicle = _vehicle(start, values, estimates, _Kinds(identified, held, zeroed), log, name)
     present = model.present
     return Identified(
-        with_constant_force(vehicle, force),
+        vehicle,
         start,
-        force,
         estimates,
         identified,
         held,
@@ -141,9 +142,9 @@ def _ratio(model: Model, estimates: Mapping[str, tuple[float, float]], name: str
     """
     value, half = estimates[name]
     scale = float(model.scale[model.names.index(name)])
-    if name in MASS_OF:
-        own = half / max(abs(value), scale)
-        return max(own / _NARROW, _ratio(model, estimates, MASS_OF[name]))
+    if name in MASS_OF or (name in TERMS and name not in CONSTANT_FORCE):
+        own = half / (_NARROW * max(abs(value), scale))
+        return max([own, *(_ratio(model, estimates, mass) for mass in axes_of(name))])
     reference = max(abs(value), _SMALL_FORCE * scale) if name in CONSTANT_FORCE else value
     return half / (_NARROW * max(reference, 1e-12))
 
@@ -232,25 +233,27 @@ def _vehicle(
 ) -> Vehicle:
     span = f"{len(log.time)} rows, {log.time[-1] - log.time[0]:.4g} s"
     known = dict(start.parameters)
-    for key in (k for k in FITTED if k in estimates):
-        prior, unit = known[key], PARAMETERS[key].unit
-        estimate, half = estimates[key]
-        if key in kinds.held:
+    for key, (estimate, half) in estimates.items():
+        prior, spec = known.get(key), parameter_spec(key)
+        if spec is None or (key in kinds.held and prior is None):
+            continue  # a constant force that cannot be told from 0
+        if key in kinds.held and prior is not None:
             said = f"{prior.provenance} (not identifiable from {log.source})"
             known[key] = Parameter(prior.value, prior.unit, prior.range, said)
             continue
-        value = max(values[key], 0.0)
-        bounds = (max(min(estimate - half, value), 0.0), max(estimate + half, value))
+        value = values[key] if spec.signed else max(values[key], 0.0)
+        low, high = min(estimate - half, value), max(estimate + half, value)
+        bounds = (low if spec.signed else max(low, 0.0), high)
         if key in kinds.zeroed:
             said = f"fixed at 0, because its estimate from {log.source} is {estimate:.4g} ± {half:.2g}"
             wrong = estimate + half < 0
-            known[key] = Parameter(0.0, unit, None if wrong else bounds, said + "; the model is wrong" * wrong)
+            known[key] = Parameter(0.0, spec.unit, None if wrong else bounds, said + "; the model is wrong" * wrong)
         elif key in kinds.identified:
             said = f"identified from {log.source}, {span}; range: 95 % interval"
-            known[key] = Parameter(value, unit, bounds, said)
+            known[key] = Parameter(value, spec.unit, bounds, said)
         else:
-            said = f"fitted to {log.source}, {span}, with the start values of {', '.join(kinds.held)}"
-            known[key] = Parameter(value, unit, None, said)
+            said = f"fitted to {log.source}, {span}, together with the start values of {', '.join(kinds.held)}"
+            known[key] = Parameter(value, spec.unit, None, said)
     return Vehicle(name, f"{start.name} fitted to a log", known)
 
 

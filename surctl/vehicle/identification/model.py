@@ -6,7 +6,7 @@ error of the model does not accumulate over the whole log.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import casadi as ca
@@ -14,17 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.vehicle.dynamics import PLANT_DISTURBANCE, PLANT_PARAMETERS, build_plant, plant_parameters
-from surctl.vehicle.kinematics import planar_rotation
+from surctl.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant_layout, plant_parameters
 from surctl.vehicle.motion_log import MotionLog
-from surctl.vehicle.parameters import Vehicle
+from surctl.vehicle.parameters import Parameter, Vehicle
+from surctl.vehicle.specs import TERMS, PlantForm
 
-__all__ = ["CONSTANT_FORCE", "FITTED", "MASS_OF", "Model", "Section", "sections_of"]
+__all__ = [
+    "CONSTANT_FORCE",
+    "FITTED",
+    "MASS_OF",
+    "Model",
+    "Section",
+    "axes_of",
+    "names_of",
+    "sections_of",
+    "with_all_constants",
+]
 
 FITTED = (
     "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag",
 )  # fmt: skip
-"""Parameters that can be identified from a log."""
+"""Parameters of equation (3) that can be identified from a log."""
 
 CONSTANT_FORCE = ("X0", "Y0", "Z0", "N0")
 """Constant force on the vehicle along its own axes [N] and constant yaw moment [N m]: net buoyancy, trim, a tether."""
@@ -40,7 +50,7 @@ _GAP, _GAP_FACTOR = 0.5, 5.0  # a gap is longer than this [s] and than this many
 _LONGEST = 60.0  # [s] longest section
 _LEAST_ROWS = 20  # rows of a section
 _AT_ONCE = 60_000  # integration steps whose sensitivities are in memory at the same time
-_SIZE = len(FITTED) + len(CONSTANT_FORCE)
+_COUPLING = 0.1  # scale of a coupling whose start value is 0, as a share of the parameters on the axes
 
 Array = NDArray[np.float64]
 
@@ -120,23 +130,20 @@ class Model:
 
     def __init__(self, log: MotionLog, start: Vehicle, sections: tuple[Section, ...]) -> None:
         self.log, self.sections = log, sections
-        lagged = start["thrust_lag"] > 0
-        self.names = (*(k for k in FITTED if k != "thrust_lag" or lagged), *CONSTANT_FORCE)
-        self.thrust = start.thrust_limit
-        begin = {k: start[k] for k in FITTED} | dict.fromkeys(CONSTANT_FORCE, 0.0)
-        # a drag whose start value is 0 is scaled by the quadratic drag of its axis
-        floor = {"X": start["Xuu"], "Y": start["Yvv"], "Z": start["Zww"], "N": start["Nrr"]}
-        scale = {k: v if v > 0 else max(0.1 * floor.get(k[0], 1.0), 1e-3) for k, v in begin.items()}
-        scale |= dict(zip(CONSTANT_FORCE, self.thrust.tolist(), strict=True))
-        self.start = np.array([begin[k] for k in self.names])
-        self.scale = np.array([scale[k] for k in self.names])
-        self._places = np.array([(FITTED + CONSTANT_FORCE).index(k) for k in self.names])
+        whole = with_all_constants(start)
+        self.names = names_of(whole)
+        self.thrust = np.abs(start.thrust_range).max(axis=0)
+        self.thrust[self.thrust == 0.0] = 1.0
+        self.start = np.array([whole[k] for k in self.names])
+        self.scale = np.array([_scale(whole, k, self.thrust) for k in self.names])
         self.present = np.isfinite(log.motion)
-        self._step, self._slope = _stepper(lagged, tuple(plant_parameters(start).tolist()))
+        self._step, self._slope = _stepper(whole.form, self.names)
+        flat = plant_parameters(_unlimited(whole))
+        self._known = flat[_places(whole.form, self.names)[1]]
         # masses are positive; an estimate of a drag may be negative, otherwise its interval would be wrong
         self.low = np.full(len(self.names), -np.inf)
         self.low[:4] = -0.95
-        if lagged:
+        if "thrust_lag" in self.names:
             self.low[self.names.index("thrust_lag")] = min(_LEAST_LAG / start["thrust_lag"] - 1.0, -1e-3)
 
     @property
@@ -166,7 +173,7 @@ class Model:
         firsts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
         flag[firsts], start[firsts] = 1.0, initial
         thrust, dt = np.vstack([s.thrust for s in sections]), np.concatenate([s.dt for s in sections])
-        (after,) = self._step(np.zeros(12), flag, start, thrust, np.broadcast_to(p, (total, _SIZE)), dt[:, None])
+        (after,) = self._step(np.zeros(12), flag, start, thrust, np.broadcast_to(p, (total, len(p))), dt[:, None])
         return [
             np.vstack([begin, after[k : k + n]])
             for k, n, begin in zip(firsts.tolist(), lengths.tolist(), initial, strict=True)
@@ -195,13 +202,9 @@ class Model:
         The prior holds unobservable entries near their start: unchanged parameters, initial thrust as commanded.
         """
         weight = np.concatenate([np.full(8, _LOOSE**-2.0), self.thrust**-2.0])
-        return self.begin(sections), np.concatenate(
-            [np.full(self.size, _PRIOR**-2.0), np.tile(weight, len(sections))]
-        )
+        return self.begin(sections), np.concatenate([np.full(self.size, _PRIOR**-2.0), np.tile(weight, len(sections))])
 
-    def slopes(
-        self, theta: Array, noise: Array, sections: tuple[Section, ...]
-    ) -> list[tuple[Array, Array]]:
+    def slopes(self, theta: Array, noise: Array, sections: tuple[Section, ...]) -> list[tuple[Array, Array]]:
         """Return for each section the residuals (n, 8) and their derivatives (n, 8, p + 12), divided by the noise.
 
         The derivatives are those by the parameters and by the initial state of the section; where no measurement exists,
@@ -219,9 +222,8 @@ class Model:
         return [results[k] for k in range(len(sections))]
 
     def _parameters(self, theta: Array) -> Array:
-        p = np.zeros(_SIZE)
-        p[self._places] = self.start + self.scale * theta[: self.size]
-        return p
+        # the fitted parameters, then the other entries of the plant's parameter vector
+        return np.concatenate([self.start + self.scale * theta[: self.size], self._known])
 
     def _initial(self, theta: Array, sections: tuple[Section, ...]) -> Array:
         return theta[self.size : self.size + 12 * len(sections)].reshape(-1, 12)
@@ -233,9 +235,9 @@ class Model:
         """
         x = np.vstack([(states[:-1] + states[1:]) / 2 for _, states in parts])
         thrust, dt = np.vstack([s.thrust for s, _ in parts]), np.concatenate([s.dt for s, _ in parts])
-        rate_x, rate_p = self._slope(x, thrust, np.broadcast_to(p, (len(x), _SIZE)))
+        rate_x, rate_p = self._slope(x, thrust, np.broadcast_to(p, (len(x), len(p))))
         rate_x *= dt[:, None, None]
-        rate_p = rate_p[:, :, self._places] * (self.scale * dt[:, None, None])
+        rate_p *= self.scale * dt[:, None, None]
         half = rate_x @ rate_x / 2
         over_x = np.eye(12) + rate_x + half + half @ rate_x / 3
         integral = np.eye(12) + rate_x / 2 + half / 3
@@ -298,12 +300,16 @@ class _Repeated:
 
 
 class _Slope:
-    # the derivatives of the rate by x (m, 12, 12) and p (m, 12, 17) from x, thrust and p; CasADi computes the nonzeros
+    # the derivatives of the rate by x (m, 12, 12) and p (m, 12, p) from x, thrust and p; CasADi computes the nonzeros
     def __init__(self, inputs: list[ca.SX], slopes: list[ca.SX]) -> None:
         self._places = [(slope.sparsity().row(), slope.sparsity().get_col()) for slope in slopes]
         self._widths = [slope.shape[1] for slope in slopes]
         nonzeros = [ca.vertcat(*slope.nonzeros()) for slope in slopes]
-        self._nonzeros = _Repeated(ca.Function("slope", inputs, nonzeros, {"cse": True}), chain=False)
+        both = ca.SX.sym("all", inputs[2].numel() + inputs[3].numel())
+        split = ca.vertsplit(both, [0, inputs[2].numel(), both.numel()])
+        alone = ca.Function("alone", inputs, nonzeros)
+        slope = ca.Function("slope", [*inputs[:2], both], alone(*inputs[:2], *split), {"cse": True})
+        self._nonzeros = _Repeated(slope, chain=False)
 
     def __call__(self, x: Array, thrust: Array, p: Array) -> tuple[Array, Array]:
         over_x, over_p = (np.zeros((len(x), 12, width)) for width in self._widths)
@@ -314,40 +320,100 @@ class _Slope:
         return over_x, over_p
 
 
+def with_all_constants(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle with all constant forces as terms; those that it does not have are 0."""
+    zeros = {k: Parameter(0.0, TERMS[k].unit, None, "") for k in CONSTANT_FORCE}
+    parameters = zeros | dict(vehicle.parameters)
+    order = [k for k in (*vehicle.parameters, *CONSTANT_FORCE) if k in parameters]
+    return replace(vehicle, parameters={k: parameters[k] for k in dict.fromkeys(order)})
+
+
+def names_of(vehicle: Vehicle) -> tuple[str, ...]:
+    """Return the names of all parameters of a vehicle that are fitted: equation (3), couplings, constant force.
+
+    A vehicle without thrust lag keeps a lag of 0.
+    """
+    couplings = [k for k in vehicle.form.terms if TERMS[k].table in ("inertia", "drag")]
+    lagged = vehicle["thrust_lag"] > 0
+    return (*(k for k in FITTED if k != "thrust_lag" or lagged), *couplings, *CONSTANT_FORCE)
+
+
+def axes_of(name: str) -> frozenset[str]:
+    """Return the names of the masses on the axes whose motion a mass, drag or coupling needs; none for other names."""
+    if name in CONSTANT_FORCE or name == "thrust_lag":
+        return frozenset()
+    if name[0] == "m":
+        return frozenset(f"m{axis}{axis}" for axis in name[1:])
+    letters = {"X": 1, "Y": 2, "Z": 3, "N": 4} | dict(zip("uvwr", range(1, 5), strict=True))
+    return frozenset(f"m{letters[c]}{letters[c]}" for c in name)
+
+
+def _scale(vehicle: Vehicle, name: str, thrust: Array) -> float:
+    # size of a change of a parameter
+    value = abs(vehicle[name])
+    if name in CONSTANT_FORCE:
+        return float(thrust[CONSTANT_FORCE.index(name)])
+    if value > 0:
+        return value
+    quadratic = {"X": "Xuu", "Y": "Yvv", "Z": "Zww", "N": "Nrr"}
+    if name[0] == "m":
+        of_axes = np.sqrt(vehicle["m" + 2 * name[1]] * vehicle["m" + 2 * name[2]])
+    else:  # a drag whose start value is 0 is scaled by the quadratic drag of its axis
+        of_axes = vehicle[quadratic[name[0]]]
+    return max(_COUPLING * float(of_axes), 1e-3)
+
+
+def _unlimited(vehicle: Vehicle) -> Vehicle:
+    # the thrust in the log is not limited again
+    limits = [k for k in vehicle.parameters if k.endswith(("_max", "_reverse")) and k[0] == "F"]
+    changed = {k: replace(vehicle.parameters[k], value=1e12, range=None) for k in limits}
+    return replace(vehicle, parameters={**vehicle.parameters, **changed})
+
+
+def _places(form: PlantForm, names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Return the places of the fitted parameters in the plant's parameter vector, and the places of all others."""
+    layout = plant_layout(form)
+    at = {k: layout.slice("thrust_lag").start for k in ("thrust_lag",)}
+    for port, keys in (("mass", FITTED[:4]), ("linear_drag", FITTED[4:8]), ("quadratic_drag", FITTED[8:12])):
+        at |= {k: layout.slice(port).start + j for j, k in enumerate(keys)}
+    at |= {k: layout.slice("terms").start + j for j, k in enumerate(form.terms)}
+    fitted = [at[k] for k in names]
+    return fitted, [k for k in range(layout.size) if k not in fitted]
+
+
 @cache
-def _stepper(lagged: bool, start: tuple[float, ...]) -> tuple[_Repeated, _Slope]:
-    """Return one integration step (RK4) of equations (1)–(3) of the paper in still water, and the slopes of the rate.
+def _stepper(form: PlantForm, names: tuple[str, ...]) -> tuple[_Repeated, _Slope]:
+    """Return one integration step (RK4) of the plant in still water, and the slopes of the rate.
 
     The step has the arguments of a chain: the state x (12,), a flag and a new initial state (12,), which replaces x if
-    the flag is 1, thrust (4,), p and dt; it returns the next state. The parameters p have the order of `FITTED`,
-    `CONSTANT_FORCE`; all other parameters of the plant are those of the flat vector `start`.
+    the flag is 1, thrust (4,), p and dt; it returns the next state. The vector p holds the parameters `names`, then the
+    other entries of the plant's parameter vector. The slopes are those by x and by the parameters `names`.
     """
-    x, thrust, p, dt = ca.SX.sym("x", 12), ca.SX.sym("thrust", 4), ca.SX.sym("p", _SIZE), ca.SX.sym("dt")
-    fitted = {
-        "mass": p[0:4],
-        "linear_drag": p[4:8],
-        "quadratic_drag": p[8:12],
-        "thrust_limit": ca.DM.ones(4) * 1e12,  # the thrust in the log is not limited again
-        "thrust_lag": p[12] if lagged else ca.DM(0),
-    }
-    known = PLANT_PARAMETERS.unpack(np.array(start))
-    plant = ca.vertcat(
-        *(fitted.get(port.name, ca.DM(known[port.name].reshape(-1))) for port in PLANT_PARAMETERS.ports)
-    )
-    ode = build_plant().ode
+    fitted, others = _places(form, names)
+    x, thrust, dt = ca.SX.sym("x", 12), ca.SX.sym("thrust", 4), ca.SX.sym("dt")
+    p, known = ca.SX.sym("p", len(fitted)), ca.SX.sym("known", len(others))
+    entries = dict(zip((*fitted, *others), (*ca.vertsplit(p), *ca.vertsplit(known)), strict=True))
+    plant = ca.vertcat(*(entries[k] for k in range(len(entries))))
+    ode = build_plant(form).ode
 
     def rate(state: ca.SX) -> ca.SX:
-        force = ca.vertcat(planar_rotation(state[3]) @ p[13:15], p[15:17])
-        zero = {port.name: ca.DM.zeros(port.size) for port in PLANT_DISTURBANCE.ports}
-        return ode(state, thrust, ca.vertcat(*(zero | {"force": force}).values()), plant)
+        return ode(state, thrust, ca.DM.zeros(PLANT_DISTURBANCE.size), plant)
 
     k1 = rate(x)
     k2 = rate(x + dt / 2 * k1)
     k3 = rate(x + dt / 2 * k2)
     k4 = rate(x + dt * k3)
-    after = ca.Function("after", [x, thrust, p, dt], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)], {"cse": True})
+    after = ca.Function("after", [x, thrust, p, known, dt], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)], {"cse": True})
     flag, begin = ca.SX.sym("flag"), ca.SX.sym("begin", 12)
     chosen = ca.if_else(flag > 0, begin, x)
-    step = ca.Function("step", [x, flag, begin, thrust, p, dt], [after(chosen, thrust, p, dt)], {"cse": True})
-    slope = _Slope([x, thrust, p], [ca.jacobian(rate(x), x), ca.jacobian(rate(x), p)])
-    return _Repeated(step, chain=True), slope
+    both = ca.vertcat(p, known)
+    inputs = [x, flag, begin, thrust, ca.SX.sym("all", both.numel()), dt]
+    step = ca.Function(
+        "step",
+        inputs,
+        [after(chosen, thrust, *ca.vertsplit(inputs[4], [0, len(fitted), both.numel()]), dt)],
+        {"cse": True},
+    )
+    return _Repeated(step, chain=True), _Slope(
+        [x, thrust, p, known], [ca.jacobian(rate(x), x), ca.jacobian(rate(x), p)]
+    )
