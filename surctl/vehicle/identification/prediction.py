@@ -22,6 +22,7 @@ HELD_OUT = 0.4
 _WINDOW = 5.0  # [s]
 _BEFORE = 1.0  # [s] motion before a window from which a velocity without measurement is computed
 _LEAST_ROWS = 4  # rows of a window
+_LAGS = 5.0  # thrust lags after which the thrust no longer depends on its start
 
 Array = NDArray[np.float64]
 
@@ -84,8 +85,9 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = _WINDOW) -> Pre
 
 def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *, window: float = _WINDOW) -> Prediction:
     """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others."""
-    windows = [w for section in sections_of(log) for w in _windows(log, section, window)]
-    states = [(w, x) for w in windows if (x := _first_state(log, *w, lag=values.get("thrust_lag", 0.0))) is not None]
+    lag = values.get("thrust_lag", 0.0)
+    windows = [w for section in sections_of(log) for w in _windows(log, section, window, after=min(_LAGS * lag, window))]
+    states = [(w, x) for w in windows if (x := _first_state(log, *w, lag=lag)) is not None]
     if not states:
         raise InputError(
             f"has no window of {window:g} s with a measured start", file=log.source, remedy="give a longer log"
@@ -141,11 +143,11 @@ def held_out(log: MotionLog, start: Vehicle, *, share: float = HELD_OUT, window:
         return None
 
 
-def _windows(log: MotionLog, section: Section, window: float) -> list[tuple[Section, Section]]:
-    # each with its section
+def _windows(log: MotionLog, section: Section, window: float, *, after: float) -> list[tuple[Section, Section]]:
+    # each with its section; the thrust at its start follows from the commands of the time `after` before
     time = log.time[section.rows]
-    count = int((time[-1] - time[0]) // window)
-    cuts = np.searchsorted(time, time[0] + window * np.arange(count + 1) - 1e-9)
+    count = max(int((time[-1] - time[0] - after) // window), 0)
+    cuts = np.searchsorted(time, time[0] + after + window * np.arange(count + 1) - 1e-9)
     parts = []
     for one, other in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
         if other - one >= _LEAST_ROWS:
