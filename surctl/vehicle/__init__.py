@@ -21,6 +21,7 @@ from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
+from surctl.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, MotionLog, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
@@ -65,11 +66,14 @@ __all__ = [
     "plant_system",
     "predict",
     "predict_with",
+    "read_mapped_log",
     "read_motion_log",
+    "read_recording",
     "sphere",
     "steady_speed",
     "swap_body",
     "swap_pose",
+    "topic_lines",
     "trim_thrust",
     "write_vehicle",
 ]

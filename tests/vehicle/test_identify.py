@@ -102,7 +102,7 @@ def test_a_current_is_noticed() -> None:
     motion = log.motion.copy()
     motion[:, 0] += 0.03 * np.sin(log.time)
     found = identify(MotionLog(log.time, motion, log.thrust), START, name="fitted")
-    assert any("x_m is not white noise" in note for note in found.notes)
+    assert any("not white noise: x_m" in note for note in found.notes)
 
 
 def _csv(log: MotionLog, **changed: list[str]) -> str:

@@ -85,8 +85,8 @@ def ill_excited(
 
 
 def notes_of(model: Model, left: list[Array]) -> tuple[str, ...]:
-    """Return for each column whose residuals are not white noise a text with possible causes."""
-    texts = []
+    """Return a text that names the columns whose residuals are not white noise, with possible causes; or none."""
+    coloured = []
     for k, column in enumerate(LOG_MOTION):
         series = [e[model.present[s.rows][:, k], k] for s, e in zip(model.sections, left, strict=True)]
         number, square = sum(len(e) for e in series), sum(float(e @ e) for e in series)
@@ -94,8 +94,10 @@ def notes_of(model: Model, left: list[Array]) -> tuple[str, ...]:
             continue
         alike = sum(float(e[1:] @ e[:-1]) for e in series) / square
         if abs(alike) * np.sqrt(number) > _WHITE:
-            texts.append(
-                f"the residual of {column} is not white noise (correlation {alike:+.2f} from row to row); the intervals "
-                "allow for it; possible causes: a current, filtered measurements, another drag law"
-            )
-    return tuple(texts)
+            coloured.append(f"{column} ({alike:+.2f})")
+    if not coloured:
+        return ()
+    return (
+        f"residuals are not white noise: {', '.join(coloured)} (correlation from row to row); the intervals allow for "
+        "it; possible causes: a current, filtered measurements, another drag law",
+    )

@@ -56,8 +56,8 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     thrust lag. Thrust limits and radius are those of `start`, because they cannot be identified from a log.
 
     Raises:
-        InputError: no simulated motion is finite, which shows that the columns of motion and thrust do not match; or the
-            log has no part of sufficient length without a gap.
+        InputError: no simulated motion is finite, which shows that the columns of motion and thrust do not match;
+            or the log has no part of sufficient length without a gap.
 
     Example:
         >>> import numpy as np
@@ -136,9 +136,9 @@ def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
 def _ratio(model: Model, estimates: Mapping[str, tuple[float, float]], name: str) -> float:
     """Return the half-interval of a parameter, relative to the largest one with which it counts as identified.
 
-    The interval of a drag parameter, which may be 0, is relative to the larger of the estimate and the start value, that
-    of a constant force to the larger of the estimate and a tenth of the thrust limit. A motion shows only the ratio of
-    drag to mass. So if the mass of an axis is not identified, its drag is not identified either.
+    The interval of a drag parameter, which may be 0, is relative to the larger of the estimate and the start value,
+    that of a constant force to the larger of the estimate and a tenth of the thrust limit. A motion shows only the
+    ratio of drag to mass. So if the mass of an axis is not identified, its drag is not identified either.
     """
     value, half = estimates[name]
     scale = float(model.scale[model.names.index(name)])

@@ -1,8 +1,8 @@
 """Intervals of fitted parameters that hold for coloured residuals too (heteroskedasticity and autocorrelation, HAC).
 
 The covariance of the estimates is the sandwich B⁻¹ M B⁻¹ (White 1982; Newey & West 1987): B is the information of the
-normalised residuals, M the covariance of their weighted sum. M follows from the residuals' auto- and cross-correlations,
-up to a lag that is chosen by the rule of Politis (2003) with his flat-top window.
+normalised residuals, M the covariance of their weighted sum. M follows from the auto- and cross-correlations of the
+residuals, up to a lag that is chosen by the rule of Politis (2003) with his flat-top window.
 """
 
 from __future__ import annotations

@@ -207,8 +207,8 @@ class Model:
     def slopes(self, theta: Array, noise: Array, sections: tuple[Section, ...]) -> list[tuple[Array, Array]]:
         """Return for each section the residuals (n, 8) and their derivatives (n, 8, p + 12), divided by the noise.
 
-        The derivatives are those by the parameters and by the initial state of the section; where no measurement exists,
-        both are 0.
+        The derivatives are those by the parameters and by the initial state of the section; where no measurement
+        exists, both are 0.
         """
         p = self._parameters(theta)
         results: dict[int, tuple[Array, Array]] = {}

@@ -86,7 +86,9 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = _WINDOW) -> Pre
 def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *, window: float = _WINDOW) -> Prediction:
     """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others."""
     lag = values.get("thrust_lag", 0.0)
-    windows = [w for section in sections_of(log) for w in _windows(log, section, window, after=min(_LAGS * lag, window))]
+    windows = [
+        w for section in sections_of(log) for w in _windows(log, section, window, after=min(_LAGS * lag, window))
+    ]
     states = [(w, x) for w in windows if (x := _first_state(log, *w, lag=lag)) is not None]
     if not states:
         raise InputError(

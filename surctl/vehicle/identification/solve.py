@@ -79,7 +79,7 @@ def _normal(model: Model, theta: Array, noise: Array, sections: tuple[Section, .
 
 
 def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
-    """Return a first θ for all sections, fitted to the first rows of each section, then to 1.5 times as many, and so on.
+    """Return a first θ for all sections, fitted to the first rows of each, then to 1.5 times as many, and so on.
 
     Over a whole section, a simulated heading may be wrong by more than half a turn; then the fit would end in a local
     minimum. Over a short part, the error of the simulated heading is smaller. A long log is represented by some of its
