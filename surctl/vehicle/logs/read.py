@@ -44,7 +44,10 @@ def read_recording(path: Path, topics: Collection[str] | None = None, *, log_map
         raise InputError("no such file", file=shown(path), remedy="check the path")
     reader = read_bag if path.is_dir() else READERS.get(path.suffix.lower())
     if reader is not None:
-        return reader(path, topics)
+        recording = reader(path, topics)
+        if topics is None and not recording.topics:
+            raise InputError("has no messages with numbers", file=shown(path), remedy="check the file")
+        return recording
     clock = None if log_map is None else log_map.log
     return read_table(path, time=clock.time if clock else "t_s", unit=clock.time_unit if clock else "s")
 
@@ -81,7 +84,10 @@ def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
     """
     log_map = load_log_map(map_path)
     topics = {part.topic for _, part in log_map.sources()}
-    return joined(read_recording(path, topics, log_map=log_map), log_map, map_name=shown(map_path))
+    recording = read_recording(path, topics, log_map=log_map)
+    if not topics <= recording.topics.keys():
+        recording = read_recording(path, log_map=log_map)  # for a message that names all topics
+    return joined(recording, log_map, map_name=shown(map_path))
 
 
 def topic_lines(recording: Recording) -> list[str]:

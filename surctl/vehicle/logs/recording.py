@@ -98,15 +98,8 @@ class Rows:
 
 
 def recording_of(path: Path, rows: Mapping[str, Rows]) -> Recording:
-    """Return the recording of a file that was read.
-
-    Raises:
-        InputError: the file has no messages with numbers.
-    """
-    topics = {name: one.topic() for name, one in rows.items() if one.time and any(one.messages)}
-    if not topics:
-        raise InputError("has no messages with numbers", file=shown(path), remedy="check the file and the topics")
-    return Recording(shown(path), topics)
+    """Return the recording of a file that was read; topics without numbers are omitted."""
+    return Recording(shown(path), {name: one.topic() for name, one in rows.items() if any(one.messages)})
 
 
 def flattened(value: Any, name: str = "") -> Iterator[tuple[str, float]]:

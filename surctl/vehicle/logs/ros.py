@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError
 from surctl.recorded import shown
 from surctl.vehicle.logs.recording import Recording, Rows, flattened, optional_module, recording_of
 
@@ -42,12 +42,11 @@ def read_bag(path: Path, topics: Collection[str] | None) -> Recording:
             for connection, stamp, raw in reader.messages(connections=chosen) if chosen else ():
                 message = reader.deserialize(raw, connection.msgtype)
                 rows.setdefault(connection.topic, Rows()).append(stamp * 1e-9, flattened(message))
-            known = sorted({c.topic for c in reader.connections})
     except Exception as error:  # rosbags passes on errors of its own and of every library that it reads with
         raise InputError(
             f"cannot be read as a bag ({_line(error)})", file=shown(path), remedy="check it with: ros2 bag info"
         ) from None
-    return _with_missing(path, topics, rows, known)
+    return recording_of(path, rows)
 
 
 def read_mcap(path: Path, topics: Collection[str] | None) -> Recording:
@@ -59,11 +58,9 @@ def read_mcap(path: Path, topics: Collection[str] | None) -> Recording:
     reader_of = optional_module("mcap.reader", path=path, extra="ros").make_reader
     rows: dict[str, Rows] = {}
     decoders: dict[int, Callable[[bytes], Any]] = {}
-    known: set[str] = set()
     try:
         with path.open("rb") as file:
             for schema, channel, message in reader_of(file).iter_messages(log_time_order=False):
-                known.add(channel.topic)
                 if topics is not None and channel.topic not in topics:
                     continue
                 if channel.id not in decoders:
@@ -76,7 +73,7 @@ def read_mcap(path: Path, topics: Collection[str] | None) -> Recording:
         raise InputError(
             f"cannot be read as an MCAP file ({_line(error)})", file=shown(path), remedy="check it with: mcap doctor"
         ) from None
-    return _with_missing(path, topics, rows, sorted(known))
+    return recording_of(path, rows)
 
 
 def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
@@ -97,14 +94,6 @@ def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
     if encoding == "cdr":
         return lambda raw: store.deserialize_cdr(raw, name)
     return lambda raw: store.deserialize_ros1(raw, name)
-
-
-def _with_missing(path: Path, topics: Collection[str] | None, rows: dict[str, Rows], known: list[str]) -> Recording:
-    # a topic that the map names and the file does not have is reported by name, also if no other topic was read
-    if topics is not None and not rows and known:
-        wrong = min(topics)
-        raise InputError(f"is no topic of {shown(path)}", key="topic", value=wrong, remedy=nearest(wrong, known))
-    return recording_of(path, rows)
 
 
 def _line(error: Exception) -> str:

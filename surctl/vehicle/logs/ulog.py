@@ -25,7 +25,8 @@ def read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
     pyulog = optional_module("pyulog", path=path, extra="px4")
     names = None if topics is None else sorted({topic.partition("[")[0] for topic in topics})
     try:
-        log = pyulog.ULog(str(path), names)
+        with path.open("rb") as file:
+            log = pyulog.ULog(file, names)
     except Exception as error:  # pyulog raises errors of struct and of types, and Exception itself
         raise InputError(f"cannot be read as a ULog ({error})", file=shown(path), remedy="give a .ulg file") from None
     held = {}
@@ -35,6 +36,4 @@ def read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
         order = order[np.append(np.diff(time[order]) > 0, True)]
         fields = {k: np.asarray(v, dtype=float)[order] for k, v in data.data.items() if k != "timestamp"}
         held[data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"] = Topic(time[order], fields)
-    if not held:
-        raise InputError("has none of the topics", file=shown(path), remedy="check the topics of the map")
     return Recording(shown(path), held)
