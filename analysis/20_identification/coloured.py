@@ -1,6 +1,6 @@
 """Study 20, second part: logs with a constant force, coloured noise, gaps and unequal sampling at 50 Hz.
 
-    python analysis/20_identification/coloured.py            # an hour on two cores
+    python analysis/20_identification/coloured.py            # half an hour on two cores
     python analysis/20_identification/coloured.py --quick    # 2 logs, 1 comparison with SciPy
 
 Each log is of another vehicle, drawn from ranges around a sphere with 40 N of thrust. A constant force of 8 N
@@ -211,13 +211,13 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="2 logs instead of 200")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     given = parser.parse_args()
-    count, compared = (2, 1) if given.quick else (200, 20)
+    count, compared = (2, 1) if given.quick else (200, 8)
     found: list[Trial] = []
-    for one in trials([(k, k < compared) for k in range(count)], given.workers):
+    for one in trials([(k, k >= count - compared) for k in range(count)], given.workers):
         found.append(one)
         if not given.quick:
             sys.stderr.write(f"  {len(found)} of {count}: {[k for k, x in one.inside.items() if not x]}\n")
-    against = found[:compared]
+    against = found[count - compared :]
     print(
         f"{count} logs of {FITTED_S:g} s at about 50 Hz, unequal sampling, two gaps, 8 N, coloured noise\n"
     )

@@ -44,9 +44,9 @@ _name = click.option("--name", default="my-vehicle", metavar="TEXT", help="Name 
 
 @click.group()
 def vehicle() -> None:
-    """Write a vehicle file: from-geometry for a sphere, or from-log from a recording of motion and thrust.
+    """Write a vehicle file: from-geometry for a sphere, from-log from a recording, or from-gazebo from a model.
 
-    Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help
+    Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help; surctl vehicle from-gazebo --help
     """
 
 
@@ -110,10 +110,59 @@ def from_geometry(
         thrust_lag=thrust_lag,
         density=density,
     )
-    lines = [f"{robot.name}: {robot.note}"]
-    for key, p in robot.parameters.items():
-        bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
-        lines.append(f"  {key:<10} {p.value:>9.4g} {p.unit:<10}{bounds}")
+    lines = _parameter_lines(robot)
+    _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
+
+
+@vehicle.command("from-gazebo")
+@click.argument("model", type=click.Path(path_type=Path))
+@_name
+@click.option("--link", metavar="NAME", help="Link with the hydrodynamics (default: the only one).")
+@click.option("--diameter", type=_Measured("m"), required=True, help="Diameter of a circle around the hull [m].")
+@click.option("--thrust", type=_Measured("N"), required=True, help="Largest force in surge [N].")
+@click.option("--sway-thrust", type=_Measured("N"), help="Largest force in sway [N] (default: as in surge).")
+@click.option("--heave-thrust", type=_Measured("N"), help="Largest force in heave [N] (default: as in surge).")
+@click.option("--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical [N m].")
+@click.option("--thrust-lag", type=_Measured("s"), default=0.3, help="First-order lag of the thrust [s] (default 0.3).")
+@_out
+@_over
+@as_json
+def from_gazebo(
+    model: Path,
+    name: str,
+    link: str | None,
+    diameter: float,
+    thrust: float,
+    sway_thrust: float | None,
+    heave_thrust: float | None,
+    yaw_thrust: float,
+    thrust_lag: float,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Take mass, added mass and drag from a Gazebo model: SDF, or URDF and xacro of uuv_simulator.
+
+    The command reads the plugin gz::sim::systems::Hydrodynamics, fluid_added_mass, and hydrodynamic_model of type
+    fossen. Surge, sway, heave and yaw are taken; roll and pitch are omitted. Expand macros first:
+    xacro FILE > robot.urdf.
+
+    Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
+    """
+    from surctl.vehicle import gazebo_vehicle
+
+    robot = gazebo_vehicle(
+        model,
+        name,
+        radius=diameter / 2,
+        thrust=thrust,
+        yaw_thrust=yaw_thrust,
+        sway_thrust=sway_thrust,
+        heave_thrust=heave_thrust,
+        thrust_lag=thrust_lag,
+        link=link,
+    )
+    lines = _parameter_lines(robot)
     _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
 
 
@@ -265,6 +314,14 @@ def _prediction_lines(prediction: Prediction | None, share: float) -> list[str]:
     ]
     for column, error in prediction.model.items():
         lines.append(f"    {column:<10} {error:>9.3g} {prediction.hold[column]:>19.3g}")
+    return lines
+
+
+def _parameter_lines(robot: Vehicle) -> list[str]:
+    lines = [f"{robot.name}: {robot.note}"]
+    for key, p in robot.parameters.items():
+        bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
+        lines.append(f"  {key:<10} {p.value:>9.4g} {p.unit:<10}{bounds}")
     return lines
 
 

@@ -13,6 +13,7 @@ from surctl.vehicle.dynamics import (
     trim_thrust,
 )
 from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, swap_body, swap_pose
+from surctl.vehicle.gazebo import gazebo_vehicle
 from surctl.vehicle.geometry import sphere
 from surctl.vehicle.identification.identify import identify
 from surctl.vehicle.identification.model import CONSTANT_FORCE, FITTED
@@ -53,6 +54,7 @@ __all__ = [
     "build_plant",
     "check_equation_3",
     "check_frame",
+    "gazebo_vehicle",
     "held_out",
     "identify",
     "jacobian",
