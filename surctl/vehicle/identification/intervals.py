@@ -26,7 +26,7 @@ class Spread:
 
     Attributes:
         covariance: (p, p) of the scaled parameters, with all of them free.
-        freedom: number of independent residuals minus the number of fitted quantities.
+        freedom: degrees of freedom of the estimated covariance.
     """
 
     covariance: Array
@@ -65,8 +65,11 @@ def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]]
     coloured = inverse
     if lag:
         meat = np.diag(prior) + _meat(slopes, correlation)
-        inflation = independent / max(freedom, 0.1 * independent)
+        # the fit takes up a part of the noise: the factor is squared as in HC3 (MacKinnon & White 1985)
+        inflation = (independent / max(freedom, 0.1 * independent)) ** 2
         coloured = inflation * (inverse @ meat @ inverse)
+        rows = sum(len(e) for e in left)
+        freedom = min(freedom, 2.0 * rows / (2.0 * float(np.sum(_window(lag) ** 2)) - 1.0))
     # an estimate of M may be too small; the residuals count as white noise at least
     larger = np.sqrt(np.maximum(np.diag(coloured) / np.diag(white), 1.0))
     own = np.sqrt(np.maximum(np.diag(coloured), 1e-300))

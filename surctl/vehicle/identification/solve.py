@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 _CONVERGED, _NEAR = 1e-6, 1e-3  # relative change of the cost at which a fit and a first fit have converged
 _TRIES = 40
-_FIRST_ROWS, _LONGER = 50, 1.5  # first fit: number of rows of each section, growth per fit
+_FIRST_ROWS, _FIRST_S, _LONGER = 50, 4.0, 1.5  # first fit: rows and [s] of each section, growth per fit
 _MOST_STEPS = 6000  # integration steps of a first fit
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-9, 1e8
 
@@ -85,7 +85,8 @@ def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
     minimum. Over a short part, the error of the simulated heading is smaller. A long log is represented by some of its
     sections.
     """
-    rows, longest = _FIRST_ROWS, max(len(s.at) for s in model.sections)
+    longest = max(len(s.at) for s in model.sections)
+    rows = max(_FIRST_ROWS, int(_FIRST_S / float(np.median(np.diff(model.log.time)))))
     parameters = np.zeros(model.size)
     while rows < longest:
         parts = _chosen(model, rows)
