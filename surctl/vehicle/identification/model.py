@@ -71,11 +71,12 @@ class Section:
     thrust: Array
     at: NDArray[np.int64]
 
-    def first(self, rows: int) -> Section:
-        """Return the first `rows` rows of the section, or the whole section if it is shorter."""
-        at = self.at[:rows]
-        stop = self.rows.start + len(at)
-        return Section(slice(self.rows.start, stop), self.dt[: at[-1]], self.thrust[: at[-1]], at)
+    def part(self, first: int, rows: int) -> Section:
+        """Return at most `rows` rows of the section from the row `first` on."""
+        at = self.at[first : first + rows]
+        steps = slice(int(at[0]), int(at[-1]))
+        start = self.rows.start + first
+        return Section(slice(start, start + len(at)), self.dt[steps], self.thrust[steps], at - at[0])
 
 
 def sections_of(log: MotionLog) -> tuple[Section, ...]:

@@ -153,10 +153,7 @@ def _windows(log: MotionLog, section: Section, window: float, *, after: float) -
     parts = []
     for one, other in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
         if other - one >= _LEAST_ROWS:
-            at = section.at[one:other]
-            steps = slice(int(at[0]), int(at[-1]))
-            rows = slice(section.rows.start + one, section.rows.start + other)
-            parts.append((section, Section(rows, section.dt[steps], section.thrust[steps], at - at[0])))
+            parts.append((section, section.part(one, other - one)))
     return parts
 
 

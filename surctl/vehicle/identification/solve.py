@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 
 _CONVERGED, _NEAR = 1e-6, 1e-3  # relative change of the cost at which a fit and a first fit have converged
 _TRIES = 40
-_FIRST_ROWS, _FIRST_S, _LONGER = 50, 4.0, 1.5  # first fit: rows and [s] of each section, growth per fit
-_MOST_STEPS = 6000  # integration steps of a first fit
+_FIRST_ROWS, _FIRST_S, _LONGER = 20, 4.0, 3  # first fit: rows and [s] of each piece, growth per fit
+_MOST_STEPS, _LEAST_STEPS = 6000, 5  # integration steps of a first fit, and of a piece of it
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-9, 1e8
 
 
@@ -79,36 +79,34 @@ def _normal(model: Model, theta: Array, noise: Array, sections: tuple[Section, .
 
 
 def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
-    """Return a first θ for all sections, fitted to the first rows of each, then to 1.5 times as many, and so on.
+    """Return a first θ for all sections, fitted to short pieces of them, then to pieces three times as long, and so on.
 
     Over a whole section, a simulated heading may be wrong by more than half a turn; then the fit would end in a local
-    minimum. Over a short part, the error of the simulated heading is smaller. A long log is represented by some of its
-    sections.
+    minimum. Over a short piece, which has an initial state of its own, the error of the simulated heading is smaller. A
+    long log is represented by some of its pieces.
     """
     longest = max(len(s.at) for s in model.sections)
     rows = max(_FIRST_ROWS, int(_FIRST_S / float(np.median(np.diff(model.log.time)))))
     parameters = np.zeros(model.size)
     while rows < longest:
-        parts = _chosen(model, rows)
-        theta = model.begin(parts)
+        pieces = _pieces(model, rows)
+        theta = model.begin(pieces)
         theta[: model.size] = parameters
-        theta = simulable(model, theta, noise, parts)
-        theta, _ = minimise(model, theta, noise, parts, free=free, tolerance=_NEAR)
+        theta = simulable(model, theta, noise, pieces)
+        theta, _ = minimise(model, theta, noise, pieces, free=free, tolerance=_NEAR)
         parameters = theta[: model.size]
-        if sum(len(s.dt) for s in parts) > _MOST_STEPS:
-            break
-        rows = int(rows * _LONGER)
+        rows *= _LONGER
     theta = model.begin(model.sections)
     theta[: model.size] = parameters
     return theta
 
 
-def _chosen(model: Model, rows: int) -> tuple[Section, ...]:
-    # the beginnings of sections, spread over the log, with at most `_MOST_STEPS` steps unless one is longer
-    parts = [s.first(rows) for s in model.sections]
-    parts = [s for s in parts if len(s.dt) and model.present[s.rows].any()] or [model.sections[0]]
-    count = int(np.clip(_MOST_STEPS // max(len(s.dt) for s in parts), 1, len(parts)))
-    return tuple(parts[k] for k in np.unique(np.linspace(0, len(parts) - 1, count).round().astype(int)))
+def _pieces(model: Model, rows: int) -> tuple[Section, ...]:
+    # pieces of all sections, spread over the log, with at most `_MOST_STEPS` steps unless one is longer
+    pieces = [s.part(k, rows) for s in model.sections for k in range(0, len(s.at), rows)]
+    pieces = [s for s in pieces if len(s.dt) >= _LEAST_STEPS and model.present[s.rows].any()] or [model.sections[0]]
+    count = int(np.clip(_MOST_STEPS // max(len(s.dt) for s in pieces), 1, len(pieces)))
+    return tuple(pieces[k] for k in np.unique(np.linspace(0, len(pieces) - 1, count).round().astype(int)))
 
 
 def simulable(model: Model, theta: Array, noise: Array, sections: tuple[Section, ...]) -> Array:
