@@ -33,7 +33,7 @@ def made_log(vehicle: Vehicle, *, seed: int, axes: tuple[int, ...] = (0, 1, 2, 3
     for axis in axes:
         held = np.repeat(rng.uniform(-1, 1, rows), rng.integers(6, 30, rows))[:rows]
         thrust[:, axis] = held * vehicle.thrust_limit[axis]
-    ode, p, x = build_plant().ode, plant_parameters(vehicle), np.zeros(12)
+    ode, p, x = build_plant(vehicle.form).ode, plant_parameters(vehicle), np.zeros(12)
     motion = [x[:8]]
     for command in thrust[:-1]:
         for _ in range(8):
