@@ -218,9 +218,7 @@ def main() -> int:
         if not given.quick:
             sys.stderr.write(f"  {len(found)} of {count}: {[k for k, x in one.inside.items() if not x]}\n")
     against = found[count - compared :]
-    print(
-        f"{count} logs of {FITTED_S:g} s at about 50 Hz, unequal sampling, two gaps, 8 N, coloured noise\n"
-    )
+    print(f"{count} logs of {FITTED_S:g} s at about 50 Hz, unequal sampling, two gaps, 8 N, coloured noise\n")
     print("| parameter | in its 95 % interval | half-interval, median | identified |\n|---|---|---|---|")
     for name in NAMES:
         hits = np.mean([t.inside[name] for t in found])
