@@ -62,14 +62,41 @@ def _vector(value: object) -> NDArray[np.float64] | None:
 def _mat(path: Path, name: str) -> Contents:
     from scipy.io import loadmat
 
+    if _is_hdf5(path):
+        return _mat73(path, name)
     try:
         held = loadmat(path, squeeze_me=True, chars_as_strings=True)
-    except NotImplementedError:  # version 7.3 is HDF5
-        raise InputError("is a MAT-file of version 7.3", file=name, remedy="save it with -v7") from None
-    except (OSError, ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, MemoryError) as error:
+    except (
+        OSError, ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, MemoryError, NotImplementedError,
+    ) as error:  # fmt: skip
         raise InputError(f"cannot be read as a MAT-file ({error})", file=name, remedy="save it with -v7") from None
     frame = held.get("frame")
     return {key: value for key, value in held.items() if not key.startswith("__")}, str(frame or "")
+
+
+def _is_hdf5(path: Path) -> bool:
+    # a MAT-file of version 7.3 has a header of 512 bytes before the HDF5 signature
+    with path.open("rb") as file:
+        return b"MATLAB 7.3" in file.read(124) or b"\x89HDF\r\n" in file.read(520)
+
+
+def _mat73(path: Path, name: str) -> Contents:
+    try:
+        import h5py
+    except ImportError:
+        raise InputError(
+            "is a MAT-file of version 7.3, which needs the package h5py",
+            file=name,
+            remedy="save it with -v7, or install it: pip install 'surctl[matlab]'",
+        ) from None
+    try:
+        with h5py.File(path) as file:
+            held = {key: value[()] for key, value in file.items() if isinstance(value, h5py.Dataset)}
+            texts = {key for key in held if file[key].attrs.get("MATLAB_class", b"") == b"char"}
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
+        raise InputError(f"cannot be read as a MAT-file ({error})", file=name, remedy="save it with -v7") from None
+    frame = "".join(chr(int(c)) for c in np.ravel(held["frame"])) if "frame" in texts else ""
+    return {key: value for key, value in held.items() if key not in texts}, frame
 
 
 def _netcdf(path: Path, name: str) -> Contents:

@@ -17,6 +17,7 @@ from surctl.cli.export import export
 from surctl.cli.gains import gains
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
+from surctl.cli.mission import scenario
 from surctl.cli.new import new
 from surctl.cli.output import Stopped
 from surctl.cli.reproduce import reproduce
@@ -46,7 +47,7 @@ def app() -> None:
 
 
 _COMMANDS = (
-    study, reproduce, simulate, sweep, tune, verify, check, export, vehicle, gains, calibrate, sonar_replay,
+    study, reproduce, simulate, sweep, tune, verify, check, export, vehicle, gains, scenario, calibrate, sonar_replay,
     new, lint, listing, completion,
 )  # fmt: skip
 for _command in _COMMANDS:

@@ -91,7 +91,8 @@ def _noise(one: SensorCalibration) -> list[str]:
         return [f"{slope} does not differ from 0: one sd for all ranges"]
     return [
         f"{slope} differs from 0: the noise depends on range,",
-        f"sd = {_span(f.noise_at_zero)} mm + slope * range; noise sd above is its root mean square over the rows",
+        f"sd = {_span(f.noise_at_zero)} mm + slope * range, and at least {_mm(f.least_sd)} mm;",
+        "noise sd above is its root mean square over the rows",
     ]
 
 

@@ -12,7 +12,7 @@ from surctl.cli.output import as_json, finish
 from surctl.cli.thrusters import thrusters
 
 if TYPE_CHECKING:
-    from surctl.vehicle import Identified, Vehicle
+    from surctl.vehicle import Identified, MotionLog, Prediction, Vehicle
 
 __all__ = ["vehicle"]
 
@@ -45,7 +45,7 @@ _name = click.option("--name", default="my-vehicle", metavar="TEXT", help="Name 
 
 @click.group()
 def vehicle() -> None:
-    """Write a vehicle file: from-geometry for a sphere, or from-log from a recording. Show what its thrusters can do.
+    """Write a vehicle file from dimensions, a recording or a Gazebo model. Show what the thrusters can do.
 
     Examples: surctl vehicle from-geometry --help; surctl vehicle from-log --help; surctl vehicle thrusters --help
     """
@@ -114,10 +114,59 @@ def from_geometry(
         thrust_lag=thrust_lag,
         density=density,
     )
-    lines = [f"{robot.name}: {robot.note}"]
-    for key, p in robot.parameters.items():
-        bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
-        lines.append(f"  {key:<10} {p.value:>9.4g} {p.unit:<10}{bounds}")
+    lines = _parameter_lines(robot)
+    _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
+
+
+@vehicle.command("from-gazebo")
+@click.argument("model", type=click.Path(path_type=Path))
+@_name
+@click.option("--link", metavar="NAME", help="Link with the hydrodynamics (default: the only one).")
+@click.option("--diameter", type=_Measured("m"), required=True, help="Diameter of a circle around the hull [m].")
+@click.option("--thrust", type=_Measured("N"), required=True, help="Largest force in surge [N].")
+@click.option("--sway-thrust", type=_Measured("N"), help="Largest force in sway [N] (default: as in surge).")
+@click.option("--heave-thrust", type=_Measured("N"), help="Largest force in heave [N] (default: as in surge).")
+@click.option("--yaw-thrust", type=_Measured("N m"), required=True, help="Largest moment about the vertical [N m].")
+@click.option("--thrust-lag", type=_Measured("s"), default=0.3, help="First-order lag of the thrust [s] (default 0.3).")
+@_out
+@_over
+@as_json
+def from_gazebo(
+    model: Path,
+    name: str,
+    link: str | None,
+    diameter: float,
+    thrust: float,
+    sway_thrust: float | None,
+    heave_thrust: float | None,
+    yaw_thrust: float,
+    thrust_lag: float,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Take mass, added mass and drag from a Gazebo model: SDF, or URDF and xacro of uuv_simulator.
+
+    The command reads the plugin gz::sim::systems::Hydrodynamics, fluid_added_mass, and hydrodynamic_model of type
+    fossen. Surge, sway, heave and yaw are taken; roll and pitch are omitted. Expand macros first:
+    xacro FILE > robot.urdf.
+
+    Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
+    """
+    from surctl.vehicle import gazebo_vehicle
+
+    robot = gazebo_vehicle(
+        model,
+        name,
+        radius=diameter / 2,
+        thrust=thrust,
+        yaw_thrust=yaw_thrust,
+        sway_thrust=sway_thrust,
+        heave_thrust=heave_thrust,
+        thrust_lag=thrust_lag,
+        link=link,
+    )
+    lines = _parameter_lines(robot)
     _write(robot, out, force, lines, {"vehicle": robot.name, "parameters": _numbers(robot)}, as_json=as_json)
 
 
@@ -130,50 +179,156 @@ def from_geometry(
     help="Vehicle that supplies hull, limits and initial values: name or file (default sur540-flooded).",
 )
 @click.option(
+    "--map",
+    "map_file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Map (TOML) from the topics and fields of the log to motion and thrust; needed for all but tables.",
+)
+@click.option("--topics", is_flag=True, help="Print the topics and fields of the log, and fit nothing.")
+@click.option(
     "--frame",
     metavar="NAME",
-    help="Frame of the log: enu (ENU/FLU) or ned (NED/FRD) (default: as in its first line, else enu).",
+    help="Frame of a table: enu (ENU/FLU) or ned (NED/FRD) (default: as in its first line, else enu).",
+)
+@click.option(
+    "--held-out",
+    "share",
+    type=click.FloatRange(0.0, 0.9),
+    default=0.4,
+    metavar="X",
+    help="Share of the log, at its end, predicted by a fit to the rest (default 0.4; 0: no prediction).",
+)
+@click.option(
+    "--picture", type=click.Path(path_type=Path), metavar="FILE", help="PNG of the prediction (default: no picture)."
 )
 @_name
 @_out
 @_over
 @as_json
-def from_log(log: Path, start: str, frame: str | None, name: str, out: Path | None, force: bool, as_json: bool) -> None:
-    """Fit masses, drag and thrust lag to a recording of motion and thrust (CSV, .mat, .nc), with 95 % intervals.
+def from_log(
+    log: Path,
+    start: str,
+    map_file: Path | None,
+    topics: bool,
+    frame: str | None,
+    share: float,
+    picture: Path | None,
+    name: str,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Fit masses, drag, thrust lag and a constant force to a log of motion and thrust, with 95 % intervals.
 
-    The log has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until the next row). It has those of
-    the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that were measured: x forward,
-    y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. A parameter that the log does
-    not determine keeps its value from --start, and the file says so. surctl simulate --save csv (or mat, nc) writes
-    simulated runs as such logs.
+    A table (CSV, .mat, .nc) without --map has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
+    the next row). It has those of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that
+    were measured: x forward, y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. The
+    velocity is that in the heading frame, which turns by the heading alone. surctl simulate --save csv (or mat, nc)
+    writes simulated runs as such logs.
+
+    Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg). --topics prints what
+    such a log contains.
+
+    A parameter that the log does not determine keeps its value from --start, the others are fitted with it, and the
+    file says so. The last part of the log is predicted by a fit to the rest, beside a prediction that holds the last
+    velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
-    from surctl.vehicle import identify, load_vehicle, read_motion_log
+    from surctl.vehicle import held_out, identify, load_vehicle, read_recording, topic_lines
 
-    fit = identify(read_motion_log(log, frame=frame), load_vehicle(start), name=name)
+    if topics:
+        from surctl.vehicle.logs.log_map import load_log_map
+
+        recording = read_recording(log, log_map=load_log_map(map_file) if map_file else None)
+        fields = {topic: list(held.fields) for topic, held in recording.topics.items()}
+        finish({"topics": fields}, topic_lines(recording), as_json=as_json, passed=True)
+    robot, measured = load_vehicle(start), _read_log(log, map_file, frame)
+    fit = identify(measured, robot, name=name)
+    prediction = held_out(measured, robot, share=share) if share > 0 else None
     result = {
         "vehicle": name,
         "start": fit.start.name,
         "estimates": {
-            key: {"value": value, "half_interval": half, "identified": key in fit.identified, "start": fit.start[key]}
+            key: {
+                "value": value,
+                "half_interval": half,
+                "identified": key in fit.identified,
+                "start": fit.start_value(key),
+                "in_file": fit.fitted_value(key),
+            }
             for key, (value, half) in fit.estimates.items()
         },
+        "held": list(fit.held),
+        "fixed_at_0": list(fit.zeroed),
+        "not_determined": list(fit.directions),
+        "sections": fit.sections,
         "noise": dict(fit.noise),
         "notes": list(fit.notes),
+        "held_out": None if prediction is None else {"model": prediction.model, "last_velocity_held": prediction.hold},
         "parameters": _numbers(fit.vehicle),
     }
-    _write(fit.vehicle, out, force, _fit_lines(fit), result, as_json=as_json)
+    lines = [*_fit_lines(fit), *_prediction_lines(prediction, share)]
+    if picture is not None:
+        if prediction is None:
+            raise click.UsageError("--picture needs a prediction: a longer log, and --held-out above 0")
+        from surctl.report import save_prediction
+
+        title = f"{name}, fitted to the first {1 - share:.0%} of {log.name}"
+        lines.append(f"picture {save_prediction(prediction, picture, title=title)}")
+    _write(fit.vehicle, out, force, lines, result, as_json=as_json)
+
+
+def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
+    from surctl.errors import InputError
+    from surctl.vehicle import read_mapped_log, read_motion_log
+    from surctl.vehicle.logs.read import READERS
+
+    if map_file is not None:
+        if frame is not None:
+            raise InputError("is given by the map", key="--frame", value=frame, remedy="write it into [log]")
+        return read_mapped_log(log, map_file)
+    if log.is_dir() or log.suffix.lower() in READERS:
+        raise InputError(
+            "needs a map", file=log, remedy="see surctl vehicle from-log LOG --topics, then give --map FILE"
+        )
+    return read_motion_log(log, frame=frame)
 
 
 def _fit_lines(fit: Identified) -> list[str]:
-    lines = [f"{fit.vehicle.name}: {fit.vehicle.note}", f"  {'':<10} {'estimate':>9}   95 % interval   start"]
+    lines = [f"{fit.vehicle.name}: {fit.vehicle.note}"]
+    if fit.sections > 1:
+        lines.append(f"  {fit.sections} sections without a gap, each with its own start")
+    lines.append(f"  {'':<10} {'estimate':>9}   95 % interval   {'in file':>8} {'start':>8}")
     for key, (value, half) in fit.estimates.items():
-        unit = fit.vehicle.parameters[key].unit
+        unit = fit.unit(key)
         estimate = f"{value:>9.4g} ± {half:<9.3g}" if key in fit.identified else f"{'':>9}   not determined"
-        lines.append(f"  {key:<10} {estimate:<23} {fit.start[key]:>8.4g} {unit}")
+        lines.append(f"  {key:<10} {estimate:<23} {fit.fitted_value(key):>8.4g} {fit.start_value(key):>8.4g} {unit}")
     lines += [f"  noise of {column}: {level:.3g}" for column, level in fit.noise.items()]
+    lines += [f"  not determined: {text}" for text in fit.directions]
     return lines + [f"  note: {note}" for note in fit.notes]
+
+
+def _prediction_lines(prediction: Prediction | None, share: float) -> list[str]:
+    if prediction is None:
+        return ["  no held-out prediction: the log is too short"] if share > 0 else []
+    lines = [
+        f"  held-out prediction: the last {share:.0%} by a fit to the rest, {prediction.windows} windows of "
+        f"{prediction.window:g} s, RMS error",
+        f"    {'':<10} {'model':>9} {'last velocity held':>19}",
+    ]
+    for column, error in prediction.model.items():
+        lines.append(f"    {column:<10} {error:>9.3g} {prediction.hold[column]:>19.3g}")
+    return lines
+
+
+def _parameter_lines(robot: Vehicle) -> list[str]:
+    lines = [f"{robot.name}: {robot.note}"]
+    for key, p in robot.parameters.items():
+        bounds = "" if p.range is None else f"  {p.range[0]:.4g} to {p.range[1]:.4g}"
+        lines.append(f"  {key:<10} {p.value:>9.4g} {p.unit:<10}{bounds}")
+    return lines
 
 
 def _numbers(robot: Vehicle) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from surctl.report.motion_plots import plot_motion
 from surctl.report.page import render_page, render_sections, write_page
 from surctl.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
 from surctl.report.plan_view import plot_run
+from surctl.report.prediction_plots import plot_prediction, save_prediction
 from surctl.report.priority_plot import plot_priority
 from surctl.report.region_plots import plot_region
 from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
@@ -67,6 +68,7 @@ __all__ = [
     "plot_parallel",
     "plot_poles",
     "plot_position_errors",
+    "plot_prediction",
     "plot_priority",
     "plot_record",
     "plot_region",
@@ -88,6 +90,7 @@ __all__ = [
     "save_locus",
     "save_margins",
     "save_parallel",
+    "save_prediction",
     "save_priority",
     "save_record_plot",
     "save_regions",

@@ -32,6 +32,7 @@ from surctl.simulation.metrics import (
 from surctl.simulation.numbers import law_numbers
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.paper_figure import PaperFigure
+from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
 from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
@@ -71,6 +72,7 @@ __all__ = [
     "Finding",
     "MetricSpec",
     "Metrics",
+    "Mission",
     "Obstacle",
     "PaperFigure",
     "PriorityTimeline",
@@ -98,7 +100,9 @@ __all__ = [
     "law_numbers",
     "load_scenario",
     "margin_needed",
+    "mission_scenario",
     "priority_timeline",
+    "read_mission",
     "record_columns",
     "safety_claim",
     "save_record",

@@ -89,7 +89,7 @@ def _sensors(sensors: Sensors) -> dict[str, Any]:
 
 def _array(array: SonarArray) -> dict[str, Any]:
     plain = SonarArray()
-    if (array.medium, array.cycle_limit) != (plain.medium, plain.cycle_limit):
+    if array.medium != plain.medium:
         raise InputError("cannot be written to a scenario file", key="sonar", value=array.medium)
     table: dict[str, Any] = {
         "azimuths_deg": [_degrees(angle) for angle in array.azimuths],
@@ -104,6 +104,10 @@ def _array(array: SonarArray) -> dict[str, Any]:
         "bias_m": array.bias,
         "temperature_c": array.temperature,
     }
+    if array.cycle_limit != plain.cycle_limit:
+        table["cycle_limit_s"] = array.cycle_limit
+    if array.step is not None:
+        table["step_m"] = array.step
     if array.mounts is not None:
         table["mounts_m"] = [list(mount) for mount in array.mounts]
     if array.incidence_limit is not None:

@@ -58,7 +58,9 @@ class SonarTable(Strict):
     blind_time_s: Positive | None = None
     maximum_m: Positive | None = None
     firing_period_s: Positive | None = None
+    cycle_limit_s: Positive | None = None
     bits: int | None = None
+    step_m: Positive | None = None
     samples: int | None = None
     noise_sd_m: float | None = None
     bias_m: float | None = None
@@ -140,7 +142,9 @@ _NAMES = {
     "blind_time_s": "blind_time",
     "maximum_m": "maximum",
     "firing_period_s": "firing_period",
+    "cycle_limit_s": "cycle_limit",
     "bits": "bits",
+    "step_m": "step",
     "samples": "samples",
     "noise_sd_m": "noise_sd",
     "bias_m": "bias",

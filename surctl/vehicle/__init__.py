@@ -15,11 +15,16 @@ from surctl.vehicle.dynamics import (
     trim_thrust,
 )
 from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, heading_velocity, swap_body, swap_pose
+from surctl.vehicle.gazebo import gazebo_vehicle
 from surctl.vehicle.geometry import sphere
-from surctl.vehicle.identify import FITTED, Identified, identify
+from surctl.vehicle.identification.identify import identify
+from surctl.vehicle.identification.model import CONSTANT_FORCE, FITTED
+from surctl.vehicle.identification.prediction import HELD_OUT, Prediction, held_out, predict, predict_with
+from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
+from surctl.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, MotionLog, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
@@ -27,10 +32,12 @@ from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Swivel, Thruster
 from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
+    "CONSTANT_FORCE",
     "DEFAULT_ORDER",
     "FITTED",
     "FRAMES",
     "FRAME_TEXT",
+    "HELD_OUT",
     "LIBRARY",
     "LOG_MOTION",
     "LOG_THRUST",
@@ -48,6 +55,7 @@ __all__ = [
     "ParameterSpec",
     "Plant",
     "PlantForm",
+    "Prediction",
     "Swivel",
     "Thruster",
     "Vehicle",
@@ -55,7 +63,9 @@ __all__ = [
     "build_plant",
     "check_equation_3",
     "check_frame",
+    "gazebo_vehicle",
     "heading_velocity",
+    "held_out",
     "identify",
     "jacobian",
     "linearise",
@@ -67,11 +77,16 @@ __all__ = [
     "plant_parameters",
     "plant_state",
     "plant_system",
+    "predict",
+    "predict_with",
+    "read_mapped_log",
     "read_motion_log",
+    "read_recording",
     "sphere",
     "steady_speed",
     "swap_body",
     "swap_pose",
+    "topic_lines",
     "trim_thrust",
     "write_vehicle",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.recorded import Recorded, read_recorded
+from surctl.units import in_unit
 from surctl.vehicle.frames import FRAME_TEXT, Frame, check_frame, swap_body, swap_pose
 
 __all__ = ["LOG_MOTION", "LOG_THRUST", "MotionLog", "read_motion_log"]
@@ -21,6 +23,26 @@ LOG_THRUST = ("Fu_N", "Fv_N", "Fw_N", "Fr_N_m")
 """Columns of the commanded thrust, which is constant from one row to the next."""
 
 _LEAST = 50  # rows
+_UNITS = dict(
+    zip(
+        ("t_s", *LOG_MOTION, *LOG_THRUST),
+        ("s", "m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s", "N", "N", "N", "N m"),
+        strict=True,
+    )
+)
+_ALSO = {  # endings that a column may have instead of the one of its SI unit
+    "s": {"_ms": "ms", "_us": "us", "_ns": "ns"},
+    "m": {"_cm": "cm", "_mm": "mm"},
+    "rad": {"_deg": "deg"},
+    "m/s": {"_cm_per_s": "cm/s", "_mm_per_s": "mm/s"},
+    "rad/s": {"_deg_per_s": "deg/s"},
+    "N": {"_kgf": "kgf", "_lbf": "lbf"},
+    "N m": {"_kgf_m": "kgf m"},
+}
+_OTHER_UNITS = {
+    name: {name.partition("_")[0] + ending: other for ending, other in _ALSO[unit].items()}
+    for name, unit in _UNITS.items()
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +85,9 @@ class MotionLog:
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
     """Read time `t_s`, thrust, and any motion columns of a log file (CSV, .mat, netCDF); ignore other columns.
 
+    A column may have the ending of another unit: t_ns, t_us or t_ms, x_cm or x_mm, psi_deg, u_cm_per_s, r_deg_per_s,
+    Fu_kgf. Times in such a unit count from the first row.
+
     Args:
         path: the file.
         frame: frame of the file; default: the frame in its comments (`# frame=ned`), otherwise enu. The returned log is
@@ -83,20 +108,38 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     """
     table = read_recorded(path)
     written = _frame(table, frame)
-    table.need(("t_s", *LOG_THRUST))
-    time = table.numbers("t_s")
+    columns = {name: _written_as(table, name) for name in ("t_s", *LOG_MOTION, *LOG_THRUST)}
+    table.need(name for name in ("t_s", *LOG_THRUST) if columns[name] is None)
+    time = _numbers(table, "t_s", columns)
     if not np.isfinite(time).all():
         row = int(np.flatnonzero(~np.isfinite(time))[0])
-        raise InputError("is not a time", file=table.at(row), key="t_s", remedy="fill it in or remove the row")
-    nothing = np.full(len(time), np.nan)
-    motion = np.column_stack([table.numbers(c) if c in table.columns else nothing for c in LOG_MOTION])
+        key = (columns["t_s"] or ("t_s", ""))[0]
+        raise InputError("is not a time", file=table.at(row), key=key, remedy="fill it in or remove the row")
+    motion = np.column_stack([_numbers(table, c, columns) for c in LOG_MOTION])
     heading = motion[:, 3]
     known = np.isfinite(heading)
     heading[known] = np.unwrap(heading[known])
-    thrust = np.column_stack([table.numbers(c) for c in LOG_THRUST])
+    thrust = np.column_stack([_numbers(table, c, columns) for c in LOG_THRUST])
     if written == "ned":
         motion, thrust = np.hstack([swap_pose(motion[:, :4]), swap_body(motion[:, 4:])]), swap_body(thrust)
     return MotionLog(time, motion, thrust, table.name)
+
+
+def _written_as(table: Recorded, name: str) -> tuple[str, str] | None:
+    """Return the column that holds a quantity and its unit: `t_s` itself, or one in another unit such as `t_ns`."""
+    if name in table.columns:
+        return name, ""
+    return next(((c, unit) for c, unit in _OTHER_UNITS[name].items() if c in table.columns), None)
+
+
+def _numbers(table: Recorded, name: str, columns: Mapping[str, tuple[str, str] | None]) -> NDArray[np.float64]:
+    column = columns[name]
+    if column is None:
+        return np.full(len(table.lines), np.nan)
+    values = table.numbers(column[0])
+    if name == "t_s" and column[1]:
+        values = values - values[0]  # nanoseconds since 1970 would lose digits as seconds
+    return values * in_unit(1.0, column[1], _UNITS[name]) if column[1] else values
 
 
 def _frame(table: Recorded, frame: Frame | str | None) -> Frame:

@@ -8,7 +8,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.sensing import SonarArray, fire, speed_of_sound, true_range
-from surctl.world import Box, Disc, site_walls
+from surctl.world import Box, Disc, Wall, site_walls
 
 QUIET = SonarArray(noise_sd=0.0, bias=0.0)
 
@@ -159,6 +159,16 @@ def test_beams_up_to_a_half_circle(degrees):
     assert true_range(array, 0, position=(0, 0), heading=0.0, shapes=beside) == pytest.approx(0.99)
     assert true_range(array, 0, position=(0, 0), heading=0.1, shapes=beside) < math.inf
     assert true_range(array, 0, position=(0, 0), heading=-0.1, shapes=beside) == math.inf
+
+
+def test_a_module_of_whole_centimetres():
+    module = SonarArray(step=0.01, noise_sd=0.0, bias=0.0)
+    assert module.resolution == pytest.approx(0.01) and module.top_code == 450
+    shapes = (Wall((1.5 + module.hull_radius, 0.0), (-1.0, 0.0)),)
+    samples = fire(module, 0, position=(0, 0), heading=0.0, shapes=shapes, noise=np.zeros(5))
+    np.testing.assert_allclose(samples, 1.5, atol=1e-12)
+    with pytest.raises(InputError, match=r"step = 0\.4: must divide the maximum"):
+        SonarArray(step=0.4)
 
 
 def test_windows_must_hold_the_echo():

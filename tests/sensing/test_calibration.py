@@ -127,13 +127,14 @@ def test_studentised_residuals_are_those_of_a_fit_without_the_row() -> None:
         assert found.studentised[k] == pytest.approx((y[k] - book.intercept - book.slope * x[k]) / spread)
 
 
-def test_an_outlier_is_marked_and_kept() -> None:
+def test_an_outlier_is_marked_and_left_out() -> None:
     x, y = drawn(np.random.default_rng(11), 30, 0.01, 0.0)
     y[12] += 0.2
     found = calibrate(x, y)
     assert found.outliers.tolist() == [12]
     assert len(found.true) == 30 and found.largest == 12
-    assert found.scale.value != calibrate(np.delete(x, 12), np.delete(y, 12)).scale.value
+    without = calibrate(np.delete(x, 12), np.delete(y, 12))
+    assert found.scale == without.scale and found.noise_sd == without.noise_sd and found.error_sd == without.error_sd
     assert found.outlier_bound == pytest.approx(stats.t.ppf(1 - 0.05 / 60, 27))
 
 
@@ -172,11 +173,29 @@ def test_a_slope_of_the_noise_that_rests_on_one_outlier_is_told() -> None:
     x, y = drawn(rng, 40, 0.01, 0.0)
     y[1] += 0.3
     found = calibrate(x, y)
-    assert found.varies and found.outliers.tolist() == [1] and found.rests_on_outliers
+    assert not found.varies and found.outliers.tolist() == [1] and found.rests_on_outliers
     x, y = drawn(rng, 80, 0.0005, 0.02)
     y[40] += 1.0
     found = calibrate(x, y)
     assert found.varies and found.outliers.tolist() == [40] and not found.rests_on_outliers
+
+
+def test_three_spikes_among_255_rows_change_nothing() -> None:
+    x, y = drawn(np.random.default_rng(3), 255, 0.0033, 0.0)
+    spiked = y.copy()
+    spiked[[40, 41, 200]] += [0.4, 0.35, -0.5]
+    found, without = calibrate(x, spiked), calibrate(*(np.delete(v, [40, 41, 200]) for v in (x, y)))
+    assert found.outliers.tolist() == [40, 41, 200] and not found.too_many_outliers
+    assert found.scale == without.scale and found.bias == without.bias and found.noise_sd == without.noise_sd
+    bent = calibrate(x, np.where(np.arange(255) % 3 == 0, x + 0.5, y))
+    assert bent.too_many_outliers or len(bent.outliers) == 0, "a third of the rows is no outlier"
+
+
+def test_the_line_of_the_noise_is_never_below_its_least() -> None:
+    x, y = drawn(np.random.default_rng(2), 200, 0.0, 0.02)
+    found = calibrate(x, y)
+    assert found.varies and found.least_sd > 0
+    assert found.least_sd == pytest.approx(found.noise_sd.value * found.relative_sd.min())
 
 
 def test_repeated_distances_of_coarse_readings_are_fitted() -> None:

@@ -81,7 +81,7 @@ def test_symbols_and_numbers_agree(array: SonarArray) -> None:
         seen["late"] |= set(got.state["t_late"])
         seen["suspect"] |= set(got.state["t_suspect"])
         state = got.state
-    assert seen["healthy"] == seen["suspect"] == {0.0, 1.0}
+    assert seen["healthy"] == {0.0, 1.0} and {0.0, 1.0} < seen["suspect"], "a suspicion is raised and fades"
     if array.size == 4 and array.noise_sd:
         assert seen["late"] == {0.0, 1.0}
 
@@ -419,6 +419,18 @@ def test_a_thing_that_vanishes_stays_possible_until_the_beam_has_turned() -> Non
     assert not dither.after(5.1, "healthy").any(), "to and fro is not a turn"
     forgetful = Flight(gone, tracker=RangeTracker(array=ONE, dt=DT, hold=1.0)).fly(10.0)
     assert forgetful.after(6.4, "healthy").all()
+
+
+def test_one_missed_echo_does_not_block_the_sensor() -> None:
+    """A thing at 1.0 m, one firing without echo, then nothing but 1.6 m."""
+    missed = from_firing(50, FAULTS["maximum"], until=51)
+    found = Flight(lambda t: 1.0 if t < 5.0 else 1.6).fly(10.0, missed)
+    assert not found["healthy"][101:130].any(), "a suspicion lasts for many readings"
+    assert found.after(7.0, "healthy").all() and abs(found["range"][-1] - 1.6) < 0.02 and found.kept() > 0.99
+    rng = np.random.default_rng(4)
+    split = from_firing(50, lambda k, honest: 2.0 * honest[-1] + (0.07 if k == 50 else rng.choice([0.07, 0.13])))
+    twice = Flight(lambda t: 1.0).fly(25.0, split)
+    assert not twice.after(5.0, "healthy").any(), "a second echo whose noise hides it in half of the readings"
 
 
 def test_a_known_wall_behind_what_vanished_settles_it() -> None:

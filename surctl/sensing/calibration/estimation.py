@@ -1,6 +1,7 @@
 """Calibration of a range sensor: measured = scale·true + bias + noise(range), with 95 % confidence intervals.
 
-`calibrate` fits the line by least squares; Student's t gives the intervals of bias and scale. A test of the restricted
+`calibrate` fits the line by least squares to all readings but the outliers; Student's t gives the intervals of bias and
+scale. A test of the restricted
 likelihood ratio (`noise_shape`) at the 5 % level decides whether the standard deviation (sd) of the noise depends on
 range, sd = s0 + s1·range. If the noise does not depend on range, the intervals are exact for normally distributed
 noise: Student's t gives the intervals of the line, χ² the interval of the sd. If the noise depends on range, each
@@ -17,7 +18,6 @@ fivefold, the coverage exceeds 93 %.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from math import isfinite, sqrt
 from typing import Any
 
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.calibration.noise_shape import noise_shape
+from surctl.sensing.calibration.noise_shape import NoiseShape, noise_shape
 from surctl.sensing.calibration.straight_line import fit_line, studentised_residuals
 
 __all__ = [
@@ -46,9 +46,12 @@ LEAST_ROWS_OF_SLOPE = 12
 """Smallest number of rows for a fit of the noise slope: with fewer rows, the test detects almost nothing."""
 OUTLIER_RULE = (
     "outlier: a row whose externally studentised residual exceeds Student's t at 5 % divided among all rows "
-    "(Bonferroni); outliers are marked, but stay in the fit"
+    "(Bonferroni); outliers are marked, and the fit is without them"
 )
 _LEVEL = 0.05
+_MOST_OUTLIERS = 0.2  # largest share of the readings that the fit leaves out
+_ROUNDS = 50
+_WORST = 0.7  # of the largest studentised residual: readings above this are left out together
 _MOST_LISTED = 10_000
 _AIR, _WATER = (319.0, 361.0), (1400.0, 1560.0)  # m/s, speed of sound from -20 to 50 C, and of fresh to sea water
 _EXACT = 1e-9  # residuals below this share of the distances are rounding errors, not noise
@@ -88,13 +91,15 @@ class Calibration:
             sd at all ranges, or if there are too few readings.
         noise_slope: slope s1 [m/m] in sd = s0 + s1·range; None if there are too few readings or no noise.
         noise_slope_p: p-value of the test that the noise slope is 0; None if `noise_slope` is None.
-        mean_error: mean of the errors measured − true.
-        error_sd: sd of the errors measured − true about their mean.
+        mean_error: mean of the errors measured − true, without the outliers.
+        error_sd: sd of the errors measured − true about their mean, without the outliers.
         relative_sd: (n,) fitted sd of each reading, divided by `noise_sd`.
         studentised: (n,) externally studentised residuals: each residual is divided by its sd, estimated from the other
             readings.
         outliers: (k,) indices of the outliers: readings whose absolute studentised residual exceeds `outlier_bound`.
-        rests_on_outliers: whether the noise depends on range at the 5 % level only because of the outliers.
+        rests_on_outliers: whether the noise would depend on range at the 5 % level with the outliers, but does not
+            without them.
+        too_many_outliers: whether more readings deviate than the fit may leave out, so that it may be wrong.
     """
 
     true: NDArray[np.float64]
@@ -112,6 +117,7 @@ class Calibration:
     studentised: NDArray[np.float64]
     outliers: NDArray[np.intp]
     rests_on_outliers: bool
+    too_many_outliers: bool = False
 
     @property
     def errors(self) -> NDArray[np.float64]:
@@ -148,6 +154,11 @@ class Calibration:
         """Whether the noise depends on range at the 5 % level; only then are the readings weighted."""
         return self.noise_at_zero is not None
 
+    @property
+    def least_sd(self) -> float:
+        """Smallest sd of the noise in the range of the readings [m]; outside this range, the line of the sd ends."""
+        return float(self.noise_sd.value * self.relative_sd.min())
+
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration for JSON: estimates as [value, low, high], and at most 10 000 residuals, in metres."""
         estimates = ("bias", "scale", "noise_sd", "noise_at_zero", "noise_slope", "mean_error", "error_sd")
@@ -160,6 +171,8 @@ class Calibration:
             "noise_slope_p": self.noise_slope_p,
             "noise_varies": self.varies,
             "noise_rests_on_outliers": self.rests_on_outliers,
+            "noise_least_m": self.least_sd,
+            "too_many_outliers": self.too_many_outliers,
             "rms_error_m": self.rms,
             "largest_error_m": float(self.errors[self.largest]),
             "largest_error_at_m": float(self.true[self.largest]),
@@ -188,46 +201,111 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     _check(x, y)
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
+    everything = _fitted(x, y)
+    kept, too_many = _without_outliers(x, y)
+    fit = everything if kept.all() else _fitted(x[kept], y[kept])
+    relative = np.interp(x, x[kept], fit.relative)
+    studentised = _studentised(x, y, relative, kept)
+    error = (y - x)[kept]
+    mean, spread, n = float(error.mean()), float(error.std(ddof=1)), int(kept.sum())
+    return Calibration(
+        true=x,
+        measured=y,
+        order=order,
+        bias=fit.bias,
+        scale=fit.scale,
+        noise_sd=fit.level,
+        noise_at_zero=fit.at_zero,
+        noise_slope=None if fit.shape is None else Estimate(*fit.shape.s1),
+        noise_slope_p=None if fit.shape is None else fit.shape.p,
+        mean_error=_around(mean, spread / sqrt(n), n - 1),
+        error_sd=_of_sd(spread, n - 1),
+        relative_sd=relative,
+        studentised=studentised,
+        outliers=np.flatnonzero(~kept),
+        rests_on_outliers=not kept.all() and everything.at_zero is not None and fit.at_zero is None,
+        too_many_outliers=too_many,
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Fit:
+    bias: Estimate
+    scale: Estimate
+    level: Estimate
+    at_zero: Estimate | None
+    shape: NoiseShape | None
+    relative: NDArray[np.float64]
+
+
+def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> _Fit:
+    # the line and the noise of readings sorted by ascending true distance
     n = len(x)
     plain = fit_line(x, y, np.ones(n))
-    error = y - x
-    mean, spread = float(error.mean()), float(error.std(ddof=1))
-    rows = partial(
-        Calibration, true=x, measured=y, order=order,
-        mean_error=_around(mean, spread / sqrt(n), n - 1), error_sd=_of_sd(spread, n - 1),
-    )  # fmt: skip
     if plain.sd <= _EXACT * float(x.max()):
         bias, scale = (_around(v, 0.0, n - 2) for v in plain.beta)
-        return rows(
-            bias=bias, scale=scale, noise_sd=Estimate(0.0, 0.0, 0.0), noise_at_zero=None, noise_slope=None,
-            noise_slope_p=None, relative_sd=np.ones(n), studentised=np.zeros(n), outliers=np.empty(0, dtype=np.intp),
-            rests_on_outliers=False,
-        )  # fmt: skip
+        return _Fit(
+            bias=bias, scale=scale, level=Estimate(0.0, 0.0, 0.0), at_zero=None, shape=None, relative=np.ones(n)
+        )
     shape = noise_shape(x, plain.residuals) if n >= LEAST_ROWS_OF_SLOPE else None
     if shape is not None and shape.p < _LEVEL:
-        (bias_plus, scale_plus), relative = shape.line, shape.relative
-        bias = Estimate(*(float(v) for v in plain.beta[0] + bias_plus))
-        scale = Estimate(*(float(v) for v in plain.beta[1] + scale_plus))
-        level, at_zero = Estimate(*shape.level), Estimate(*shape.s0)
-    else:
-        bias, scale = (_around(v, sd, n - 2) for v, sd in zip(plain.beta, plain.beta_sd, strict=True))
-        level, at_zero, relative = _of_sd(plain.sd, n - 2), None, np.ones(n)
-    studentised = studentised_residuals(fit_line(x, y, relative))
-    marked = np.abs(studentised) > _bound(n)
-    return rows(
-        bias=bias, scale=scale, noise_sd=level, noise_at_zero=at_zero,
-        noise_slope=None if shape is None else Estimate(*shape.s1), noise_slope_p=None if shape is None else shape.p,
-        relative_sd=relative, studentised=studentised, outliers=np.flatnonzero(marked),
-        rests_on_outliers=at_zero is not None and bool(marked.any()) and not _varies(x[~marked], y[~marked]),
-    )  # fmt: skip
+        bias_plus, scale_plus = shape.line
+        return _Fit(
+            bias=Estimate(*(float(v) for v in plain.beta[0] + bias_plus)),
+            scale=Estimate(*(float(v) for v in plain.beta[1] + scale_plus)),
+            level=Estimate(*shape.level),
+            at_zero=Estimate(*shape.s0),
+            shape=shape,
+            relative=shape.relative,
+        )
+    bias, scale = (_around(v, sd, n - 2) for v, sd in zip(plain.beta, plain.beta_sd, strict=True))
+    return _Fit(bias=bias, scale=scale, level=_of_sd(plain.sd, n - 2), at_zero=None, shape=shape, relative=np.ones(n))
 
 
-def _varies(x: NDArray[np.float64], y: NDArray[np.float64]) -> bool:
-    """Return whether the noise of the readings depends on range at the 5 % level."""
-    if len(x) < LEAST_ROWS_OF_SLOPE or len(np.unique(x)) < LEAST_DISTANCES:
-        return False
-    line = fit_line(x, y, np.ones(len(x)))
-    return line.sd > _EXACT * float(x.max()) and noise_shape(x, line.residuals).p < _LEVEL
+def _without_outliers(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.bool_], bool]:
+    """Return which readings (n,) the fit keeps, and whether more readings deviate than it may leave out.
+
+    The readings that deviate most are left out first, because they may hide others or make good readings deviate. A
+    reading that agrees with the fit to the others is taken back.
+    """
+    kept = np.ones(len(x), dtype=bool)
+    for _ in range(_ROUNDS):
+        fit = _fitted(x[kept], y[kept])
+        if fit.level.value == 0.0:
+            deviation = np.abs(y - (fit.scale.value * x + fit.bias.value))
+            return deviation <= _EXACT * float(x.max()), False
+        size = np.abs(_studentised(x, y, np.interp(x, x[kept], fit.relative), kept))
+        bound = _bound(len(x))
+        back = ~kept & (size <= bound)
+        worst = kept & (size > max(bound, _WORST * float(size[kept].max())))
+        if not back.any() and not worst.any():
+            break
+        after = (kept | back) & ~worst
+        if (~after).sum() > _MOST_OUTLIERS * len(x) or not _enough(x[after]):
+            return kept, True
+        kept = after
+    return kept, False
+
+
+def _enough(x: NDArray[np.float64]) -> bool:
+    return len(x) >= LEAST_ROWS and len(np.unique(x)) >= LEAST_DISTANCES
+
+
+def _studentised(
+    x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[np.float64], kept: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    # residuals (n,) about the line through the readings `kept`, each divided by its sd as estimated from the others
+    line = fit_line(x[kept], y[kept], relative[kept])
+    if line.sd <= _EXACT * float(x.max()):
+        return np.zeros(len(x))
+    result = np.empty(len(x))
+    result[kept] = studentised_residuals(line)
+    columns = np.column_stack([np.ones_like(x), x]) / relative[:, None]
+    covariance = np.linalg.inv(columns[kept].T @ columns[kept])
+    spread = line.sd * np.sqrt(1.0 + np.einsum("ni,ij,nj->n", columns, covariance, columns))
+    residual = (y - (line.beta[0] + line.beta[1] * x)) / relative
+    result[~kept] = (residual / spread)[~kept]
+    return result
 
 
 def _bound(n: int) -> float:

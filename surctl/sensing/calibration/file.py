@@ -76,7 +76,9 @@ class SensorCalibration:
         if self.unsorted:
             said.append(f"rows that were not in ascending order of true distance, and were sorted: {self.unsorted}")
         if self.calibration.rests_on_outliers:
-            said.append("the noise depends on range only because of the outliers: check these rows")
+            said.append("with the outliers, the noise would depend on range: check these rows")
+        if self.calibration.too_many_outliers:
+            said.append("many rows deviate from the line: the sensor may not be linear, or it fails often")
         if self.calibration.other_medium:
             ratio = self.calibration.scale.value
             here, there = ("water", "air") if ratio < 1 else ("air", "water")
@@ -208,7 +210,7 @@ def sonar_fragment(one: SensorCalibration) -> str:
     if f.varies and f.noise_at_zero is not None and f.noise_slope is not None:
         body += [
             "# the noise depends on range; noise_sd_m is its root mean square over the rows:",
-            f"# sd = {_span(f.noise_at_zero)} m + {_span(f.noise_slope)} m/m * range",
+            f"# sd = {_span(f.noise_at_zero)} m + {_span(f.noise_slope)} m/m * range, and at least {f.least_sd:.6g} m",
         ]
     body += [
         "# alternative with the scale fixed at 1 (then write scale = 1.0):",

@@ -23,6 +23,7 @@ _GATE = 4.0  # standard deviations
 _GATE_LEAST, _GATE_MOST, _GATE_TURNING = 0.05, 0.10, 0.35  # m
 _SAME, _SAME_TURNING = 0.06, 0.16  # m, largest difference of consecutive readings of a candidate, without own motion
 _VOTES = 3  # consecutive readings after which a candidate becomes the track
+_CLEARING = 16  # consecutive readings of a candidate without suspicion that end the suspicion of an earlier reading
 _VOTES_AFTER_FAULT = 8  # more readings than a wall gives that the beam passes by chance
 _MARGIN, _DEVIATIONS = 0.015, 3.5  # m and standard deviations in the bound of a healthy sensor
 _CANDIDATE = 0.04  # m, half-width of the interval around a candidate
@@ -125,8 +126,11 @@ def _candidate(step: Step, new: _Compared, other: Value) -> Value:
     goes_on = op.both(state["votes"] > 0.5, op.size(corrected - state["candidate"]) <= same)
     twice = op.both(op.size(corrected - 2.0 * x) <= _TWICE, outward)
     vanished = op.both(corrected >= top, outward)
-    # a suspicion lasts for the whole conflict, because noise may split the readings into two groups
-    suspect = op.either(op.both(state["votes"] > 0.5, state["suspect"] > 0.5), twice, vanished)
+    # a suspicion lasts for many readings, because noise may split the readings of a fault into two groups
+    earlier = op.where(state["votes"] > 0.5, state["suspect"], 0.0)
+    earlier = op.where(goes_on, op.most(earlier - 1.0 / _CLEARING, 0.0), earlier)
+    suspicion = op.where(op.either(twice, vanished), 1.0, earlier)
+    suspect = suspicion > 0.0
     # after such a turn, a narrow object has left the beam
     passed = op.size(state["swung"]) > rules.beam
     # before a track exists, two sensors may have equal readings without crosstalk, for example in a corridor
@@ -140,7 +144,7 @@ def _candidate(step: Step, new: _Compared, other: Value) -> Value:
     candidate = op.where(goes_on, state["candidate"] + 0.5 * (corrected - state["candidate"]), corrected)
     state["candidate"] = op.where(other, candidate, state["candidate"])
     state["votes"] = op.where(other, votes, state["votes"])
-    state["suspect"] = op.where(other, op.where(suspect, 1.0, 0.0), state["suspect"])
+    state["suspect"] = op.where(other, suspicion, state["suspect"])
     return won
 
 

@@ -145,7 +145,7 @@ class RangeTracker:
             port("swung", "rad", "signed turn of the beam since a reading last updated the track"),
             port("candidate", "m", "range of a candidate for another track", far),
             port("votes", "1", "number of consecutive readings that agree with the candidate"),
-            port("suspect", "1", "1 while the candidate looks like a fault"),
+            port("suspect", "1", "1 if the last reading of the candidate looks like a fault; less after others"),
             port("late_by", "s", "possible delay of the readings after the last gap"),
             port("late", "1", "1 if the readings are found to be late"),
             port("absorbed", "m", "part of the delay's shift that is already in the track"),

@@ -45,6 +45,8 @@ class SonarArray:
         cycle_limit: longest cycle [s]; section II-B of the paper: "the cycle time is set to be less than 0.1 s".
         order: indices of the sensors in firing order, each index exactly once.
         bits: number of bits of the conversion; one conversion step is `resolution` (erratum E4).
+        step: length of one conversion step [m] of a module that returns distances, for example 0.01 for whole
+            centimetres; `maximum` is a multiple of it. None: the step follows from `bits`.
         noise_sd: standard deviation of the noise of one sample [m].
         bias: constant error of every sample [m] (default from Table II, water).
         samples: number of samples in a firing; all samples of a firing are conversions of one echo.
@@ -70,6 +72,7 @@ class SonarArray:
     noise_sd: float = 0.015
     bias: float = 0.0011
     samples: int = 5
+    step: float | None = None
     cones: tuple[tuple[tuple[float, float], ...], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -123,12 +126,12 @@ class SonarArray:
 
     @property
     def top_code(self) -> int:
-        """Largest code of the conversion, 2^bits − 1."""
-        return (1 << self.bits) - 1
+        """Largest code of the conversion, 2^bits − 1, or the number of steps up to the maximum."""
+        return (1 << self.bits) - 1 if self.step is None else round(self.maximum / self.step)
 
     @property
     def resolution(self) -> float:
-        """One conversion step [m]: maximum / (2^bits − 1), 17.65 mm (erratum E4); the largest code is the maximum."""
+        """One conversion step [m]: `step`, else maximum / (2^bits − 1), 17.65 mm (erratum E4)."""
         return self.maximum / self.top_code
 
     def sensor_at(self, firing: int) -> int:
@@ -249,6 +252,16 @@ def _check_conversion(array: SonarArray) -> None:
         value=(array.bits, array.samples),
         remedy="give for example the 8 bits and 5 samples of the paper",
     )
+    if array.step is not None:
+        _require(
+            isfinite(array.step)
+            and 0 < array.step <= array.maximum
+            and abs(array.top_code * array.step - array.maximum) <= 1e-9 * array.maximum,
+            f"must divide the maximum of {array.maximum:g} m",
+            key="step",
+            value=array.step,
+            remedy="give m, for example 0.01 for whole centimetres, and a maximum that is a multiple of it",
+        )
     _require(
         isfinite(array.noise_sd) and array.noise_sd >= 0 and isfinite(array.bias),
         "must be finite, and noise_sd must be at least 0",

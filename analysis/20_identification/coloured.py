@@ -1,0 +1,254 @@
+"""Study 20, second part: logs with a constant force, coloured noise, gaps and unequal sampling at 50 Hz.
+
+    python analysis/20_identification/coloured.py            # half an hour on two cores
+    python analysis/20_identification/coloured.py --quick    # 2 logs, 1 comparison with SciPy
+
+Each log is of another vehicle, drawn from ranges around a sphere with 40 N of thrust. A constant force of 8 N
+acts on it. The first 60 s are fitted, the next 30 s are predicted in windows of 5 s. A second fit of the same model,
+written here with SciPy's least squares and an integrator of its own, starts at the truth and predicts the same windows.
+
+Prints Markdown. The exit status is 0 if every statement holds, and 1 otherwise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from multiprocessing import get_context
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from surctl.vehicle import (
+    CONSTANT_FORCE,
+    FITTED,
+    LOG_MOTION,
+    MotionLog,
+    Vehicle,
+    identify,
+    predict,
+    predict_with,
+    sphere,
+)
+
+SEED = 2020
+FITTED_S, HELD_S = 60.0, 30.0
+NOISE = np.array([0.01, 0.01, 0.01, 0.02, 0.01, 0.01, 0.01, 0.02])  # m, rad, m/s, rad/s
+TRIM = 8.0  # N
+NAMES = FITTED + CONSTANT_FORCE
+INTERVALS, ERRORS, FILE = 0.90, 1.05, 1.01  # bars
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The fit to one log: truth in the intervals, and RMS errors of held-out velocities."""
+
+    inside: dict[str, bool]
+    identified: tuple[str, ...]
+    half: dict[str, float]
+    file: dict[str, float]  # RMS of the held-out errors, by column: of the vehicle in the file
+    free: dict[str, float]  # of the fit with all parameters free
+    hold: dict[str, float]  # of the last speed held
+    scipy: dict[str, float] | None
+    seconds: float
+
+
+def nominal() -> Vehicle:
+    """Return the vehicle at which every fit starts."""
+    return sphere("nominal", diameter=0.54, dry_mass=7.9, thrust=40.0, yaw_thrust=4.0)
+
+
+def rate(x: Array, command: Array, p: Array) -> Array:
+    """Return ẋ (12, …) of equations (1)–(3) with a constant force; p (17, …) has the order of `NAMES`."""
+    psi, (u, v, w, r), tau = x[3], x[4:8], x[8:12]
+    m, linear, quadratic, lag, constant = p[0:4], p[4:8], p[8:12], p[12], p[13:17]
+    nu = x[4:8]
+    coriolis = np.stack([-m[1] * v * r, m[0] * u * r, 0.0 * u, (m[1] - m[0]) * u * v])
+    load = tau + constant - coriolis - linear * nu - quadratic * nu * np.abs(nu)
+    c, s = np.cos(psi), np.sin(psi)
+    pose = np.stack([c * u - s * v, s * u + c * v, w, r])
+    return np.concatenate([pose, load / m, (command - tau) / lag])
+
+
+def integrated(begin: Array, command: Array, dt: Array, p: Array, parts: int) -> Array:
+    """Return the states (n, 12, …) at every row, by RK4 with `parts` steps per row."""
+    x, rows = begin, [begin]
+    for k, step in enumerate(dt):
+        force = command[k].reshape(4, *([1] * (begin.ndim - 1)))
+        h = step / parts
+        for _ in range(parts):
+            k1 = rate(x, force, p)
+            k2 = rate(x + h / 2 * k1, force, p)
+            k3 = rate(x + h / 2 * k2, force, p)
+            k4 = rate(x + h * k3, force, p)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        rows.append(x)
+    return np.array(rows)
+
+
+def drawn(start: Vehicle, rng: np.random.Generator) -> Array:
+    """Return the true parameters (17,), within ±25 % of the nominal ones, and 8 N in a random direction."""
+    p = np.array([start[k] for k in FITTED]) * rng.uniform(0.75, 1.25, len(FITTED))
+    p[4:8] += rng.uniform(0.2, 1.0, 4) * np.array([4.0, 4.0, 4.0, 0.3])  # linear drag, which a sphere does not have
+    direction = rng.normal(size=3)
+    return np.concatenate([p, TRIM * direction / np.linalg.norm(direction), [rng.uniform(-0.3, 0.3)]])
+
+
+def log_of(p: Array, start: Vehicle, rng: np.random.Generator) -> tuple[MotionLog, MotionLog]:
+    """Return the part of a log to fit, with gaps, and the part to predict."""
+    span = FITTED_S + HELD_S
+    dt = rng.uniform(0.01, 0.03, round(span / 0.02))
+    time = np.concatenate([[0.0], np.cumsum(dt)])
+    command = np.zeros((len(time), 4))
+    for axis in range(4):
+        changes = np.concatenate([[0.0], np.cumsum(rng.uniform(0.6, 3.0, round(span)))])
+        level = rng.uniform(-1.0, 1.0, len(changes)) * start.thrust_limit[axis]
+        command[:, axis] = level[np.searchsorted(changes, time, side="right") - 1]
+    motion = integrated(np.concatenate([np.zeros(8), command[0]]), command, dt, p, 1)[:, :8]
+    motion = motion + NOISE * np.column_stack([_coloured(len(time), rng) for _ in range(8)])
+    kept = np.ones(len(time), dtype=bool)
+    for begin in rng.uniform([8.0, 33.0], [25.0, 50.0]):
+        kept[(time > begin) & (time < begin + rng.uniform(1.0, 4.0))] = False
+    parts = [kept & (time < FITTED_S), time >= FITTED_S]
+    fitted, held = (MotionLog(time[k], motion[k], command[k], "log") for k in parts)
+    return fitted, held
+
+
+def _coloured(count: int, rng: np.random.Generator) -> Array:
+    # half white noise, half noise with a correlation over 0.1 to 0.6 s
+    phi = np.exp(-0.02 / rng.uniform(0.1, 0.6))
+    slow = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], rng.normal(size=count + 500))[500:]
+    return np.sqrt(0.5) * (slow + rng.normal(size=count))
+
+
+def scipy_fit(log: MotionLog, start: Vehicle, truth: Array) -> dict[str, float]:
+    """Fit the same model with SciPy from the true parameters: finite differences, known noise, no prior."""
+    gap = np.flatnonzero(np.diff(log.time) > 0.5) + 1
+    parts = [np.arange(a, b) for a, b in zip([0, *gap], [*gap, len(log.time)], strict=True)]
+    scale = np.array(
+        [
+            max(start[k], 0.1 * start[q], 1e-3)
+            for k, q in zip(FITTED, (*FITTED[:4], *FITTED[8:12] * 2, "thrust_lag"), strict=True)
+        ]
+    )
+    scale = np.concatenate([scale, start.thrust_limit])
+    first = truth / scale
+    begin = [np.concatenate([log.motion[rows[0]], log.thrust[rows[0]]]) for rows in parts]
+    size = len(NAMES)
+
+    def states(columns: Array) -> Array:
+        p = columns[:size] * scale[:, None]
+        misfit = []
+        for k, rows in enumerate(parts):
+            x = columns[size + 12 * k : size + 12 * (k + 1)]
+            run = integrated(x, log.thrust[rows], np.diff(log.time[rows]), p, 1)[:, :8]
+            misfit.append(((run - log.motion[rows][:, :, None]) / NOISE[:, None]).reshape(-1, columns.shape[1]))
+        return np.vstack(misfit)
+
+    def residuals(theta: Array) -> Array:
+        return states(theta[:, None])[:, 0]
+
+    def jacobian(theta: Array) -> Array:
+        step = 1e-6
+        columns = theta[:, None] + np.hstack([step * np.eye(len(theta)), -step * np.eye(len(theta))])
+        both = states(columns)
+        return (both[:, : len(theta)] - both[:, len(theta) :]) / (2 * step)
+
+    theta = np.concatenate([first, *begin])
+    low = np.full(len(theta), -np.inf)
+    low[:4], low[12] = 0.05, 0.05
+    fit = least_squares(
+        residuals, theta, jacobian, (low, np.full(len(theta), np.inf)), xtol=1e-8, ftol=1e-8, max_nfev=30
+    )
+    return dict(zip(NAMES, (fit.x[:size] * scale).tolist(), strict=True))
+
+
+def trial(seed: int, *, compared: bool) -> Trial:
+    """Draw a vehicle and a log, fit, and predict."""
+    rng = np.random.default_rng([SEED, seed])
+    start = nominal()
+    p = drawn(start, rng)
+    fitted, held = log_of(p, start, rng)
+    began = time.perf_counter()
+    found = identify(fitted, start, name="fitted")
+    taken = time.perf_counter() - began
+    truth = dict(zip(NAMES, p.tolist(), strict=True))
+    inside = {k: abs(v - truth[k]) <= half for k, (v, half) in found.estimates.items()}
+    half = {k: h for k, (_, h) in found.estimates.items()}
+    own = predict(held, found.vehicle)
+    free = predict_with(held, start, {k: v for k, (v, _) in found.estimates.items()})
+    other = dict(predict_with(held, start, scipy_fit(fitted, start, p)).model) if compared else None
+    return Trial(inside, found.identified, half, dict(own.model), dict(free.model), dict(own.hold), other, taken)
+
+
+def _job(words: tuple[int, bool]) -> Trial:
+    return trial(words[0], compared=words[1])
+
+
+def trials(jobs: list[tuple[int, bool]], workers: int) -> Iterator[Trial]:
+    """Return the trials in order; one worker computes in this process."""
+    if workers == 1:
+        yield from map(_job, jobs)
+        return
+    with get_context("spawn").Pool(workers) as pool:
+        yield from pool.imap(_job, jobs)
+
+
+def _mean(found: list[Trial], errors: Callable[[Trial], dict[str, float]], column: str) -> float:
+    return float(np.sqrt(np.mean([errors(t)[column] ** 2 for t in found])))
+
+
+def main() -> int:
+    """Print the tables; return 1 if a statement does not hold."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="2 logs instead of 200")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    given = parser.parse_args()
+    count, compared = (2, 1) if given.quick else (200, 8)
+    found: list[Trial] = []
+    for one in trials([(k, k >= count - compared) for k in range(count)], given.workers):
+        found.append(one)
+        if not given.quick:
+            sys.stderr.write(f"  {len(found)} of {count}: {[k for k, x in one.inside.items() if not x]}\n")
+    against = found[count - compared :]
+    print(f"{count} logs of {FITTED_S:g} s at about 50 Hz, unequal sampling, two gaps, 8 N, coloured noise\n")
+    print("| parameter | in its 95 % interval | half-interval, median | identified |\n|---|---|---|---|")
+    for name in NAMES:
+        hits = np.mean([t.inside[name] for t in found])
+        half = np.median([t.half[name] for t in found])
+        print(f"| {name} | {hits:.1%} | {half:.2g} | {np.mean([name in t.identified for t in found]):.0%} |")
+    print("\n| held-out RMS | file | fit, all free | SciPy | last speed held |\n|---|---|---|---|---|")
+    worst_file = worst_scipy = 0.0
+    for column in LOG_MOTION:
+        file, free = (_mean(found, lambda t, k=k: getattr(t, k), column) for k in ("file", "free"))  # type: ignore[misc]
+        mine = _mean(against, lambda t: t.file, column)
+        other = _mean(against, lambda t: t.scipy or {}, column)
+        worst_file, worst_scipy = max(worst_file, file / free), max(worst_scipy, mine / other)
+        print(f"| {column} | {file:.4g} | {free:.4g} | {other:.4g} | {_mean(found, lambda t: t.hold, column):.4g} |")
+    share = float(np.mean([list(t.inside.values()) for t in found]))
+    least = min(float(np.mean([t.inside[k] for t in found])) for k in NAMES)
+    statements = {
+        f"the truth lies in its interval in at least {INTERVALS:.0%} ({share:.1%} of {count * len(NAMES)})": share
+        >= INTERVALS,
+        f"of each parameter in at least {INTERVALS:.0%} (least {least:.1%})": least >= INTERVALS,
+        f"the file predicts within 1 % of the fit itself ({worst_file:.4f})": worst_file <= FILE,
+        f"held-out errors are at most {ERRORS:g} times those of SciPy ({worst_scipy:.3f}, {compared} logs)": worst_scipy
+        <= ERRORS,
+    }
+    print("\n| statement | holds |\n|---|---|")
+    for text, holds in statements.items():
+        print(f"| {text} | {'holds' if holds else '**does not hold**'} |")
+    print(f"\nA fit took {np.median([t.seconds for t in found]):.2g} s.")
+    judged = list(statements.values())[2:] if given.quick else list(statements.values())
+    return 0 if all(judged) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

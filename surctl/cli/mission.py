@@ -1,0 +1,75 @@
+"""`surctl scenario`: write a scenario file from a mission of another program."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+
+from surctl.cli.output import as_json, finish
+
+__all__ = ["scenario"]
+
+
+@click.group()
+def scenario() -> None:
+    """Write a scenario file from a mission of another program.
+
+    Example: surctl scenario from-plan survey.plan --vehicle my-robot.toml --cruise 0.3
+    """
+
+
+@scenario.command("from-plan")
+@click.argument("plan", type=click.Path(path_type=Path))
+@click.option("--name", metavar="TEXT", help="Name of the scenario (default: that of the file).")
+@click.option("--vehicle", default="sur540-flooded", metavar="FILE", help="Vehicle: name or file.")
+@click.option("--cruise", type=click.FloatRange(min=0, min_open=True), metavar="X", help="Speed along the path [m/s].")
+@click.option(
+    "--depth", type=float, metavar="Z", help="Height of the path [m], below 0 (default: the lowest of the plan)."
+)
+@click.option(
+    "--margin",
+    type=click.FloatRange(min=0, min_open=True),
+    default=5.0,
+    help="Free water around the path [m] (default 5).",
+)
+@click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="File to write (default NAME.toml).")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
+@as_json
+def from_plan(
+    plan: Path,
+    name: str | None,
+    vehicle: str,
+    cruise: float | None,
+    depth: float | None,
+    margin: float,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Take the path of a QGroundControl plan (.plan) or of a GPX file.
+
+    Latitude and longitude become x east and y north in metres, in a site around the path. The speed is --cruise, else
+    that of the plan, else 0.15 m/s.
+
+    Example: surctl scenario from-plan survey.plan --depth -2 --out survey.toml
+    """
+    from surctl.cli.new import path_of, write_new
+    from surctl.simulation import mission_scenario, read_mission
+
+    mission = read_mission(plan)
+    speed = cruise or mission.speed or 0.15
+    title = name or plan.stem
+    text, notes = mission_scenario(mission, title, vehicle=vehicle, cruise=speed, margin=margin, depth=depth)
+    target = write_new(out or path_of(title, ".toml"), text, force=force)
+    shown = shlex.quote(str(target))
+    lines = [f"{title}: {len(mission.points)} waypoints at {speed:g} m/s", *(f"  note: {note}" for note in notes)]
+    result = {"scenario": title, "waypoints": len(mission.points), "notes": list(notes), "file": str(target)}
+    finish(
+        result,
+        [*lines, f"wrote {target}"],
+        as_json=as_json,
+        passed=True,
+        then=[f"surctl lint {shown}", f"surctl simulate {shown}"],
+    )

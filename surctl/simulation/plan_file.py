@@ -1,0 +1,233 @@
+"""A scenario from a mission of another program: a QGroundControl plan (.plan) or a GPX file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import cos, radians, sin, sqrt
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.files import quoted
+from surctl.recorded import shown
+
+__all__ = ["Mission", "mission_scenario", "read_mission"]
+
+_AXIS, _FLATTENING = 6378137.0, 1 / 298.257223563  # WGS 84
+_WAYPOINTS = frozenset({16, 17, 18, 19, 82})  # commands of MAVLink that go to a position
+_SPEED = 178
+_FARTHEST = 100_000.0  # m, beyond which the plane of the scenario no longer fits
+_LEAST = 0.05  # m, shorter legs are one point
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """The waypoints of a mission in a plane.
+
+    Attributes:
+        points: (n, 2) x east and y north [m] from the origin.
+        heights: (n,) height above the surface [m], negative below it; NaN if the file gives none.
+        speed: speed through the mission [m/s]; None if the file gives none.
+        origin: latitude and longitude of the origin [°].
+        notes: what of the file was not used.
+    """
+
+    points: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    speed: float | None
+    origin: tuple[float, float]
+    notes: tuple[str, ...]
+
+
+def read_mission(path: Path) -> Mission:
+    """Read the waypoints of a QGroundControl plan or a GPX file; the first waypoint is the origin.
+
+    Of a plan, the function takes the waypoints, those of surveys included, and the first change of speed; of a GPX file
+    the first route, else the first track, else the waypoints.
+
+    Raises:
+        InputError: the file cannot be read, or has fewer than two waypoints.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.simulation import read_mission
+        >>> points = "".join(f'<rtept lat="{lat}" lon="10.0"><ele>-2</ele></rtept>' for lat in (63.0, 63.001))
+        >>> _ = Path("bay.gpx").write_text(f"<gpx><rte>{points}</rte></gpx>")
+        >>> mission = read_mission(Path("bay.gpx"))
+        >>> mission.points.round(1).tolist(), mission.heights.tolist()
+        ([[0.0, 0.0], [0.0, 111.4]], [-2.0, -2.0])
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError("no such file", file=shown(path), remedy="check the path") from None
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise InputError(f"cannot be read ({error})", file=shown(path), remedy="give a .plan or .gpx file") from None
+    places, speed, notes = _gpx(text, path) if path.suffix.lower() == ".gpx" else _plan(text, path)
+    for k, (latitude, longitude, _) in enumerate(places):
+        if not (-90 < latitude < 90 and -180 <= longitude <= 180):
+            raise InputError(
+                "is no position",
+                file=shown(path),
+                key=f"waypoint {k + 1}",
+                value=(latitude, longitude),
+                remedy="correct it",
+            )
+    points, heights = [], []
+    for latitude, longitude, height in places:
+        point = _plane(latitude, longitude, places[0])
+        if points and float(np.hypot(*(point - points[-1]))) < _LEAST:
+            continue
+        points.append(point)
+        heights.append(height)
+    if len(points) < 2:
+        raise InputError("has fewer than two waypoints", file=shown(path), remedy="add waypoints")
+    if np.max(np.hypot(*np.array(points).T)) > _FARTHEST:
+        remedy = "check the waypoints; a plane fits up to 100 km"
+        raise InputError("has waypoints too far apart", file=shown(path), remedy=remedy)
+    return Mission(np.array(points), np.array(heights), speed, (places[0][0], places[0][1]), notes)
+
+
+def mission_scenario(
+    mission: Mission, name: str, *, vehicle: str, cruise: float, margin: float = 5.0, depth: float | None = None
+) -> tuple[str, tuple[str, ...]]:
+    """Return the text of a scenario file with the path of a mission in a site around it, and notes for the user.
+
+    Args:
+        mission: the mission.
+        name: name of the scenario.
+        vehicle: name or file of the vehicle.
+        cruise: desired speed along the path [m/s].
+        margin: free water around the path [m].
+        depth: z of the path [m], below 0; default: the lowest height of the mission.
+
+    Raises:
+        InputError: the mission has no height below the surface, and `depth` is not given.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.simulation import Mission, mission_scenario
+        >>> mission = Mission(np.array([[0.0, 0.0], [20.0, 0.0]]), np.array([-2.0, -2.0]), None, (63.0, 10.0), ())
+        >>> text, _ = mission_scenario(mission, "bay", vehicle="sur400", cruise=0.15)
+        >>> [line for line in text.splitlines() if line.startswith("path_m")]
+        ['path_m = [[5.0, 5.0], [25.0, 5.0]]']
+    """
+    notes = list(mission.notes)
+    heights = mission.heights[np.isfinite(mission.heights)]
+    if depth is None:
+        if not len(heights) or float(heights.min()) >= 0:
+            raise InputError("is not below the surface", key="--depth", remedy="give the depth of the path, e.g. -2")
+        depth = float(heights.min())
+        if float(np.ptp(heights)) > _LEAST:
+            notes.append(
+                f"heights from {heights.min():g} to {heights.max():g} m: the path keeps the lowest, {depth:g} m"
+            )
+    shifted = mission.points - mission.points.min(axis=0) + margin
+    length, width = shifted.max(axis=0) + margin
+    duration = float(np.sum(np.hypot(*np.diff(shifted, axis=0).T))) / cruise
+    points = ", ".join(f"[{x!r}, {y!r}]" for x, y in np.round(shifted, 3).tolist())
+    about = (
+        f"{len(shifted)} waypoints; x east, y north; the first at {mission.origin[0]:.7f}°, {mission.origin[1]:.7f}°"
+    )
+    lines = [
+        'kind = "scenario"',
+        f"name = {quoted(name)}",
+        f"title = {quoted(name)}",
+        f"provenance = {quoted(about)}",
+        f"vehicle = {quoted(vehicle)}",
+        f"path_m = [{points}]",
+        f"depth_m = {depth!r}",
+        f"cruise_m_per_s = {cruise!r}",
+        f"cap_m_per_s = {1.25 * cruise!r}",
+        f"time_limit_s = {float(np.ceil(2 * duration + 60))!r}",
+        "",
+        "[site]",
+        f"length_m = {float(np.ceil(length))!r}",
+        f"width_m = {float(np.ceil(width))!r}",
+        f"depth_m = {float(np.ceil(-2 * depth + 1))!r}",
+    ]
+    return "\n".join(lines) + "\n", tuple(notes)
+
+
+Places = list[tuple[float, float, float]]
+
+
+def _plane(latitude: float, longitude: float, origin: tuple[float, float, float]) -> NDArray[np.float64]:
+    # x east and y north, with the radii of curvature of the ellipsoid at the origin
+    eccentricity = _FLATTENING * (2 - _FLATTENING)
+    root = sqrt(1 - eccentricity * sin(radians(origin[0])) ** 2)
+    north = _AXIS * (1 - eccentricity) / root**3
+    east = _AXIS / root * cos(radians(origin[0]))
+    turn = (longitude - origin[1] + 180) % 360 - 180
+    return np.array([east * radians(turn), north * radians(latitude - origin[0])])
+
+
+def _plan(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]:
+    try:
+        table = json.loads(text)
+        items = table["mission"]["items"]
+        assert isinstance(items, list)
+    except (json.JSONDecodeError, KeyError, TypeError, AssertionError, RecursionError):
+        raise InputError("is not a QGroundControl plan", file=shown(path), remedy="give a .plan or .gpx file") from None
+    places: Places = []
+    speed: float | None = None
+    skipped: dict[int, int] = {}
+    for item in _simple(items):
+        try:
+            command, params = int(item["command"]), list(item.get("params", ()))
+            if command in _WAYPOINTS:
+                latitude, longitude, height = (float(v) for v in params[4:7])
+                places.append((latitude, longitude, height))
+            elif command == _SPEED:
+                speed = float(params[1]) if speed is None and float(params[1]) > 0 else speed
+            else:
+                skipped[command] = skipped.get(command, 0) + 1
+        except (KeyError, TypeError, ValueError, IndexError):
+            raise InputError(
+                "has an item that cannot be read", file=shown(path), value=str(item)[:80], remedy="save the plan again"
+            ) from None
+    notes = [f"{count} items with command {command} are not used" for command, count in sorted(skipped.items())]
+    cruise = table["mission"].get("cruiseSpeed")
+    speed = float(cruise) if speed is None and isinstance(cruise, int | float) and cruise > 0 else speed
+    return places, speed, tuple(notes)
+
+
+def _simple(items: list[Any]) -> Iterator[dict[str, Any]]:
+    # simple items, those inside surveys included
+    for item in items:
+        if not isinstance(item, dict):
+            continue
+        if item.get("type") == "ComplexItem":
+            inner = item.get("TransectStyleComplexItem", {}).get("Items") or item.get("Items") or []
+            yield from _simple(inner)
+        else:
+            yield item
+
+
+def _gpx(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError("declares a document type", file=shown(path), remedy="remove the DOCTYPE")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"is not XML ({error})", file=shown(path), remedy="give a .plan or .gpx file") from None
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    groups = [list(rte.iter("rtept")) for rte in root.iter("rte")] + [
+        list(trk.iter("trkpt")) for trk in root.iter("trk")
+    ]
+    groups = [group for group in groups if group] or [list(root.iter("wpt"))]
+    notes = (f"{len(groups) - 1} more routes or tracks are not used",) if len(groups) > 1 else ()
+    try:
+        places = [
+            (float(p.get("lat", "")), float(p.get("lon", "")), float(p.findtext("ele") or "nan")) for p in groups[0]
+        ]
+    except ValueError:
+        raise InputError("has a point without position", file=shown(path), remedy="give lat and lon") from None
+    return places, None, notes

@@ -1,0 +1,262 @@
+"""Identification of a vehicle from a log by output-error least squares, with 95 % intervals and identifiability test.
+
+The simulated motion is fitted to the measured motion (Ljung 1999, section 7.4; Tischler & Remple 2012). Measurement
+noise therefore does not bias the estimated masses and drag, as it would if measured velocities were differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.vehicle.identification.excitation import at_rest, few_thrusts, ill_excited, notes_of
+from surctl.vehicle.identification.intervals import Spread, spread_of
+from surctl.vehicle.identification.model import CONSTANT_FORCE, MASS_OF, Model, axes_of, sections_of
+from surctl.vehicle.identification.result import Identified
+from surctl.vehicle.identification.solve import beginning, minimise, simulable
+from surctl.vehicle.motion_log import LOG_MOTION, MotionLog
+from surctl.vehicle.parameters import Parameter, Vehicle
+from surctl.vehicle.specs import TERMS, parameter_spec
+
+__all__ = ["identify"]
+
+_NARROW = 0.5  # largest ratio of half-interval to value of an identified parameter
+_SMALL_FORCE = 0.1  # share of the thrust limit below which a constant force counts as small
+_ROUNDS = 5  # largest number of alternations between fit and noise estimate
+_STEADY, _ROUGH = 0.02, 1e-3  # relative change of the noise that ends them; of the cost that ends each fit
+_REFITS = 6  # largest number of fits with more and more parameters held
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Full:
+    # the fit with all parameters free
+    model: Model
+    theta: Array
+    noise: Array
+    spread: Spread
+    left: list[Array]  # residuals
+    converged: bool
+
+    @property
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        half = self.model.scale * self.spread.half_intervals()
+        return {k: (v, float(half[j])) for j, (k, v) in enumerate(self.model.values(self.theta).items())}
+
+
+def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
+    """Fit masses, drag, thrust lag and a constant force to a log, together with the unknown initial motion.
+
+    The model assumes still water, and thrust that follows its command with a first-order lag. The log is split at its
+    gaps; each section has its own initial motion and thrust. If `start` has no thrust lag, the fitted vehicle has no
+    thrust lag. Thrust limits and radius are those of `start`, because they cannot be identified from a log.
+
+    Raises:
+        InputError: no simulated motion is finite, which shows that the columns of motion and thrust do not match;
+            or the log has no part of sufficient length without a gap.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import MotionLog, identify, load_vehicle
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(300)
+        >>> force = np.where(t % 10 < 5, 4.0, -2.0)  # N, in surge; the true motion uses Euler steps of 1 ms
+        >>> motion, thrust, x, u, f = np.zeros((300, 8)), np.outer(force, [1, 0, 0, 0]), 0.0, 0.0, 4.0
+        >>> for k in range(1, 300):
+        ...     for _ in range(100):
+        ...         f += 1e-3 * (force[k - 1] - f) / 0.3
+        ...         x, u = x + 1e-3 * u, u + 1e-3 * (f - 2.0 * u - 29.5 * u * abs(u)) / 60.0
+        ...     motion[k, [0, 4]] = x, u
+        >>> result = identify(MotionLog(t, motion, thrust, "log.csv"), boat, name="heavier")
+        >>> round(result.estimates["m11"][0], 1), "m11" in result.identified, "m22" in result.identified
+        (60.0, True, False)
+    """
+    full = _full_fit(log, start)
+    model, estimates = full.model, full.estimates
+    rest = at_rest(model, full.theta, full.noise)
+    excluded = {k for k in estimates if axes_of(k) & rest}
+    notes: list[str] = [] if full.converged else ["the fit has not converged: estimates and intervals are rough"]
+    if "thrust_lag" in estimates:
+        reason = few_thrusts(log, model.sections)
+        if full.theta[model.names.index("thrust_lag")] <= model.low[model.names.index("thrust_lag")] + 1e-9:
+            reason = f"its estimate {estimates['thrust_lag'][0]:.3g} s is the smallest value that the fit allows"
+        if reason:
+            excluded.add("thrust_lag")
+            notes.append(f"thrust_lag is not determined: {reason}")
+    identified = tuple(k for k in estimates if k not in excluded and _ratio(model, estimates, k) <= 1.0)
+    # a constant force that cannot be told from 0 gets no entry in the vehicle
+    small = {k for k in CONSTANT_FORCE if abs(estimates[k][0]) <= estimates[k][1] and k not in start.parameters}
+    theta, held, zeroed = _consistent(full, excluded | small)
+    notes += _negative_notes(zeroed, estimates)
+    values = model.values(theta)
+    vehicle = _vehicle(start, values, estimates, _Kinds(identified, held, zeroed), log, name)
+    present = model.present
+    return Identified(
+        vehicle,
+        start,
+        estimates,
+        identified,
+        held,
+        zeroed,
+        ill_excited(model, full.spread, estimates, rest),
+        {c: float(full.noise[k]) for k, c in enumerate(LOG_MOTION) if present[:, k].any()},
+        (*notes, *notes_of(model, full.left)),
+        len(model.sections),
+    )
+
+
+def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
+    sections = sections_of(log)
+    model = Model(log, start, sections)
+    noise = np.array([_roughness(log.motion[p, k]) for k, p in enumerate(model.present.T)])
+    free = np.ones(model.size, dtype=bool)
+    theta, converged = simulable(model, beginning(model, noise, free=free), noise, sections), False
+    count = np.sum([model.present[s.rows].sum(axis=0) for s in sections], axis=0)
+    freedom = 1.0 - len(theta) / max(int(count.sum()), len(theta) + 1)
+    for _ in range(_ROUNDS):
+        theta, _ = minimise(model, theta, noise, sections, free=free, tolerance=_ROUGH)
+        left, before = model.misfit(theta, sections), noise
+        squares = np.sum([np.sum(e**2, axis=0) for e in left], axis=0)
+        noise = np.where(count > 0, np.maximum(np.sqrt(squares / np.maximum(count, 1) / freedom), 1e-9), 1.0)
+        if np.allclose(noise, before, rtol=_STEADY):
+            break
+    theta, converged = minimise(model, theta, noise, sections, free=free)
+    left = model.misfit(theta, sections)
+    prior = model.prior(sections)[1]
+    parts = model.slopes(theta, noise, sections)
+    spread = spread_of(
+        parts, [model.present[s.rows] for s in sections], prior[: model.size], prior[model.size : model.size + 12]
+    )
+    return _Full(model, theta, noise, spread, left, converged)
+
+
+def _ratio(model: Model, estimates: Mapping[str, tuple[float, float]], name: str) -> float:
+    """Return the half-interval of a parameter, relative to the largest one with which it counts as identified.
+
+    The interval of a drag parameter, which may be 0, is relative to the larger of the estimate and the start value,
+    that of a constant force to the larger of the estimate and a tenth of the thrust limit. A motion shows only the
+    ratio of drag to mass. So if the mass of an axis is not identified, its drag is not identified either.
+    """
+    value, half = estimates[name]
+    scale = float(model.scale[model.names.index(name)])
+    if name in MASS_OF or (name in TERMS and name not in CONSTANT_FORCE):
+        own = half / (_NARROW * max(abs(value), scale))
+        return max([own, *(_ratio(model, estimates, mass) for mass in axes_of(name))])
+    reference = max(abs(value), _SMALL_FORCE * scale) if name in CONSTANT_FORCE else value
+    return half / (_NARROW * max(reference, 1e-12))
+
+
+def _consistent(full: _Full, excluded: set[str]) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
+    """Return θ of one consistent model, the names of its held parameters, and those of its drags fixed at 0.
+
+    Parameters that the log does not determine are held at their start values, the worst first, until the others are
+    determined together with them; drags with a negative estimate are fixed at 0. The others are fitted again.
+    """
+    model, theta = full.model, full.theta.copy()
+    held, zeroed = set(excluded), set[str]()
+    covariance = full.spread.covariance
+    for _ in range(_REFITS):
+        values = model.values(theta)
+        wrong = {k for k in MASS_OF if values[k] < 0.0 and k not in held} - zeroed
+        worse = _to_hold(full, held | zeroed | wrong, covariance, values)
+        if not wrong and not worse and (held | zeroed) == _fixed(model, theta, held, zeroed):
+            break
+        zeroed |= wrong
+        held |= worse
+        for k, name in enumerate(model.names):
+            if name in held or name in zeroed:
+                theta[k] = -model.start[k] / model.scale[k] if name in zeroed else 0.0
+        theta = simulable(model, theta, full.noise, model.sections)
+        free = np.array([name not in held | zeroed for name in model.names])
+        theta, _ = minimise(model, theta, full.noise, model.sections, free=free)
+    return theta, tuple(k for k in model.names if k in held), tuple(k for k in model.names if k in zeroed)
+
+
+def _fixed(model: Model, theta: Array, held: set[str], zeroed: set[str]) -> set[str]:
+    # names that have the values at which they are to be fixed
+    at = dict(zip(model.names, theta[: model.size], strict=True))
+    zero = dict(zip(model.names, -model.start / model.scale, strict=True))
+    return {k for k in held if at[k] == 0.0} | {k for k in zeroed if at[k] == zero[k]}
+
+
+def _to_hold(full: _Full, fixed: set[str], covariance: Array, values: Mapping[str, float]) -> set[str]:
+    # parameters to hold at their start values: the worst, then the worst of those left, until all are determined
+    model, worse = full.model, set[str]()
+    while True:
+        free = [k for k, name in enumerate(model.names) if name not in fixed | worse]
+        others = [k for k in range(model.size) if k not in free]
+        part = covariance[np.ix_(free, free)]
+        if others:  # the covariance if the others are known
+            cross = covariance[np.ix_(free, others)]
+            part = part - cross @ np.linalg.lstsq(covariance[np.ix_(others, others)], cross.T, rcond=None)[0]
+        half = full.spread.quantile * np.sqrt(np.maximum(np.diag(part), 0.0)) * model.scale[free]
+        estimates = {name: (values[name], 0.0) for name in model.names}
+        estimates |= {model.names[k]: (values[model.names[k]], float(h)) for k, h in zip(free, half, strict=True)}
+        ratios = {model.names[k]: _ratio(model, estimates, model.names[k]) for k in free}
+        worst = max(ratios, key=lambda k: (ratios[k], k not in MASS_OF), default=None)
+        if worst is None or ratios[worst] <= 1.0:
+            return worse
+        worse.add(worst)
+
+
+def _negative_notes(zeroed: tuple[str, ...], estimates: Mapping[str, tuple[float, float]]) -> list[str]:
+    notes = []
+    for key in zeroed:
+        value, half = estimates[key]
+        if value + half < 0:
+            notes.append(
+                f"drag below 0: the model is wrong ({key} = {value:.3g} ± {half:.2g}); {key} is fixed at 0 and the "
+                "other parameters are fitted with it; check the signs and scales of thrust and motion"
+            )
+        else:
+            notes.append(f"{key} is fixed at 0: its estimate alone ({value:.3g} ± {half:.2g}) may be negative")
+    return notes
+
+
+@dataclass(frozen=True)
+class _Kinds:
+    identified: tuple[str, ...]
+    held: tuple[str, ...]
+    zeroed: tuple[str, ...]
+
+
+def _vehicle(
+    start: Vehicle,
+    values: Mapping[str, float],
+    estimates: Mapping[str, tuple[float, float]],
+    kinds: _Kinds,
+    log: MotionLog,
+    name: str,
+) -> Vehicle:
+    span = f"{len(log.time)} rows, {log.time[-1] - log.time[0]:.4g} s"
+    known = dict(start.parameters)
+    for key, (estimate, half) in estimates.items():
+        prior, spec = known.get(key), parameter_spec(key)
+        if spec is None or (key in kinds.held and prior is None):
+            continue  # a constant force that cannot be told from 0
+        if key in kinds.held and prior is not None:
+            said = f"{prior.provenance} (not identifiable from {log.source})"
+            known[key] = Parameter(prior.value, prior.unit, prior.range, said)
+            continue
+        value = values[key] if spec.signed else max(values[key], 0.0)
+        low, high = min(estimate - half, value), max(estimate + half, value)
+        bounds = (low if spec.signed else max(low, 0.0), high)
+        if key in kinds.zeroed:
+            said = f"fixed at 0, because its estimate from {log.source} is {estimate:.4g} ± {half:.2g}"
+            wrong = estimate + half < 0
+            known[key] = Parameter(0.0, spec.unit, None if wrong else bounds, said + "; the model is wrong" * wrong)
+        elif key in kinds.identified:
+            said = f"identified from {log.source}, {span}; range: 95 % interval"
+            known[key] = Parameter(value, spec.unit, bounds, said)
+        else:
+            said = f"fitted to {log.source}, {span}, together with the start values of {', '.join(kinds.held)}"
+            known[key] = Parameter(value, spec.unit, None, said)
+    return Vehicle(name, f"{start.name} fitted to a log", known)
+
+
+def _roughness(values: Array) -> float:
+    # sd of the second differences divided by √6: estimate of white noise on a smooth signal
+    return max(float(np.std(np.diff(values, 2))) / np.sqrt(6.0), 1e-4) if len(values) > 2 else 1.0

@@ -1,0 +1,152 @@
+"""Intervals of fitted parameters that hold for coloured residuals too (heteroskedasticity and autocorrelation, HAC).
+
+The covariance of the estimates is the sandwich B⁻¹ M B⁻¹ (White 1982; Newey & West 1987): B is the information of the
+normalised residuals, M the covariance of their weighted sum. M follows from the auto- and cross-correlations of the
+residuals, up to a lag that is chosen by the rule of Politis (2003) with his flat-top window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Spread", "spread_of"]
+
+Array = NDArray[np.float64]
+
+_QUIET = 5  # successive correlations within the noise after which the correlation has ended
+_LONGEST_SHARE = 0.25  # longest lag, as a share of the rows of a section
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """The uncertainty of fitted parameters.
+
+    Attributes:
+        covariance: (p, p) of the scaled parameters, with all of them free.
+        freedom: degrees of freedom of the estimated covariance.
+    """
+
+    covariance: Array
+    freedom: float
+
+    def half_intervals(self) -> Array:
+        """Return half the width (p,) of the 95 % intervals of the scaled parameters (Student's t)."""
+        return self.quantile * np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def quantile(self) -> float:
+        """The 97.5 % quantile of Student's t with `freedom` degrees of freedom."""
+        from scipy.special import stdtrit  # slow to import
+
+        return float(stdtrit(max(self.freedom, 3.0), 0.975))
+
+
+def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]], prior: Array, first: Array) -> Spread:
+    """Return the uncertainty of the parameters from the normalised residuals and their derivatives.
+
+    Args:
+        parts: for each section the residuals (n, 8) and derivatives (n, 8, p + 12) by the parameters and the section's
+            initial state, both 0 where no measurement exists.
+        present: for each section which residuals (n, 8) exist.
+        prior: (p,) prior weights 1/σ² of the parameters.
+        first: (12,) prior weights of an initial state.
+    """
+    size = len(prior)
+    slopes = [_without_initial(slope, size, first) for _, slope in parts]
+    left = [e for e, _ in parts]
+    bread = np.diag(prior) + sum(np.einsum("tcp,tcq->pq", s, s) for s in slopes)
+    correlation, lag, independent = _correlation(left, present)
+    freedom = independent - size - 12 * len(parts)
+    inverse = _inverse(bread)
+    white = inverse
+    coloured = inverse
+    if lag:
+        meat = np.diag(prior) + _meat(slopes, correlation)
+        # the fit takes up a part of the noise: the factor is squared as in HC3 (MacKinnon & White 1985)
+        inflation = (independent / max(freedom, 0.1 * independent)) ** 2
+        coloured = inflation * (inverse @ meat @ inverse)
+        rows = sum(len(e) for e in left)
+        freedom = min(freedom, 2.0 * rows / (2.0 * float(np.sum(_window(lag) ** 2)) - 1.0))
+    # an estimate of M may be too small; the residuals count as white noise at least
+    larger = np.sqrt(np.maximum(np.diag(coloured) / np.diag(white), 1.0))
+    own = np.sqrt(np.maximum(np.diag(coloured), 1e-300))
+    shape = coloured / np.outer(own, own) if lag else white / np.outer(own, own)
+    target = larger * np.sqrt(np.diag(white))
+    return Spread(shape * np.outer(target, target), freedom)
+
+
+def _without_initial(slope: Array, size: int, first: Array) -> Array:
+    # derivatives (n, 8, p) with the initial state of the section optimal for every value of the parameters
+    flat = slope.reshape(-1, slope.shape[-1])
+    over_p, over_first = flat[:, :size], flat[:, size:]
+    matrix = over_first.T @ over_first + np.diag(first)
+    return (over_p - over_first @ np.linalg.solve(matrix, over_first.T @ over_p)).reshape(*slope.shape[:2], size)
+
+
+def _inverse(matrix: Array) -> Array:
+    # also of a nearly singular matrix
+    scale = np.sqrt(np.diag(matrix))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    values = np.maximum(values, 1e-14 * values[-1])
+    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
+
+
+def _correlation(left: list[Array], present: list[NDArray[np.bool_]]) -> tuple[Array, int, float]:
+    """Return the windowed covariances (lags + 1, 8, 8), the last lag, and the number of independent residuals."""
+    longest = max(int(_LONGEST_SHARE * max(len(e) for e in left)), 1)
+    count = 1 << (2 * max(len(e) for e in left) - 1).bit_length()
+    cross, pairs = np.zeros((count, 8, 8)), np.zeros((count, 8, 8))
+    for e, p in zip(left, present, strict=True):
+        fe, fp = np.fft.rfft(e, count, axis=0), np.fft.rfft(p.astype(float), count, axis=0)
+        cross += np.fft.irfft(np.conj(fe)[:, :, None] * fe[:, None, :], count, axis=0)
+        pairs += np.fft.irfft(np.conj(fp)[:, :, None] * fp[:, None, :], count, axis=0)
+    raw = np.where(pairs > 0.5, cross / np.maximum(pairs, 0.5), 0.0)[: longest + 1]
+    numbers = np.vstack(present).sum(axis=0).astype(float)
+    lag, independent = 0, 0.0
+    for c in np.flatnonzero(numbers > 2):
+        own = raw[:, c, c] / max(raw[0, c, c], 1e-300)
+        end = _end(own[1:], numbers[c])
+        lag = max(lag, min(2 * end, longest))
+        window = _window(2 * end)[: longest + 1] if end else np.ones(1)
+        independent += numbers[c] / max(1.0 + 2.0 * float(np.sum((window * own[: len(window)])[1:])), 1.0)
+    return raw[: lag + 1] * _window(lag)[:, None, None], lag, independent
+
+
+def _end(correlation: Array, number: float) -> int:
+    # the last lag before `_QUIET` successive correlations that cannot be told from 0 (Politis 2003)
+    level = 2.0 * np.sqrt(np.log10(max(number, 10.0)) / number)
+    quiet = np.abs(correlation) < level
+    for k in range(len(quiet)):
+        if quiet[k : k + _QUIET].all():
+            return k
+    return len(quiet)
+
+
+def _window(lag: int) -> Array:
+    # flat top: 1 up to half the last lag, then linearly to 0
+    at = np.arange(lag + 1) / max(lag, 1)
+    return np.clip(2.0 * (1.0 - at), 0.0, 1.0) if lag else np.ones(1)
+
+
+def _meat(slopes: list[Array], covariance: Array) -> Array:
+    # Σ over pairs of rows and columns of slopeᵀ covariance slope, in the frequency domain
+    longest = max(len(s) for s in slopes)
+    count = 1 << (longest + len(covariance)).bit_length()
+    two_sided = np.zeros((count, 8, 8))
+    two_sided[: len(covariance)] = covariance
+    two_sided[count - len(covariance) + 1 :] = covariance[:0:-1].transpose(0, 2, 1)
+    spectrum = np.fft.fft(two_sided, axis=0)[: count // 2 + 1]
+    spectrum = (spectrum + np.conj(spectrum.transpose(0, 2, 1))) / 2
+    values, vectors = np.linalg.eigh(spectrum)
+    spectrum = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.conj(vectors.transpose(0, 2, 1))
+    weight = np.full(count // 2 + 1, 2.0)
+    weight[[0, -1]] = 1.0
+    size = slopes[0].shape[-1]
+    meat = np.zeros((size, size))
+    for slope in slopes:
+        wave = np.fft.rfft(slope, count, axis=0)  # (f, 8, p)
+        meat += np.einsum("f,fcp,fcd,fdq->pq", weight, wave, spectrum, np.conj(wave), optimize=True).real / count
+    return meat

@@ -1,0 +1,212 @@
+"""Prediction of the motion in a log over short windows, beside the prediction that holds the last measured velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.vehicle.identification.identify import identify
+from surctl.vehicle.identification.model import Model, Section, names_of, sections_of, with_all_constants
+from surctl.vehicle.motion_log import LOG_MOTION, MotionLog
+from surctl.vehicle.parameters import Vehicle
+
+__all__ = ["HELD_OUT", "Prediction", "held_out", "predict", "predict_with"]
+
+HELD_OUT = 0.4
+"""Share of a log, at its end, that is predicted by a fit to the rest."""
+
+_WINDOW = 5.0  # [s]
+_BEFORE = 1.0  # [s] motion before a window from which a velocity without measurement is computed
+_LEAST_ROWS = 4  # rows of a window
+_LAGS = 5.0  # thrust lags after which the thrust no longer depends on its start
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The motion in windows of a log, measured and predicted from the first row of each window.
+
+    Attributes:
+        model: root mean square of the error of the vehicle's model, by column of the log.
+        hold: the same for a motion that keeps the velocity of the first row of each window.
+        window: length of the windows [s].
+        windows: number of windows.
+        time: (n,) [s] of the rows of all windows.
+        starts: (windows,) index of the first row of each window in `time`.
+        measured: (n, 8) measured motion; NaN where there is no measurement.
+        predicted: (n, 8) motion of the model.
+        held: (n, 8) motion with the velocity held.
+    """
+
+    model: Mapping[str, float]
+    hold: Mapping[str, float]
+    window: float
+    windows: int
+    time: Array
+    starts: NDArray[np.int64]
+    measured: Array
+    predicted: Array
+    held: Array
+
+
+def predict(log: MotionLog, vehicle: Vehicle, *, window: float = _WINDOW) -> Prediction:
+    """Predict the motion of a log over successive windows with the model of a vehicle.
+
+    Each window starts with the measured motion of its first row. A velocity that the log does not contain follows from
+    the measured poses of the second before. The thrust has the lag of the vehicle.
+
+    Args:
+        log: the log.
+        vehicle: the vehicle.
+        window: length of the windows [s].
+
+    Raises:
+        InputError: the log has no window with a measured start.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import MotionLog, load_vehicle, predict
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(200)
+        >>> speed = 0.3 / (1 + 0.3 * 29.5 / 50 * t)  # coasting with quadratic drag
+        >>> motion = np.full((200, 8), np.nan)
+        >>> motion[:, 4] = speed
+        >>> result = predict(MotionLog(t, motion, np.zeros((200, 4))), boat)
+        >>> result.model["u_m_per_s"] < result.hold["u_m_per_s"], result.windows
+        (True, 4)
+    """
+    whole = with_all_constants(vehicle)
+    return predict_with(log, vehicle, {k: whole[k] for k in names_of(whole)}, window=window)
+
+
+def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *, window: float = _WINDOW) -> Prediction:
+    """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others."""
+    lag = values.get("thrust_lag", 0.0)
+    windows = [
+        w for section in sections_of(log) for w in _windows(log, section, window, after=min(_LAGS * lag, window))
+    ]
+    states = [(w, x) for w in windows if (x := _first_state(log, *w, lag=lag)) is not None]
+    if not states:
+        raise InputError(
+            f"has no window of {window:g} s with a measured start", file=log.source, remedy="give a longer log"
+        )
+    sections = tuple(part for (_, part), _ in states)
+    model = Model(log, start, sections)
+    theta = model.begin(sections)
+    theta[: model.size] = (np.array([values[k] for k in model.names]) - model.start) / model.scale
+    theta[model.size :] = np.concatenate([x for _, x in states])
+    with np.errstate(over="ignore", invalid="ignore"):
+        predicted = [x[s.at, :8] for s, x in zip(sections, model.states(theta, sections), strict=True)]
+    held = [_held(x, log.time[s.rows]) for s, (_, x) in zip(sections, states, strict=True)]
+    rows = np.concatenate([np.arange(s.rows.start, s.rows.stop) for s in sections])
+    measured, all_predicted, all_held = log.motion[rows], np.vstack(predicted), np.vstack(held)
+    return Prediction(
+        _errors(all_predicted - measured),
+        _errors(all_held - measured),
+        window,
+        len(sections),
+        log.time[rows],
+        np.concatenate([[0], np.cumsum([len(s.at) for s in sections])[:-1]]).astype(np.int64),
+        measured,
+        all_predicted,
+        all_held,
+    )
+
+
+def held_out(log: MotionLog, start: Vehicle, *, share: float = HELD_OUT, window: float = _WINDOW) -> Prediction | None:
+    """Predict the last part of a log with a vehicle that is fitted to the part before; None if the log is too short.
+
+    Args:
+        log: the log.
+        start: vehicle with the initial values of the fit.
+        share: share of the time that is predicted.
+        window: length of the windows [s].
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import MotionLog, held_out, load_vehicle
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
+        >>> held_out(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat) is None
+        True
+    """
+    cut = int(np.searchsorted(log.time, log.time[0] + (1.0 - share) * (log.time[-1] - log.time[0])))
+    try:
+        parts = [
+            MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
+            for rows in (slice(0, cut), slice(cut, len(log.time)))
+        ]
+        fit = identify(parts[0], start, name=start.name)
+        return predict(parts[1], fit.vehicle, window=window)
+    except InputError:  # one part is too short, or has no motion
+        return None
+
+
+def _windows(log: MotionLog, section: Section, window: float, *, after: float) -> list[tuple[Section, Section]]:
+    # each with its section; the thrust at its start follows from the commands of the time `after` before
+    time = log.time[section.rows]
+    count = max(int((time[-1] - time[0] - after) // window), 0)
+    cuts = np.searchsorted(time, time[0] + after + window * np.arange(count + 1) - 1e-9)
+    parts = []
+    for one, other in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+        if other - one >= _LEAST_ROWS:
+            parts.append((section, section.part(one, other - one)))
+    return parts
+
+
+def _first_state(log: MotionLog, section: Section, part: Section, *, lag: float) -> Array | None:
+    """Return the state (12,) at the first row of a window, or None if a velocity cannot be computed."""
+    row, origin = part.rows.start, section.rows.start
+    motion = log.motion[row].copy()
+    measured = np.isfinite(log.motion).any(axis=0)
+    if not np.isfinite(motion[measured]).all():
+        return None
+    before = slice(max(origin, int(np.searchsorted(log.time, log.time[row] - _BEFORE))), row + 1)
+    poses, time = log.motion[before, :4], log.time[before]
+    if np.isnan(motion[4:]).any() and len(time) > 1:
+        speed = np.full(4, np.nan)
+        for k in np.flatnonzero(np.isfinite(poses).all(axis=0)):
+            speed[k] = np.polyfit(time - time[-1], poses[:, k], 1)[0]
+        psi = motion[3] if np.isfinite(motion[3]) else 0.0
+        c, s = np.cos(psi), np.sin(psi)
+        body = np.array([c * speed[0] + s * speed[1], c * speed[1] - s * speed[0], speed[2], speed[3]])
+        motion[4:] = np.where(np.isnan(motion[4:]), body, motion[4:])
+    needed = np.isfinite(motion[4:]) | ~(measured[:4] | measured[4:])
+    if not needed.all():
+        return None
+    return np.concatenate([np.nan_to_num(motion), _thrust(log, slice(origin, row + 1), lag)])
+
+
+def _thrust(log: MotionLog, rows: slice, lag: float) -> Array:
+    # thrust (4,) at the last of the rows
+    time, command = log.time[rows], log.thrust[rows]
+    if lag <= 0 or len(time) < 2:
+        return np.asarray(command[0] if len(time) < 2 else command[-2])
+    thrust = command[0]
+    for step, before in zip(np.diff(time), command[:-1], strict=True):
+        thrust = before + (thrust - before) * np.exp(-step / lag)
+    return np.asarray(thrust)
+
+
+def _held(state: Array, time: Array) -> Array:
+    # motion (n, 8) with constant velocity in the body frame
+    t = (time - time[0])[:, None]
+    u, v, w, r = state[4:8]
+    turn = r * t[:, 0]
+    along = np.sinc(turn / (2 * np.pi)) * t[:, 0]  # chord of the arc
+    direction = state[3] + turn / 2
+    x = state[0] + along * (u * np.cos(direction) - v * np.sin(direction))
+    y = state[1] + along * (u * np.sin(direction) + v * np.cos(direction))
+    pose = np.column_stack([x, y, state[2] + w * t[:, 0], state[3] + turn])
+    return np.hstack([pose, np.tile(state[4:8], (len(time), 1))])
+
+
+def _errors(difference: Array) -> dict[str, float]:
+    return {
+        column: float(np.sqrt(np.mean(e[np.isfinite(e)] ** 2)))
+        for column, e in zip(LOG_MOTION, difference.T, strict=True)
+        if np.isfinite(e).any()
+    }

@@ -1,0 +1,100 @@
+"""Read a recording of any format, by its suffix, and with a map as a log of motion and thrust."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+from surctl.errors import InputError
+from surctl.recorded import shown
+from surctl.vehicle.logs.ardupilot import read_ardupilot
+from surctl.vehicle.logs.joining import joined
+from surctl.vehicle.logs.log_map import LogMap, load_log_map
+from surctl.vehicle.logs.recording import Reader, Recording
+from surctl.vehicle.logs.ros import read_bag, read_mcap
+from surctl.vehicle.logs.tables import read_table
+from surctl.vehicle.logs.ulog import read_ulog
+from surctl.vehicle.motion_log import MotionLog
+
+__all__ = ["READERS", "read_mapped_log", "read_recording", "topic_lines"]
+
+READERS: dict[str, Reader] = {
+    ".bin": read_ardupilot,
+    ".tlog": read_ardupilot,
+    ".bag": read_bag,
+    ".db3": read_bag,
+    ".mcap": read_mcap,
+    ".ulg": read_ulog,
+}
+"""Readers by the suffix of the file; a folder is a bag of ROS 2, any other file a table."""
+
+
+def read_recording(path: Path, topics: Collection[str] | None = None, *, log_map: LogMap | None = None) -> Recording:
+    """Read a recording; the format follows from the suffix.
+
+    Args:
+        path: a file or, for ROS 2, a folder.
+        topics: names of the topics to read; default: all.
+        log_map: names the time of a table; default: column t_s.
+
+    Raises:
+        InputError: the file does not exist or cannot be read, or a package for its format is not installed.
+    """
+    if not path.exists():
+        raise InputError("no such file", file=shown(path), remedy="check the path")
+    reader = read_bag if path.is_dir() else READERS.get(path.suffix.lower())
+    if reader is not None:
+        recording = reader(path, topics)
+        if topics is None and not recording.topics:
+            raise InputError("has no messages with numbers", file=shown(path), remedy="check the file")
+        return recording
+    clock = None if log_map is None else log_map.log
+    return read_table(path, time=clock.time if clock else "t_s", unit=clock.time_unit if clock else "s")
+
+
+def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
+    """Read a log of motion and thrust from a recording of any format with a map.
+
+    Topics with other times are interpolated to common times; headings follow from quaternions, velocities in the
+    heading frame from velocities in the body or world frame, and thrust from the commands of thrusters.
+
+    Raises:
+        InputError: the recording or the map cannot be read, a topic or field is missing, or two topics have no common
+            time.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.vehicle import read_mapped_log
+        >>> rows = "".join(f"{20_000_000 * k},{0.5 * k},{k % 7},1500\\n" for k in range(60))
+        >>> _ = Path("dive.csv").write_text("stamp,yaw,speed,pwm\\n" + rows)
+        >>> _ = Path("map.toml").write_text('''
+        ... kind = "log-map"
+        ... log = { frame = "ned", time = "stamp", time_unit = "ns" }
+        ... attitude = { fields = ["yaw"], unit = "deg" }
+        ... velocity = { fields = ["speed", "speed"], unit = "cm/s", frame = "heading" }
+        ... [thrust]
+        ... fields = ["pwm"]
+        ... command = [1100, 1500, 1900]
+        ... force_N = [-40, 0, 50]
+        ... matrix = [[1], [0], [0], [0.1]]
+        ... ''')
+        >>> log = read_mapped_log(Path("dive.csv"), Path("map.toml"))
+        >>> round(float(log.time[-1] - log.time[0]), 2), log.motion[1, 4:6].tolist()
+        (1.18, [0.01, -0.01])
+    """
+    log_map = load_log_map(map_path)
+    topics = {part.topic for _, part in log_map.sources()}
+    recording = read_recording(path, topics, log_map=log_map)
+    if not topics <= recording.topics.keys():
+        recording = read_recording(path, log_map=log_map)  # for a message that names all topics
+    return joined(recording, log_map, map_name=shown(map_path))
+
+
+def topic_lines(recording: Recording) -> list[str]:
+    """Return one line per topic: name, number of messages, rate, and the names of its fields."""
+    lines = []
+    for name, topic in sorted(recording.topics.items()):
+        span = float(topic.time[-1] - topic.time[0])
+        rate = f"{(len(topic.time) - 1) / span:.3g} Hz" if span > 0 else "one time"
+        lines.append(f"{name or '(table)'}: {len(topic.time)} messages, {rate}: {', '.join(topic.fields)}")
+    return lines

@@ -1,0 +1,50 @@
+"""Read tables (CSV, .mat, netCDF) as a recording of one topic."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from surctl.errors import InputError, nearest
+from surctl.recorded import Recorded, read_recorded
+from surctl.units import in_unit
+from surctl.vehicle.logs.recording import Recording, Topic
+
+__all__ = ["read_table"]
+
+
+def read_table(path: Path, *, time: str, unit: str) -> Recording:
+    """Read the numeric columns of a table as the fields of one topic with an empty name.
+
+    Args:
+        path: a file .csv, .mat or .nc.
+        time: column of the time.
+        unit: unit of the time.
+
+    Raises:
+        InputError: the file cannot be read, the time is missing or not a number, or its unit is unknown.
+    """
+    table = read_recorded(path)
+    if time not in table.columns:
+        raise InputError(
+            "is no column", file=table.name, key="log.time", value=time, remedy=nearest(time, table.columns)
+        )
+    seconds = table.numbers(time) * in_unit(1.0, unit, "s")
+    fields = {name: column for name in table.columns if name != time and (column := _numbers(table, name)) is not None}
+    known = np.isfinite(seconds)
+    order = np.flatnonzero(known)[np.argsort(seconds[known], kind="stable")]
+    if len(order) < 2:
+        raise InputError(
+            "has no times", file=table.name, key="log.time", value=time, remedy="name the column of the time"
+        )
+    order = order[np.append(np.diff(seconds[order]) > 0, True)]
+    return Recording(table.name, {"": Topic(seconds[order], {k: v[order] for k, v in fields.items()})})
+
+
+def _numbers(table: Recorded, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:
+    # texts, such as the state of a mission, are no field
+    try:
+        return table.numbers(name)
+    except InputError:
+        return None

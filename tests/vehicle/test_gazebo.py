@@ -1,0 +1,88 @@
+"""Vehicles from Gazebo models: the numbers of the file in surctl's signs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from surctl.errors import InputError
+from surctl.vehicle import gazebo_vehicle, load_vehicle, write_vehicle
+
+GIVEN = {"radius": 0.25, "thrust": 40.0, "yaw_thrust": 5.0}
+SDF = """<?xml version="1.0"?>
+<sdf version="1.9"><model name="auv"><link name="base">
+<inertial><mass>10.5</mass><inertia><ixx>0.1</ixx><izz>0.3</izz></inertia>
+<fluid_added_mass><xx>5</xx><yy>7</yy><zz>8</zz><rr>0.2</rr><yr>0.4</yr></fluid_added_mass></inertial></link>
+<plugin filename="gz-sim-hydrodynamics-system" name="gz::sim::systems::Hydrodynamics"><link_name>base</link_name>
+<xU>-4</xU><xUabsU>-20</xUabsU><yV>-5</yV><yVV>-30</yVV><zW>0</zW><zWabsW>-40</zWabsW><nR>-0.1</nR><nRabsR>-1</nRabsR>
+<yR>-0.5</yR><kP>-3</kP></plugin></model></sdf>"""
+UUV = """<?xml version="1.0"?>
+<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="rexrov">
+<xacro:property name="mass" value="1862.87"/><xacro:property name="double" value="${2 * mass}"/>
+<link name="r/base_link"><inertial><mass value="${mass}"/>
+<inertia ixx="525" ixy="0" ixz="0" iyy="794" iyz="0" izz="${691.23 + 0}"/></inertial></link>
+<gazebo><plugin name="uuv" filename="libuuv_underwater_object_ros_plugin.so"><fluid_density>1028.0</fluid_density>
+<link name="r/base_link"><neutrally_buoyant>0</neutrally_buoyant><volume>${mass / 1000}</volume>
+<hydrodynamic_model><type>fossen</type><added_mass>
+779.79 -6.8773 -103.32 8.5426 -165.54 -7.8033
+-6.8773 1222 51.29 409.44 -5.8488 62.726
+-103.32 51.29 3659.9 6.1112 -386.42 10.774
+8.5426 409.44 6.1112 534.9 -10.027 21.019
+-165.54 -5.8488 -386.42 -10.027 842.69 -1.1162
+-7.8033 62.726 10.775 21.019 -1.1162 224.32</added_mass>
+<linear_damping>-74.82 -69.48 -728.4 -268.8 -309.77 -105</linear_damping>
+<quadratic_damping>-748.22 -992.53 -1821.01 -672 -774.44 -523.27</quadratic_damping>
+</hydrodynamic_model></link></plugin></gazebo>
+</robot>"""
+
+
+def test_hydrodynamics_of_gz_sim(tmp_path: Path) -> None:
+    (tmp_path / "model.sdf").write_text(SDF)
+    auv = gazebo_vehicle(tmp_path / "model.sdf", "auv", sway_thrust=30.0, **GIVEN)
+    assert auv.mass.tolist() == [15.5, 17.5, 18.5, 0.5]
+    assert auv.linear_drag.tolist() == [4.0, 5.0, 0.0, 0.1] and auv.quadratic_drag.tolist() == [20.0, 30.0, 40.0, 1.0]
+    assert auv.form.terms == ("m24", "Yr") and (auv["m24"], auv["Yr"]) == (0.4, 0.5)
+    assert auv.thrust_limit.tolist() == [40.0, 30.0, 40.0, 5.0]
+    (tmp_path / "auv.toml").write_text(write_vehicle(auv))
+    assert load_vehicle(str(tmp_path / "auv.toml")).digest() == auv.digest()
+
+
+def test_hydrodynamics_of_uuv_simulator(tmp_path: Path) -> None:
+    (tmp_path / "rexrov.xacro").write_text(UUV)
+    rov = gazebo_vehicle(tmp_path / "rexrov.xacro", "rexrov", **GIVEN)
+    assert rov.mass == pytest.approx([1862.87 + 779.79, 1862.87 + 1222, 1862.87 + 3659.9, 691.23 + 224.32])
+    assert rov["m24"] == pytest.approx(62.726) and rov["Zw"] == 728.4 and rov["Nrr"] == 523.27
+    assert rov["Z0"] == pytest.approx(9.81 * (1028 * 1.86287 - 1862.87))
+    (tmp_path / "neutral.xacro").write_text(UUV.replace("<neutrally_buoyant>0", "<neutrally_buoyant>1"))
+    assert "Z0" not in gazebo_vehicle(tmp_path / "neutral.xacro", "rexrov", **GIVEN).parameters
+
+
+@pytest.mark.parametrize(
+    ("change", "fragment"),
+    [
+        (("<xU>-4", "<xU>4"), r"base.Xu = -4.0: would be a drag below 0"),
+        (("<xx>5", "<xx>-5"), "axis u = -5.0: would be an added mass below 0"),
+        (("<mass>10.5</mass>", ""), "base.mass: is missing"),
+        (("<xU>-4", "<xU>${drag}"), "xU = '\\$\\{drag\\}': is not a number"),
+        (("</sdf>", ""), "is not XML"),
+        (("<sdf", "<!DOCTYPE sdf><sdf"), "declares a document type"),
+    ],
+)
+def test_models_that_cannot_be_used(change: tuple[str, str], fragment: str, tmp_path: Path) -> None:
+    (tmp_path / "model.sdf").write_text(SDF.replace(*change))
+    with pytest.raises(InputError, match=fragment) as caught:
+        gazebo_vehicle(tmp_path / "model.sdf", "auv", **GIVEN)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="no such file"):
+        gazebo_vehicle(tmp_path / "gone.sdf", "auv", **GIVEN)
+
+
+def test_the_link_is_chosen(tmp_path: Path) -> None:
+    two = SDF.replace("</model>", SDF[SDF.index("<link") : SDF.index("</model>")].replace("base", "arm") + "</model>")
+    (tmp_path / "model.sdf").write_text(two)
+    with pytest.raises(InputError, match="choose --link: arm, base"):
+        gazebo_vehicle(tmp_path / "model.sdf", "auv", **GIVEN)
+    with pytest.raises(InputError, match=r"--link = 'bas'.*did you mean 'base'"):
+        gazebo_vehicle(tmp_path / "model.sdf", "auv", link="bas", **GIVEN)
+    assert gazebo_vehicle(tmp_path / "model.sdf", "auv", link="arm", **GIVEN)["m11"] == 15.5
