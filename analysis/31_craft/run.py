@@ -16,27 +16,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scaling import disturbed, scaled, straight, two_legs
+from scaling import disturbed, scaled, size_of, straight, two_legs
 
-from surctl.control import Gains
+from surctl.control import Gains, build_law, default_law, law_source
 from surctl.errors import InputError
 from surctl.simulation import Case, Metrics, load_scenario, simulate, simulate_batch
 from surctl.tuning import DERIVED_MARGIN, default_cruise, gains_for
 from surctl.vehicle import Vehicle, load_vehicle
+from surctl.verification import law_loop
 from surctl.verification.cascade import build_cascade
 from surctl.verification.linear import disk_margin, open_loop
 
 
 @dataclass(frozen=True)
 class Craft:
-    """A vehicle of the study: name or file, cruise speed [m/s] (None: 35 % of its top speed), law.
-
-    A vehicle that cannot sway takes the law that steers it by its heading, for instance.
-    """
+    """A vehicle of the study: name or file, and cruise speed [m/s] (None: 35 % of its top speed)."""
 
     vehicle: str
     cruise: float | None = None
-    law: str = "guarded"
 
 
 CRAFT = (
@@ -47,6 +44,12 @@ CRAFT = (
     Craft("bluerov2-vonbenzon", 0.17),
     Craft("rexrov", 0.66),
     Craft("girona500", 0.51),
+    Craft("bluerov2-heavy"),
+    Craft("cybership2"),
+    Craft("otter", 0.77),
+    Craft("remus100", 0.87),
+    Craft("lauv", 0.64),
+    Craft("eca-a9", 0.79),
 )
 """The vehicles: to add one, add its line."""
 
@@ -71,23 +74,30 @@ class Row:
 
 
 def shown_margin(vehicle: Vehicle, gains: Gains, cruise: float) -> float:
-    """Return the disk margin of all loops at once; 0 if the loop is unstable."""
+    """Return the disk margin of all loops at once; 0 if the loop is unstable.
+
+    For a craft without sway force, it is the margin of all thrust loops of the sampled loop with its law.
+    """
+    if vehicle["Fv_max"] == 0:
+        loop = law_loop(build_law(default_law(vehicle)), vehicle, gains, cruise=cruise)
+        return loop.disk.guaranteed if loop.stable else 0.0
     cascade = build_cascade(vehicle, gains.values, cruise=cruise, dt=DT)
     return disk_margin(open_loop(cascade, "both"), "both").guaranteed
 
 
 def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
     """Return the margins and runs of one vehicle."""
-    cruise = craft.cruise or default_cruise(vehicle)
-    gains, derivation = gains_for(None, vehicle, cruise=cruise)
+    cruise, own = craft.cruise or default_cruise(vehicle), law_source(default_law(vehicle)).gains
+    gains, derivation = gains_for(None, vehicle, cruise=cruise, own=own)
     margin, speed = shown_margin(vehicle, gains, cruise), cruise
     if derivation is not None and not derivation.reached:
         speed = derivation.bearable
-        gains, derivation = gains_for(None, vehicle, cruise=speed)
+        gains, derivation = gains_for(None, vehicle, cruise=speed, own=own)
     held = shown_margin(vehicle, gains, speed)
     defects = [] if held >= DERIVED_MARGIN else [f"disk margin {held:.2f} at {speed:g} m/s"]
     runs = []
-    for mission in (straight(vehicle, cruise=speed), two_legs(vehicle, cruise=speed)):
+    size = size_of(vehicle, gains, cruise=speed)
+    for mission in (straight(vehicle, cruise=speed, size=size), two_legs(vehicle, cruise=speed, size=size)):
         scenario = disturbed(mission, vehicle, share=SHARE)  # without a push, a loop that crabs stays on its path
         m = simulate(scenario, vehicle, gains=gains).metrics
         runs.append(m)
@@ -95,7 +105,7 @@ def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
         defects += [] if m.crab_angle_deg <= MOST_CRAB else [f"{scenario.name}: crabs {m.crab_angle_deg:.0f} deg"]
     if runs[0].max_crab_angle_deg > MOST_CRAB:
         defects.append(f"straight: crabs up to {runs[0].max_crab_angle_deg:.0f} deg")
-    tank, cells = in_tank(craft, vehicle, gains, speed, seeds)
+    tank, cells = in_tank(vehicle, gains, speed, size, seeds)
     defects += tank
     return Row(
         (
@@ -114,12 +124,12 @@ def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
     )
 
 
-def in_tank(craft: Craft, vehicle: Vehicle, gains: Gains, cruise: float, seeds: int) -> tuple[list[str], list[str]]:
+def in_tank(vehicle: Vehicle, gains: Gains, cruise: float, size: float, seeds: int) -> tuple[list[str], list[str]]:
     """Return defects and cells of the scaled tank with true positions."""
     template = load_scenario("tank-static")
-    radius = load_vehicle(template.vehicle)["radius"]
-    tank = disturbed(scaled(template, vehicle, cruise=cruise, radius=radius), vehicle, share=SHARE)
-    runs = simulate_batch(Case(tank, vehicle, gains, craft.law), seeds=np.arange(seeds), threads=2)
+    length = size / load_vehicle(template.vehicle)["radius"]
+    tank = disturbed(scaled(template, vehicle, cruise=cruise, length=length), vehicle, share=SHARE)
+    runs = simulate_batch(Case(tank, vehicle, gains, default_law(vehicle)), seeds=np.arange(seeds), threads=2)
     reached, collided = (int(runs.column(name).sum()) for name in ("reached", "collided"))
     least = float(runs.column("min_clearance_m").min())
     defects = [f"tank: {collided} collisions"] * (collided > 0)
@@ -154,7 +164,7 @@ def named(word: str) -> Craft:
     """Return the vehicle of the study with this name or this file name, else a further vehicle."""
     known = {craft.vehicle: craft for craft in CRAFT}
     craft = known.get(Path(word).stem, Craft(word))
-    return Craft(word, craft.cruise, craft.law)
+    return Craft(word, craft.cruise)
 
 
 def main() -> int:

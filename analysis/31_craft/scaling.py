@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surctl.control import Gains, turning_radius
 from surctl.guidance import Path
 from surctl.simulation import Disturbance, Obstacle, Scenario
 from surctl.simulation.paper_figure import PaperFigure
@@ -14,22 +15,34 @@ from surctl.vehicle import Vehicle
 
 LONGER = 1.5  # factor on the scaled time limit: a vehicle that is slow to turn for its size loses time at obstacles
 CAP = 1.1  # speed cap as a share of the cruise speed
+TURN = 0.44 / 0.27  # turning radius over hull radius of the vehicle of tank-static
 HULLS = 20.0  # length of the straight mission in hull lengths
 
 
-def scaled(scenario: Scenario, vehicle: Vehicle, *, cruise: float, radius: float) -> Scenario:
+def size_of(vehicle: Vehicle, gains: Gains, *, cruise: float) -> float:
+    """Return the length [m] by which missions are scaled: the hull radius, or more for a craft that cannot sway.
+
+    The craft of `tank-static` can turn on a circle of 1.6 hull radii, at its cruise speed and its spin. A craft without
+    sway force needs as many of its own lengths, so its turning radius over 1.6 counts if it is larger than the hull.
+    """
+    if vehicle["Fv_max"] > 0:
+        return vehicle["radius"]
+    return max(vehicle["radius"], turning_radius(vehicle, gains.values, cruise) / TURN)
+
+
+def scaled(scenario: Scenario, vehicle: Vehicle, *, cruise: float, length: float) -> Scenario:
     """Return a scenario scaled to a vehicle.
 
-    Lengths are multiplied by the ratio of the hull radii, speeds by the ratio of the cruise speeds, and times by the
-    ratio of the two ratios; sonars, currents and forces stay as they are.
+    Lengths are multiplied by a factor, speeds by the ratio of the cruise speeds, and times by the ratio of the two
+    ratios; sonars, currents and forces stay as they are.
 
     Args:
         scenario: the scenario to scale.
         vehicle: the vehicle.
         cruise: its cruise speed [m/s].
-        radius: hull radius [m] of the vehicle for which the scenario was made.
+        length: factor on lengths.
     """
-    length, speed = vehicle["radius"] / radius, cruise / scenario.cruise
+    speed = cruise / scenario.cruise
     time = length / speed
     disturbance = scenario.disturbance
     periods = {name: getattr(disturbance, name) * time for name in ("wave_period_s", "drift_period_s")}
@@ -52,47 +65,47 @@ def scaled(scenario: Scenario, vehicle: Vehicle, *, cruise: float, radius: float
     )
 
 
-def mission(name: str, vehicle: Vehicle, corners: ArrayLike, *, cruise: float) -> Scenario:
+def mission(name: str, vehicle: Vehicle, corners: ArrayLike, *, cruise: float, size: float) -> Scenario:
     """Return a mission in open water.
 
     Args:
         name: name of the mission.
         vehicle: the vehicle.
-        corners: (n, 2) waypoints in hull lengths (twice the radius); the site leaves four hull lengths around them.
+        corners: (n, 2) waypoints in hull lengths (twice the size); the site leaves four hull lengths around them.
         cruise: cruise speed [m/s].
+        size: length of `size_of` [m].
     """
-    radius = vehicle["radius"]
-    points = 2 * radius * np.asarray(corners, dtype=float)
-    points += 8 * radius - points.min(axis=0)
+    points = 2 * size * np.asarray(corners, dtype=float)
+    points += 8 * size - points.min(axis=0)
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    side = points.max(axis=0) + 8 * radius
+    side = points.max(axis=0) + 8 * size
     return Scenario(
         name=f"{name}-{vehicle.name}",
         title=name,
         provenance="scaled to the vehicle",
         vehicle=vehicle.name,
         path=Path(points),
-        depth=-4 * radius,
+        depth=-4 * size,
         cruise=cruise,
         cap=CAP * cruise,
-        arrival_radius=0.5 * radius,
+        arrival_radius=0.5 * size,
         time_limit=3 * length / cruise + 60,
-        site=(float(side[0]), float(side[1]), 8 * radius),
+        site=(float(side[0]), float(side[1]), 8 * size),
         obstacles=(),
         disturbance=Disturbance(),
         paper=PaperFigure(),
     )
 
 
-def straight(vehicle: Vehicle, *, cruise: float) -> Scenario:
+def straight(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
     """Return a straight mission of 20 hull lengths."""
-    return mission("straight", vehicle, [(0, 0), (HULLS, 0)], cruise=cruise)
+    return mission("straight", vehicle, [(0, 0), (HULLS, 0)], cruise=cruise, size=size)
 
 
-def two_legs(vehicle: Vehicle, *, cruise: float) -> Scenario:
+def two_legs(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
     """Return a mission of two legs of 10 hull lengths each, with a corner of 90 degrees."""
     half = HULLS / 2
-    return mission("two-legs", vehicle, [(0, 0), (half, 0), (half, half)], cruise=cruise)
+    return mission("two-legs", vehicle, [(0, 0), (half, 0), (half, half)], cruise=cruise, size=size)
 
 
 def disturbed(scenario: Scenario, vehicle: Vehicle, *, share: float) -> Scenario:
