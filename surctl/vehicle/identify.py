@@ -8,7 +8,7 @@ the noise in each column of the log is white, the result is the maximum-likeliho
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import casadi as ca
@@ -228,7 +228,7 @@ def _vehicle(
             prior = known[key]
             said = f"{prior.provenance} (not identifiable from {log.source})"
             known[key] = Parameter(prior.value, prior.unit, prior.range, said)
-    return Vehicle(name, f"{start.name} fitted to a log", known)
+    return replace(start, name=name, note=f"{start.name} fitted to a log", parameters=known, source="")
 
 
 def _roughness(values: NDArray[np.float64]) -> float:
