@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import linprog
 
 from surctl.errors import InputError
-from surctl.vehicle import LIBRARY, Actuators, Vehicle, attainable, load_vehicle, write_vehicle
+from surctl.vehicle import LIBRARY, Actuators, MotionLog, Vehicle, attainable, identify, load_vehicle, write_vehicle
 
 NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml") if "[[thruster]]" in path.read_text(encoding="utf-8"))
 
@@ -86,6 +86,14 @@ def test_the_inscribed_box_has_all_its_corners_in_the_set() -> None:
         assert all(forces.contains(share * corner) for corner in corners), name
         assert not all(forces.contains(1.001 * share * corner) for corner in corners), name
         assert share >= 1.0, f"{name}: the limits of [thrust] exceed what the thrusters can do at once"
+
+
+def test_a_vehicle_fitted_to_a_log_keeps_its_thrusters() -> None:
+    vehicle, t = load_vehicle("bluerov2-heavy"), 0.1 * np.arange(60)
+    motion = np.full((60, 8), np.nan)
+    motion[:, 4] = 0.2 * (1 - np.cos(t))
+    log = MotionLog(t, motion, np.column_stack([20 * np.sin(t), np.zeros((60, 3))]), "log.csv")
+    assert identify(log, vehicle, name="fitted").vehicle.actuators == vehicle.actuators
 
 
 def test_a_swivel_pushes_within_its_limit() -> None:

@@ -254,7 +254,7 @@ def _vehicle(
         else:
             said = f"fitted to {log.source}, {span}, together with the start values of {', '.join(kinds.held)}"
             known[key] = Parameter(value, spec.unit, None, said)
-    return Vehicle(name, f"{start.name} fitted to a log", known)
+    return replace(start, name=name, note=f"{start.name} fitted to a log", parameters=known, source="")
 
 
 def _roughness(values: Array) -> float:
