@@ -75,7 +75,7 @@ def save_prediction(prediction: Prediction, path: Path | str, *, title: str = "P
         held-out.png
     """
     path = Path(path)
-    return save_figure(plot_prediction(prediction, title=title), path.parent, path.stem)
+    return save_figure(plot_prediction(prediction, title=title), path.parent, (path.stem,))
 
 
 def _broken(values: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:

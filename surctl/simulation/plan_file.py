@@ -79,7 +79,8 @@ def read_mission(path: Path) -> Mission:
                 value=(latitude, longitude),
                 remedy="correct it",
             )
-    points, heights = [], []
+    points: list[NDArray[np.float64]] = []
+    heights: list[float] = []
     for latitude, longitude, height in places:
         point = _plane(latitude, longitude, places[0])
         if points and float(np.hypot(*(point - points[-1]))) < _LEAST:

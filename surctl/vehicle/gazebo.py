@@ -163,8 +163,7 @@ def _bodies(root: ElementTree.Element, path: Path) -> dict[str, _Body]:
     for plugin in root.iter("plugin"):
         said = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower()
         if "hydrodynamics" in said:
-            link = (plugin.findtext("link_name") or "").strip()
-            body = bodies.setdefault(link, _Body())
+            body = bodies.setdefault((plugin.findtext("link_name") or "").strip(), _Body())
             _gz_hydrodynamics(plugin, body, path)
         for held in plugin.findall("link"):
             model = held.find("hydrodynamic_model")
@@ -178,15 +177,16 @@ def _bodies(root: ElementTree.Element, path: Path) -> dict[str, _Body]:
         if added is not None:
             body = bodies.setdefault(name, _Body())
             for entry in added:
-                i, j = (_ADDED.index(letter) for letter in entry.tag) if set(entry.tag) <= set(_ADDED) else (0, 0)
-                body.added[i, j] = body.added[j, i] = _number(entry, path)
+                if len(entry.tag) == 2 and set(entry.tag) <= set(_ADDED):
+                    i, j = (_ADDED.index(letter) for letter in entry.tag)
+                    body.added[i, j] = body.added[j, i] = _number(entry, path)
     for name, body in bodies.items():
-        link = links.get(name) or links.get(name.rpartition("/")[2])
-        if link is not None:
-            body.mass = _of(link, "inertial/mass", "value", path)
-            body.inertia_z = _of(link, "inertial/inertia/izz", "", path)
+        held_in = links.get(name, links.get(name.rpartition("/")[2]))
+        if held_in is not None:
+            body.mass = _of(held_in, "inertial/mass", "value", path)
+            body.inertia_z = _of(held_in, "inertial/inertia/izz", "", path)
             if body.inertia_z is None:
-                body.inertia_z = _of(link, "inertial/inertia", "izz", path)
+                body.inertia_z = _of(held_in, "inertial/inertia", "izz", path)
     return bodies
 
 

@@ -31,7 +31,7 @@ def at_rest(model: Model, theta: Array, noise: Array) -> frozenset[str]:
     If an axis is at rest, the fit interprets noise as motion, and the mass of this axis wrongly seems to be identified.
     """
     x, y, z, psi, *rates = noise  # an axis without a measured velocity uses the position noise per second
-    has_rate = model.present.any(axis=0)[4:]
+    has_rate = np.atleast_1d(model.present.any(axis=0))[4:]
     level = np.where(has_rate, rates, [max(x, y), max(x, y), z, psi])
     velocities = np.vstack([states[:, 4:8] for states in model.states(theta, model.sections)])
     still = ~(np.sqrt(np.mean(velocities**2, axis=0)) > level)

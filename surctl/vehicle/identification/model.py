@@ -293,9 +293,9 @@ class _Repeated:
         results = [np.empty((count, function.nnz_out(k) // count)) for k in range(function.n_out())]
         buffer, evaluate = function.buffer()
         for k, argument in enumerate(held):
-            buffer.set_arg(k, memoryview(argument))
+            buffer.set_arg(k, memoryview(argument))  # type: ignore[call-arg, arg-type]  # the stubs lack this form
         for k, result in enumerate(results):
-            buffer.set_res(k, memoryview(result))
+            buffer.set_res(k, memoryview(result))  # type: ignore[call-arg, arg-type]  # likewise
         evaluate()
         return results
 
@@ -305,12 +305,12 @@ class _Slope:
     def __init__(self, inputs: list[ca.SX], slopes: list[ca.SX]) -> None:
         self._places = [(slope.sparsity().row(), slope.sparsity().get_col()) for slope in slopes]
         self._widths = [slope.shape[1] for slope in slopes]
-        nonzeros = [ca.vertcat(*slope.nonzeros()) for slope in slopes]
+        nonzeros = [slope[slope.sparsity().find()] for slope in slopes]
         both = ca.SX.sym("all", inputs[2].numel() + inputs[3].numel())
         split = ca.vertsplit(both, [0, inputs[2].numel(), both.numel()])
         alone = ca.Function("alone", inputs, nonzeros)
-        slope = ca.Function("slope", [*inputs[:2], both], alone(*inputs[:2], *split), {"cse": True})
-        self._nonzeros = _Repeated(slope, chain=False)
+        whole = ca.Function("slope", [*inputs[:2], both], list(alone(*inputs[:2], *split)), {"cse": True})
+        self._nonzeros = _Repeated(whole, chain=False)
 
     def __call__(self, x: Array, thrust: Array, p: Array) -> tuple[Array, Array]:
         over_x, over_p = (np.zeros((len(x), 12, width)) for width in self._widths)

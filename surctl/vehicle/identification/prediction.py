@@ -161,7 +161,7 @@ def _first_state(log: MotionLog, section: Section, part: Section, *, lag: float)
     """Return the state (12,) at the first row of a window, or None if a velocity cannot be computed."""
     row, origin = part.rows.start, section.rows.start
     motion = log.motion[row].copy()
-    measured = np.isfinite(log.motion).any(axis=0)
+    measured = np.atleast_1d(np.isfinite(log.motion).any(axis=0))
     if not np.isfinite(motion[measured]).all():
         return None
     before = slice(max(origin, int(np.searchsorted(log.time, log.time[row] - _BEFORE))), row + 1)

@@ -192,7 +192,7 @@ class _Sources:
             )
         period = self.map.log.period_s
         if period is not None:
-            return first + period * np.arange(int((stop - first) / period) + 1)
+            return np.asarray(first + period * np.arange(int((stop - first) / period) + 1), dtype=float)
         base = next(spans[k] for k in ("velocity", "position", "attitude", "rates") if k in spans)
         base = np.unique(base[np.isfinite(base)])
         return base[(base >= first) & (base <= stop)]
