@@ -191,9 +191,9 @@ def _first_hit(
     """
 
     def ahead(
-        place: ca.SX, hull: ca.SX, nu: ca.SX, gone: ca.SX, k: ca.SX, *_: ca.SX
+        place: ca.SX, hull: ca.SX, nu: ca.SX, so_far: ca.SX, k: ca.SX, *_: ca.SX
     ) -> tuple[list[ca.SX], list[ca.SX]]:
-        now = moved(Moving(place, hull, nu, gone), course, speed, p, step=step, gain=gain, stream=stream)
+        now = moved(Moving(place, hull, nu, so_far), course, speed, p, step=step, gain=gain, stream=stream)
         time = step * (k + 1)
 
         def touches(met: ca.SX, row: ca.SX) -> ca.SX:
@@ -206,7 +206,7 @@ def _first_hit(
 
         met = fold("touches", touches, ca.SX(0), contacts)
         after = [now.place, now.hull, now.nu, now.travelled, k + 1]
-        return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, gone, 0), met], []
+        return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, so_far, 0), met], []
 
     state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0, 0))]
     # the prediction ends at the first contact
