@@ -7,7 +7,7 @@ noise therefore does not bias the estimated masses and drag, as it would if meas
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
