@@ -15,6 +15,7 @@ from surctl.certcheck import check_document, seal
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
 from surctl.lyapunov.falsified import least_level
+from surctl.lyapunov.stationary import stationary_state
 from surctl.verification import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.falsifier import search
@@ -30,7 +31,7 @@ _POWERS = (1, 2, 3, 4)
 _FIRST = 0.6  # share of the remaining time for a choice of bounds that is not the last one
 _FLAT = 1e-3  # least ratio of a quadratic bound near the equilibrium to the same bound far from it
 _SHARES_TRIED = (1e-3, 0.3, 1e-6, 1e-9)  # shares of the least sampled ratio that are tried as factor of a lower bound
-_EASY = 0.5  # share of the remaining time for an inequality that is not the last one
+_HARD, _EASY = 0.7, 0.5  # shares of the remaining time for the first inequality, and for one that is not the last
 _CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
 
@@ -135,18 +136,18 @@ def _proofs(
     inequalities: Sequence[Claim], until: float, progress: Callable[[str], None] | None
 ) -> tuple[list[Any], str]:
     """Return the cases of the proof of each inequality; or the reason why one of them is not proved."""
-    proofs: list[Any] = []
-    for k, inequality in enumerate(inequalities):
+    proofs: dict[int, Any] = {}
+    # the last inequality, about the change of the function, is the hardest: without it, the others are of no use
+    for number, (k, inequality) in enumerate([*enumerate(inequalities)][::-1]):
         left = until - time.process_time()
         if left <= 0:
             return [], "the time limit was reached"
-        # the last inequality, about the change of the function, is the hardest
-        share = left if k == len(inequalities) - 1 else _EASY * left
+        share = left if number == len(inequalities) - 1 else (_EASY if number else _HARD) * left
         proof = prove(inequality, time_limit=share, progress=progress)
         if proof.certificate is None:
             return [], f"{inequality.name}: {proof.remaining}"
-        proofs.append(proof.certificate["cases"])
-    return proofs, ""
+        proofs[k] = proof.certificate["cases"]
+    return [proofs[k] for k in range(len(inequalities))], ""
 
 
 def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float]] | None:
@@ -167,6 +168,9 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
         if point is not None:
             return inequality.name, point
     if isinstance(claim, Stability):
+        still = None if claim.rate is not None else stationary_state(claim)
+        if still is not None:
+            return f"{claim.dynamics.name}: V decreases", still
         # rays see what samples miss: a region that barely touches the set where V does not decrease
         least = least_level(claim.dynamics, claim.function, claim.rate, seed=seed)
         if least.confirmed and 0 < least.level < claim.level:

@@ -92,7 +92,7 @@ class _Problem:
     """A case as polynomials in symbols, which are scaled and moved atoms."""
 
     def __init__(self, case: Case, names: tuple[str, ...], box: tuple[Array, Array]) -> None:
-        self._names, self._box = names, box
+        self._names, self._box, self._at = names, box, case.touching
         self._algebra = algebra = SplitAngles()
         margin = algebra.of(case.margin)
         guards = [_guard(algebra, c) for c in case.constraints]
@@ -162,7 +162,7 @@ class _Problem:
         nearest = {
             name: min(max(Fraction(0), Fraction(repr(float(a)))), Fraction(repr(float(b))))
             for name, a, b in zip(self._names, lower, upper, strict=True)
-        }
+        } | dict(self._at)
         values = {at: self._value(at, nearest) for at in self._atoms}
         known = {at: v for at, v in values.items() if v is not None}
         self._touching = False
