@@ -275,6 +275,8 @@ class _Problem:
             # with few factors, the matrices are smaller
             if known:
                 levels.append((degree, [*known, *pairs]))
+            # products of both bounds keep the symmetry to changes of signs, which divides the matrices into blocks
+            levels.append((degree, [*known, *pairs, *boxes]))
             levels.append((degree, [*known, *pairs, *ends]))
             levels.append((degree, [*known, *pairs, *ends, *boxes]))
         return levels
