@@ -106,12 +106,17 @@ def decide_motion(
 
 
 def prove_motion(
-    claim: DynamicClaim, *, time_limit: float, seed: int = 0, progress: Callable[[str], None] | None = None
+    claim: DynamicClaim,
+    *,
+    time_limit: float,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    most: int | None = None,
 ) -> Decision:
-    """Prove a claim as `decide_motion`, without a search for counterexamples."""
+    """Prove a claim as `decide_motion`, without a search for counterexamples, with at most `most` choices of bounds."""
     began, worked = time.perf_counter(), time.process_time()
     reason, refused = "", math.inf
-    attempts = list(_attempts(claim))
+    attempts = list(_attempts(claim))[:most]
     if not attempts:
         reason = "no strict bound exists: at some states of the region, V is not positive or does not decrease"
     for number, attempt in enumerate(attempts):

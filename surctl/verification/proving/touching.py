@@ -105,7 +105,9 @@ class _Moved(Written):
             own, fixed = (tuple((k, e) for k, e in m if (k in among) == part) for part in (True, False))
             apart.setdefault(own, {})[fixed] = Fraction(c)
         return {
-            tuple(sorted(own + fixed)): c for own, part in apart.items() for fixed, c in self._algebra._reduced(part).items()
+            tuple(sorted(own + fixed)): c
+            for own, part in apart.items()
+            for fixed, c in self._algebra._reduced(part).items()
         }
 
     def atom(self, at: int) -> Node:
