@@ -19,6 +19,7 @@ from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, c
 from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
 from surctl.verification.proving.tape import Tape, build_tape
+from surctl.verification.proving.touching import touches
 
 __all__ = ["Proof", "certain_excess", "prove"]
 
@@ -176,6 +177,8 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
     rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, 1)
+    if not attempt.slack and case.touching:
+        usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
     everywhere = all(fine[0] for fine in written.run(root).defined)
     for number, (most, part) in enumerate(rounds):
         if number == before and attempt.with_squares and everywhere:
@@ -185,6 +188,8 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
                 result = SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
                 return _Shown(squares.form, result, 0.0, squares.squares)
             tried = squares.tried
+        if len(usable) == 1 and before <= number < len(rounds) - 1 and not attempt.slack:
+            continue  # nothing to choose: the last round alone
         volumes = []
         for k, form in enumerate(usable):
             task = Task(
@@ -193,7 +198,7 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
             )  # fmt: skip
             rest = max(seconds - (time.process_time() - began), 0.0)
             # the last round divides the remaining time among the forms
-            share = rest / (len(usable) - k) if most == rounds[-1][0] else rest / (8 if number < before else 4)
+            share = rest / (len(usable) - k if most == rounds[-1][0] else 8 if number < before else max(len(usable), 4))
             report = _reporter(attempt.label, attempt.progress)
             result = search(task, deadline=time.process_time() + share, most=most, progress=report)
             looked += result.boxes

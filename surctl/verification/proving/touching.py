@@ -1,8 +1,8 @@
-"""Normal forms about a point at which a claim holds with equality: every term is then exactly 0 there, in floats too."""
+"""Normal forms about a point at which a claim holds with equality: each term is then exactly 0 there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -12,11 +12,12 @@ from surctl.verification.formula import Node, number, ordered, power, substitute
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge
 from surctl.verification.proving.facts import VALUES
 from surctl.verification.proving.horner import Written
+from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.polynomial import Monomial, Poly, constant
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.turns import SplitAngles
 
-__all__ = ["range_at", "touching_form", "vanishes"]
+__all__ = ["range_at", "touches", "touching_form", "vanishes"]
 
 
 def vanishes(node: Node) -> bool:
@@ -35,11 +36,30 @@ def range_at(node: Node, point: Mapping[str, float]) -> tuple[float, float] | No
     return (float(low[0]), float(high[0])) if read.defined[0][0] else None
 
 
+def touches(node: Node, point: Mapping[str, Fraction], names: Sequence[str], root: Ends) -> bool:
+    """Return whether interval arithmetic shows an expression and its gradient to be exactly 0 at a point.
+
+    An expression that is shown to be 0 only roughly cannot be proved to be ≤ 0 on any box that contains the point.
+
+    Args:
+        node: the expression.
+        point: values of some variables; the others take the middle of their range.
+        names: names of the variables.
+        root: lower and upper bounds (n, 1).
+    """
+    middle = (root[0] + root[1]) / 2
+    at = np.array([[float(point[name])] if name in point else middle[k] for k, name in enumerate(names)])
+    jet = build_tape(tuple(names), [node]).run((at, at), order=1).jets[0]
+    assert jet.slope is not None
+    moving = [k for k, name in enumerate(names) if name in point]
+    return bool(jet.value[1][0] <= 0) and not any(end[k].any() for end in jet.slope for k in moving)
+
+
 def touching_form(algebra: Algebra, written: Written, over: Poly, point: Mapping[str, Fraction]) -> Node | None:
     """Return a polynomial as expression in differences of atoms to their values at a point.
 
-    If the value and the gradient of the polynomial are 0 at the point, interval arithmetic then shows exactly this, also
-    where the values of the atoms are not 0: as for cos x − 1, or √x − √2.
+    If the value and the gradient of the polynomial are 0 at the point, interval arithmetic then shows exactly this,
+    also where the values of the atoms are not 0: as for cos x − 1.
 
     Args:
         algebra: the algebra of the polynomial.
