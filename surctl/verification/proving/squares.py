@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, log2
 from typing import Any
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.sos.exact import Certificate, certify
+from surctl.sos.division import quotient
+from surctl.sos.exact import Certificate, certify, completed
 from surctl.sos.polynomial import Polynomial
 from surctl.verification.formula import Node, number, text_of
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge
@@ -70,6 +71,9 @@ def _tried(case: Case, names: tuple[str, ...], box: tuple[Array, Array], end: fl
     if not problem.usable:
         return SquaresProof(None, {}, "")
     tried = 0
+    multiple = problem.multiple()
+    if multiple is not None:
+        return SquaresProof(problem.form, multiple, "")
     for degree, factors in problem.levels():
         left = end - time.process_time()
         if left <= 0:
@@ -261,6 +265,16 @@ class _Problem:
         for name in factors:
             total = total * self._factors[name]
         return total * (1 / _size(total))
+
+    def multiple(self) -> dict[str, Any] | None:
+        """Return the entry `squares` if the target is a sum of squares times a constraint, which has no interior."""
+        for name in self._factors:
+            other = quotient(self.target, self.weight((name,))) if name[0] == "c" else None
+            proof = None if other is None else certify(other, zeros=self.zeros)
+            if proof is not None and not proof.multipliers:
+                blocks = tuple(replace(b, weight=0) for b in completed(other, proof.blocks))
+                return self.entry(Certificate(blocks, (), proof.least), [(name,)])
+        return None
 
     def levels(self) -> list[tuple[int, list[tuple[str, ...]]]]:
         """Return the identities to try: their degree and the products of factors."""
