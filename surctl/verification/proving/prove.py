@@ -30,8 +30,8 @@ first round tries an exact proof; all forms are tried in short rounds before the
 _EXACT_ROUNDS = ((100, 0.0), (3_000, 0.0), (10_000_000, 0.0))
 """The rounds without slack: every round repeats the boxes of the one before, so there are few."""
 
-_SHORT, _SHARE = 3, 0.5
-"""Largest number of rounds before sums of squares are tried, and their largest share of the remaining time."""
+_SHORT, _EXACT_SHORT, _SHARE = 3, 1, 0.5
+"""Number of rounds before sums of squares are tried, with and without slack; their share of the remaining time."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
@@ -176,7 +176,7 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     constraints = build_tape(names, case.constraints)
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
-    rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, 1)
+    rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
     if not attempt.slack and case.touching:
         usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
     everywhere = all(fine[0] for fine in written.run(root).defined)
