@@ -19,7 +19,7 @@ from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, c
 from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
 from surctl.verification.proving.tape import Tape, build_tape
-from surctl.verification.proving.touching import touches
+from surctl.verification.proving.touching import excluded, touches
 
 __all__ = ["Proof", "certain_excess", "prove"]
 
@@ -178,6 +178,8 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
     rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
     if not attempt.slack and case.touching:
+        if excluded(case.constraints, case.touching, names, root):
+            before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
         usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
     everywhere = all(fine[0] for fine in written.run(root).defined)
     for number, (most, part) in enumerate(rounds):
@@ -198,7 +200,7 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
             )  # fmt: skip
             rest = max(seconds - (time.process_time() - began), 0.0)
             # the last round divides the remaining time among the forms
-            share = rest / (len(usable) - k if most == rounds[-1][0] else 8 if number < before else max(len(usable), 4))
+            share = rest / (len(usable) - k if most == rounds[-1][0] else 8 if number == 0 else max(len(usable), 4))
             report = _reporter(attempt.label, attempt.progress)
             result = search(task, deadline=time.process_time() + share, most=most, progress=report)
             looked += result.boxes

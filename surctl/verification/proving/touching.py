@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.sos.polynomial import Polynomial
 from surctl.verification.formula import Node, number, ordered, power, substitute
@@ -17,7 +18,7 @@ from surctl.verification.proving.polynomial import Monomial, Poly, constant
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.turns import SplitAngles
 
-__all__ = ["range_at", "touches", "touching_form", "vanishes"]
+__all__ = ["excluded", "range_at", "touches", "touching_form", "vanishes"]
 
 
 def vanishes(node: Node) -> bool:
@@ -47,12 +48,24 @@ def touches(node: Node, point: Mapping[str, Fraction], names: Sequence[str], roo
         names: names of the variables.
         root: lower and upper bounds (n, 1).
     """
-    middle = (root[0] + root[1]) / 2
-    at = np.array([[float(point[name])] if name in point else middle[k] for k, name in enumerate(names)])
+    at = _point(point, names, (root[0] + root[1]) / 2)
     jet = build_tape(tuple(names), [node]).run((at, at), order=1).jets[0]
     assert jet.slope is not None
     moving = [k for k, name in enumerate(names) if name in point]
     return bool(jet.value[1][0] <= 0) and not any(end[k].any() for end in jet.slope for k in moving)
+
+
+def excluded(constraints: Sequence[Node], point: Mapping[str, Fraction], names: Sequence[str], root: Ends) -> bool:
+    """Return whether a constraint is positive at a point, for all values of the variables that the point lacks.
+
+    The arguments are those of `touches`, with the constraints instead of an expression.
+    """
+    box = _point(point, names, root[0]), _point(point, names, root[1])
+    return any(jet.value[0][0] > 0 for jet in build_tape(tuple(names), constraints).run(box).jets)
+
+
+def _point(point: Mapping[str, Fraction], names: Sequence[str], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([[float(point[name])] if name in point else others[k] for k, name in enumerate(names)])
 
 
 def touching_form(algebra: Algebra, written: Written, over: Poly, point: Mapping[str, Fraction]) -> Node | None:
