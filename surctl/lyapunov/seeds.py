@@ -74,7 +74,7 @@ def without_neutral(template: Template, scales: Array, matrices: Array) -> Templ
         if not alone.size or not (keep & alone.any(axis=0)).any():
             break
         keep &= ~alone.any(axis=0)
-    basis = tuple(node for node, kept in zip(template.basis, keep, strict=True) if kept)
+    basis = tuple(node for node, stays in zip(template.basis, keep, strict=True) if stays)
     return Template(template.dynamics, basis, template.sizes[keep])
 
 

@@ -61,5 +61,5 @@ def invariant(template: Template, scales: Array, signs: Array) -> Template:
     keep = np.ones(len(template.basis), dtype=bool)
     for s in signs:
         keep &= np.isclose(template.features(x + s[:, None] * z, w)[0], values).all(axis=1)
-    basis = tuple(node for node, kept in zip(template.basis, keep, strict=True) if kept)
+    basis = tuple(node for node, used in zip(template.basis, keep, strict=True) if used)
     return Template(d, basis, template.sizes[keep])

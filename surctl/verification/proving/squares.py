@@ -270,8 +270,10 @@ class _Problem:
         """Return the entry `squares` if the target is a sum of squares times a constraint, which has no interior."""
         for name in self._factors:
             other = quotient(self.target, self.weight((name,))) if name[0] == "c" else None
-            proof = None if other is None else certify(other, zeros=self.zeros)
-            if proof is not None and not proof.multipliers:
+            if other is None:
+                continue
+            proof = certify(other, zeros=self.zeros)
+            if proof is not None:
                 blocks = tuple(replace(b, weight=0) for b in completed(other, proof.blocks))
                 return self.entry(Certificate(blocks, (), proof.least), [(name,)])
         return None
