@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, common_quadratic
 from surctl.lyapunov.rays import Grid, directions, grid
-from surctl.lyapunov.seeds import sampled_function
+from surctl.lyapunov.seeds import sampled_function, without_neutral
 from surctl.lyapunov.shape import enlarge
+from surctl.lyapunov.symmetry import invariant, sign_symmetries
 from surctl.lyapunov.template import Template, polynomials, quadratic, with_cosines
 from surctl.verification.formula import Node
 
@@ -64,29 +65,39 @@ def candidates(
     rate = max(rate, _least_rate(d, linear))
     shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
     part = (0.06 if len(scales) < 4 else 0.5) * seconds
-    template = polynomials(d, 2, scales)
+    signs = sign_symmetries(d)
+
+    def restricted(degree: int, *, even: bool = False) -> Template:
+        whole = invariant(polynomials(d, degree, scales, even=even), scales, signs)
+        return without_neutral(whole, scales, linear.matrices) if linear.verdict == "marginal" else whole
+
+    template = restricted(2)
     matrix = (
         None
         if linear.verdict == "marginal"
         else common_quadratic(_shifted(d, linear, rate), scales, discrete=d.discrete)
     )
     start = (
-        sampled_function(template, scales, shaper.corners, half=shaper.half) if matrix is None else quadratic(d, matrix)
+        sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
+        if matrix is None
+        else _quadratic(template, matrix, scales)
     )
     if start is None and degree >= 4:
-        template = polynomials(d, 4, scales, even=shaper.half)
-        start = sampled_function(template, scales, shaper.corners, half=shaper.half)
+        template = restricted(4, even=shaper.half)
+        start = sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
     if start is None:
         return
     if linear.verdict == "stable" and matrix is not None:
         fast = max(rate, _BRISK * _least_rate(d, linear))
         brisk = _Shaper(d, scales, fast, seed, half=shaper.half)
         own = common_quadratic(_shifted(d, linear, fast), scales, discrete=d.discrete)
-        shaped, volume = (start, 0.0) if own is None else brisk.shaped(template, quadratic(d, own), part)
+        shaped, volume = (
+            (start, 0.0) if own is None else brisk.shaped(template, _quadratic(template, own, scales), part)
+        )
         if volume > 0:
             yield Candidate("quadratic with a fast decrease", template.function(shaped), volume)
     coefficients, volume = shaper.shaped(template, start, part)
-    label = "quadratic" if len(template.basis) == len(polynomials(d, 2, scales).basis) else "polynomial of degree 4"
+    label = "quadratic" if len(template.basis) == len(restricted(2).basis) else "polynomial of degree 4"
     yield Candidate(label, template.function(coefficients), volume)
     if not volume > 0 or len(scales) >= 4:  # the proof of larger regions takes too long
         return
@@ -95,7 +106,7 @@ def candidates(
         outcome, volume = shaper.shaped(energy, _embedded(template, coefficients, energy), part)
         yield Candidate("quadratic with the potential energy of angles", energy.function(outcome), volume)
     for higher in range(4 if label == "quadratic" else 6, degree + 1, 2):
-        wider = polynomials(d, higher, scales, even=shaper.half)
+        wider = restricted(higher, even=shaper.half)
         if len(wider.basis) > _MOST_TERMS:
             return
         start = _embedded(template, coefficients, wider)
@@ -103,6 +114,13 @@ def candidates(
         template = wider
         coefficients, volume = shaper.shaped(template, start, share)
         yield Candidate(f"polynomial of degree {higher}", template.function(coefficients), volume)
+
+
+def _quadratic(template: Template, matrix: Array, scales: Array) -> Array:
+    """Return the coefficients of (x − x*)' P (x − x*) in a template of some products of two states."""
+    d = template.dynamics
+    known = dict(zip(polynomials(d, 2, scales).basis, quadratic(d, matrix), strict=True))
+    return np.array([known[node] for node in template.basis])
 
 
 def _shifted(d: Dynamics, linear: Linear, rate: float) -> Array:

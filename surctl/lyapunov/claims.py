@@ -86,13 +86,15 @@ class Stability:
         """
         d = self.dynamics
         inside = [self.function - exact(self.level)]
-        claims = [_claim(f"{d.name}: V is positive", d.states, self._power(scales, positive), self.function, inside)]
+        at = {s.name: Fraction(repr(float(s.equilibrium))) for s in d.states}
+        name, least = f"{d.name}: V is positive", self._power(scales, positive)
+        claims = [_claim(name, d.states, least, self.function, inside, at)]
         claims += _stays(d, inside) if d.discrete else _faces(d, self.level, self.function)
         loss = exact(self.rate) * self.function if self.rate is not None else None
         if loss is None:
             assert decrease is not None
             loss = self._power(scales, decrease)
-        return [*claims, _decrease(d, self.function, -loss, inside)]
+        return [*claims, _decrease(d, self.function, -loss, inside, at)]
 
     def _power(self, scales: Sequence[float], bound: Power) -> Node:
         total: Node | None = None
@@ -233,7 +235,14 @@ def _plain(dynamics: Dynamics, what: str) -> dict[str, Any]:
     }
 
 
-def _claim(name: str, variables: Sequence[Range], left: Node, right: Node, constraints: Sequence[Node]) -> Claim:
+def _claim(
+    name: str,
+    variables: Sequence[Range],
+    left: Node,
+    right: Node,
+    constraints: Sequence[Node],
+    touching: Mapping[str, Fraction] | None = None,
+) -> Claim:
     names = tuple(v.name for v in variables)
     symbols = {name: ca.SX.sym(name) for name in names}
     known = {name: variable(name) for name in names}
@@ -245,7 +254,7 @@ def _claim(name: str, variables: Sequence[Range], left: Node, right: Node, const
         tuple(Variable(v.name, symbols[v.name], v.unit, v.lower, v.upper, v.meaning) for v in variables),
         to_casadi(left, symbols), to_casadi(right, symbols), "1",
         ca.vertcat(ca.SX(0, 1), *[to_casadi(g, symbols) for g in rows]), tolerance=0.0, paper=False,
-        exact=Statement(names, ends[:, 0], ends[:, 1], left, right, tuple(rows)),
+        exact=Statement(names, ends[:, 0], ends[:, 1], left, right, tuple(rows), touching or {}),
     )  # fmt: skip
 
 
@@ -266,7 +275,13 @@ def _stays(dynamics: Dynamics, inside: Sequence[Node]) -> list[Claim]:
     return claims
 
 
-def _decrease(dynamics: Dynamics, function: Node, right: Node, inside: Sequence[Node]) -> Claim:
+def _decrease(
+    dynamics: Dynamics,
+    function: Node,
+    right: Node,
+    inside: Sequence[Node],
+    touching: Mapping[str, Fraction] | None = None,
+) -> Claim:
     change = dynamics.change(function)
     left = change - function if dynamics.discrete else change
-    return _claim(f"{dynamics.name}: V decreases", dynamics.variables, left, right, inside)
+    return _claim(f"{dynamics.name}: V decreases", dynamics.variables, left, right, inside, touching)

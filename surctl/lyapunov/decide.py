@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
+from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.falsified import least_level
+from surctl.lyapunov.stationary import stationary_state
 from surctl.verification import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.falsifier import search
@@ -28,9 +30,11 @@ Array = NDArray[np.float64]
 _SAMPLES, _STARTS, _FEW = 2048, 8, 256
 _POWERS = (1, 2, 3, 4)
 _FIRST = 0.6  # share of the remaining time for a choice of bounds that is not the last one
-_FLAT = 1e-3  # least ratio of a quadratic bound near the equilibrium to the same bound far from it
+_FLAT = 1e-3  # least ratio of a bound near the equilibrium to the same bound far from it
+_FAR = 0.1  # least r² far from the equilibrium, relative to the largest in the region
 _SHARES_TRIED = (1e-3, 0.3, 1e-6, 1e-9)  # shares of the least sampled ratio that are tried as factor of a lower bound
-_EASY = 0.5  # share of the remaining time for an inequality that is not the last one
+_HARD, _EASY = 0.7, 0.5  # shares of the remaining time for the first inequality, and for one that is not the last
+_STEP, _NEAR = 1e-3, (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the box: second differences; samples on lines
 _CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
 
@@ -102,12 +106,17 @@ def decide_motion(
 
 
 def prove_motion(
-    claim: DynamicClaim, *, time_limit: float, seed: int = 0, progress: Callable[[str], None] | None = None
+    claim: DynamicClaim,
+    *,
+    time_limit: float,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    most: int | None = None,
 ) -> Decision:
-    """Prove a claim as `decide_motion`, without a search for counterexamples."""
+    """Prove a claim as `decide_motion`, without a search for counterexamples, with at most `most` choices of bounds."""
     began, worked = time.perf_counter(), time.process_time()
     reason, refused = "", math.inf
-    attempts = list(_attempts(claim))
+    attempts = list(_attempts(claim))[:most]
     if not attempts:
         reason = "no strict bound exists: at some states of the region, V is not positive or does not decrease"
     for number, attempt in enumerate(attempts):
@@ -135,18 +144,18 @@ def _proofs(
     inequalities: Sequence[Claim], until: float, progress: Callable[[str], None] | None
 ) -> tuple[list[Any], str]:
     """Return the cases of the proof of each inequality; or the reason why one of them is not proved."""
-    proofs: list[Any] = []
-    for k, inequality in enumerate(inequalities):
+    proofs: dict[int, Any] = {}
+    # the last inequality, about the change of the function, is the hardest: without it, the others are of no use
+    for number, (k, inequality) in enumerate([*enumerate(inequalities)][::-1]):
         left = until - time.process_time()
         if left <= 0:
             return [], "the time limit was reached"
-        # the last inequality, about the change of the function, is the hardest
-        share = left if k == len(inequalities) - 1 else _EASY * left
+        share = left if number == len(inequalities) - 1 else (_EASY if number else _HARD) * left
         proof = prove(inequality, time_limit=share, progress=progress)
         if proof.certificate is None:
             return [], f"{inequality.name}: {proof.remaining}"
-        proofs.append(proof.certificate["cases"])
-    return proofs, ""
+        proofs[k] = proof.certificate["cases"]
+    return [proofs[k] for k in range(len(inequalities))], ""
 
 
 def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float]] | None:
@@ -167,6 +176,9 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
         if point is not None:
             return inequality.name, point
     if isinstance(claim, Stability):
+        still = None if claim.rate is not None else stationary_state(claim)
+        if still is not None:
+            return f"{claim.dynamics.name}: V decreases", still
         # rays see what samples miss: a region that barely touches the set where V does not decrease
         least = least_level(claim.dynamics, claim.function, claim.rate, seed=seed)
         if least.confirmed and 0 < least.level < claim.level:
@@ -225,27 +237,55 @@ def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
     unit = qmc.Sobol(len(d.states), seed=0).random(_SAMPLES).T
     wide = low[:, None] + (high - low)[:, None] * unit
     x = np.hstack([d.equilibrium[:, None] + (wide - d.equilibrium[:, None]) * near for near in (1.0, 0.1, 0.01)])
-    function = d.compiled(claim.function)
-    change = d.compiled(d.change(claim.function))
+    both = d.compiled(claim.function, d.change(claim.function))
     corners = d.corners()
-    anywhere = np.repeat(corners[:, :1], x.shape[1], axis=1)
-    values = np.asarray(function(x, anywhere)).reshape(-1)
-    loss = np.full(x.shape[1], np.inf)
-    for k in range(corners.shape[1]):
-        moved = np.asarray(change(x, np.repeat(corners[:, k : k + 1], x.shape[1], axis=1))).reshape(-1)
-        loss = np.minimum(loss, values - moved if d.discrete else -moved)
+
+    def read(at: Array) -> tuple[Array, Array]:
+        values, loss = np.full(at.shape[1], np.nan), np.full(at.shape[1], np.inf)
+        for corner in corners.T:
+            values, moved = np.asarray(both(at, np.repeat(corner[:, None], at.shape[1], axis=1)))
+            loss = np.minimum(loss, values - moved if d.discrete else -moved)
+        return values, loss
+
+    x = np.hstack([x, _axes(d, lambda at: read(at)[0]), _axes(d, lambda at: read(at)[1])])
+    values, loss = read(x)
     inside = (values < claim.level) & np.isfinite(values) & np.isfinite(loss) & np.any(x != d.equilibrium[:, None], 0)
     if not np.any(inside):
         raise InputError("lies above the level in the whole box", key=f"{d.name}.function", remedy="raise the level")
     return x[:, inside], values[inside], loss[inside]
 
 
+def _axes(d: Dynamics, function: Callable[[Array], Array]) -> Array:
+    """Return states (n, N) on lines through the equilibrium along which a function may be flat.
+
+    The lines are parallel to the states' axes and to the main axes of the function's second derivative: samples miss
+    the lines on which only a higher order counts.
+    """
+    n = len(d.states)
+    scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+    i, j = np.triu_indices(n)
+    steps = _STEP * (np.eye(n)[:, i] + np.eye(n)[:, j])
+    centre = d.equilibrium[:, None]
+    q = sum(function(centre + scales[:, None] * side) for side in (steps, -steps))
+    bend = np.zeros((n, n))
+    bend[i, j] = q
+    own = np.diag(bend) / 4
+    bend = bend + bend.T - (own[:, None] + own) * (1 - np.eye(n)) - 2 * np.diag(np.diag(bend))
+    bend[np.diag_indices(n)] = 2 * own
+    lines = np.eye(n)
+    if np.all(np.isfinite(bend)):
+        lines = np.hstack([lines, np.linalg.eigh(bend)[1]])
+    return np.asarray(np.hstack([centre + scales[:, None] * lines * t for near in _NEAR for t in (near, -near)]))
+
+
 def _lower_bound(values: Array, square: Array, share: float) -> Power | None:
     """Return the bound of the least power that holds at all samples and does not vanish near the equilibrium."""
+    far = square > _FAR * square.max()
     for power in _POWERS:
         ratio = values / square**power
         least = float(ratio.min())
-        if least > 0 and least >= _FLAT * float(np.median(ratio)):
+        # close to the equilibrium, a function of a higher order has a ratio that tends to 0
+        if least > 0 and least >= _FLAT * float(ratio[far].min()):
             return Power(short(share * least), power)
     least = float((values / square).min())
     return Power(short(share * least), 1) if least > 0 else None

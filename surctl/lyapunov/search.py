@@ -188,8 +188,11 @@ def _proved(
         share = left if k == 0 and proved is None else _PART * left
         claim = Stability(d, candidate.function, levels[k], rate)
         # a level below the least one with a counterexample need not be refuted again
-        decide = decide_motion if level is not None else prove_motion
-        trial = decide(claim, time_limit=share, seed=seed)
+        # and a lower level is easier to prove than other bounds at this one
+        if level is not None:
+            trial = decide_motion(claim, time_limit=share, seed=seed)
+        else:
+            trial = prove_motion(claim, time_limit=share, seed=seed, most=2 if k == 0 else 1)
         _say(progress, f"{candidate.label}: level {levels[k]:.4g} {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
             proved, low = trial, k

@@ -2,11 +2,12 @@
 
 from surctl.sos.basis import gram_basis, monomials, parity_classes
 from surctl.sos.definite import is_semidefinite
-from surctl.sos.exact import Certificate, GramBlock, certify
+from surctl.sos.division import quotient
+from surctl.sos.exact import Certificate, GramBlock, certify, completed
 from surctl.sos.polynomial import Monomial, Polynomial
 from surctl.sos.program import Affine, Program, Solution, Squares
 
 __all__ = [
     "Affine", "Certificate", "GramBlock", "Monomial", "Polynomial", "Program", "Solution", "Squares", "certify",
-    "gram_basis", "is_semidefinite", "monomials", "parity_classes",
+    "completed", "gram_basis", "is_semidefinite", "monomials", "parity_classes", "quotient",
 ]  # fmt: skip

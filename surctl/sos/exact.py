@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, lcm, log2
 
@@ -23,7 +23,7 @@ from surctl.sos.program import Affine, Program, Solution, Squares
 from surctl.sos.pruning import Gram, pruned, restricted
 from surctl.sos.rounding import Column, corrected
 
-__all__ = ["Certificate", "GramBlock", "certify"]
+__all__ = ["Certificate", "GramBlock", "certify", "completed"]
 
 _LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no margin for rounding
 _PER_ENTRY = 5e-10  # [s] per cube of a number of entries: a block of size 65 takes about 5 s
@@ -139,6 +139,36 @@ def certify(
             blocks = [GramBlock(b.weight, b.basis, tuple(x * size for x in b.entries)) for b in blocks]
             return Certificate(tuple(blocks), tuple(p * size for p in polynomials), solution.number(least))
     return None
+
+
+def completed(target: Polynomial, blocks: Sequence[GramBlock]) -> tuple[GramBlock, ...]:
+    """Return blocks with weight 1 whose sum is exactly the target, with the remainder of a certificate added.
+
+    Args:
+        target: the target of the certificate.
+        blocks: all blocks of the certificate; each has the weight 1.
+
+    Example:
+        >>> from surctl.sos import Polynomial, certify, completed
+        >>> x, y = Polynomial.variables(2)
+        >>> target = 3 * x**2 - 2 * x * y + y**2
+        >>> [block] = completed(target, certify(target).blocks)
+        >>> block.entries == (3, -1, 1)
+        True
+    """
+    rest = target
+    for block in blocks:
+        rest = rest - _square(Gram(-1, Polynomial.constant(1), block.basis), block.entries)
+    waiting = {m: Fraction(c) for m, c in rest.terms.items()}
+    total = []
+    for block in blocks:
+        entries = list(block.entries)
+        for at, (i, j) in enumerate(zip(*np.tril_indices(len(block.basis)), strict=True)):
+            c = waiting.pop(joined(block.basis[i], block.basis[j]), None)
+            if c is not None:
+                entries[at] += c if i == j else c / 2
+        total.append(replace(block, entries=tuple(entries)))
+    return tuple(total)
 
 
 def _expected(grams: Sequence[Gram]) -> float:

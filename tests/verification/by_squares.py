@@ -14,8 +14,8 @@ PROVER = importlib.import_module("surctl.verification.proving.prove")
 def squares_first(claim: Claim, *, time_limit: float = 60.0) -> Proof:
     """The proof of a prover that tries sums of squares before any box."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(PROVER, "_SHORT", 0)
-        patch.setattr(PROVER, "_ROUNDS", PROVER._ROUNDS[:1])
+        patch.setattr(PROVER, "_EXACT_SHORT", 0)
+        patch.setattr(PROVER, "_EXACT_ROUNDS", PROVER._EXACT_ROUNDS[:1])
         return prove(claim, time_limit=time_limit)
 
 

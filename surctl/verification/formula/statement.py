@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ class Statement:
         left: expression of the left side.
         right: expression of the right side.
         constraints: expressions of the constraints.
+        touching: values of variables for which left = right, if known; a proof needs them.
     """
 
     names: tuple[str, ...]
@@ -31,6 +34,7 @@ class Statement:
     left: Node
     right: Node
     constraints: tuple[Node, ...]
+    touching: Mapping[str, Fraction] = field(default_factory=dict)
 
     @property
     def parts(self) -> tuple[Node, ...]:

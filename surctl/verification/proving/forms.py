@@ -15,6 +15,8 @@ from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.polynomial import Monomial, Poly, added
 from surctl.verification.proving.statement import Case
 from surctl.verification.proving.tape import build_tape
+from surctl.verification.proving.touching import touching_form
+from surctl.verification.proving.turns import SplitAngles
 
 __all__ = ["Form", "forms_of", "signed", "signs_of"]
 
@@ -49,9 +51,30 @@ def forms_of(case: Case, names: Sequence[str], box: Ends) -> list[Form]:
     """
     plain = Form(case.margin, (), (number(0),) * len(case.constraints))
     try:
-        return [*_rewritten(case, names, box), plain]
+        forms = [*_rewritten(case, names, box), plain]
     except TooLarge:
-        return [plain]
+        forms = [plain]
+    return [*_touching(case, names, box), *forms]
+
+
+def _touching(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
+    """Yield the form whose terms are all exactly 0 where the claim holds with equality, if this is known."""
+    if not case.touching:
+        return
+    algebra = SplitAngles()
+    try:
+        margin = algebra.of(case.margin)
+    except TooLarge:
+        return
+    written = Written(algebra)
+    signs = signs_of(algebra, written, names, box)
+    if signs is None or len(margin.over) > _MOST_TERMS:
+        return
+    node = touching_form(algebra, written, signed(margin, signs), case.touching)
+    if node is not None:
+        factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
+        under = itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under)
+        yield Form(node, tuple(under), (number(0),) * len(case.constraints))
 
 
 def _rewritten(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:

@@ -147,11 +147,15 @@ def _wave(a: Ends, function: np.ufunc, crest: float) -> Ends:
     low, high = a
     wild = ~(np.maximum(np.abs(low), np.abs(high)) < _LARGEST_ANGLE)
     low, high = np.where(wild, 0.0, low), np.where(wild, 0.0, high)
-    at_low, at_high = function(low), function(high)
-    bottom, top = widened((np.minimum(at_low, at_high), np.maximum(at_low, at_high)))
-    # beyond 1 rad the argument reduction leaves an absolute error, which also affects small results
-    reduced = np.where(np.maximum(np.abs(low), np.abs(high)) > 1.0, LIBM_STEPS * 2.0**-52, 0.0)
-    bottom, top = bottom - reduced, top + reduced
+    ends = []
+    for end in (low, high):
+        value = function(end)
+        bottom, top = widened((value, value))
+        # beyond 1 rad the argument reduction leaves an absolute error, which also affects small results
+        reduced = np.where(np.abs(end) > 1.0, LIBM_STEPS * 2.0**-52, 0.0)
+        # the values at 0 are exact, because claims often hold with equality there
+        ends.append((np.where(end == 0, value, bottom - reduced), np.where(end == 0, value, top + reduced)))
+    bottom, top = np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])
     # in turns, widened for the rounding of the division: an extra maximum only widens the interval
     rounding = 1e-15 * (1.0 + np.abs(low) + np.abs(high))
     first, last = low / (2 * np.pi) - rounding, high / (2 * np.pi) + rounding

@@ -19,6 +19,7 @@ from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, c
 from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
 from surctl.verification.proving.tape import Tape, build_tape
+from surctl.verification.proving.touching import excluded, touches
 
 __all__ = ["Proof", "certain_excess", "prove"]
 
@@ -26,8 +27,11 @@ _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.
 """The rounds of the search: for each round, the largest number of boxes and the share of the slack that it may use. The
 first round tries an exact proof; all forms are tried in short rounds before the last round uses the remaining time."""
 
-_SHORT, _SHARE = 3, 0.5
-"""Largest number of rounds before sums of squares are tried, and their largest share of the remaining time."""
+_EXACT_ROUNDS = ((100, 0.0), (3_000, 0.0), (10_000_000, 0.0))
+"""The rounds without slack: every round repeats the boxes of the one before, so there are few."""
+
+_SHORT, _EXACT_SHORT, _SHARE = 3, 1, 0.5
+"""Number of rounds before sums of squares are tried, with and without slack; their share of the remaining time."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
@@ -91,7 +95,7 @@ def prove(
         statement = statement_of(claim)
         texts = [text_of(part) for part in statement.parts]
         parts = substituted(statement)
-        cases = cases_of(parts)
+        cases = [replace(case, touching=statement.touching) for case in cases_of(parts)]
     except InputError as error:  # an expression is too long, or has an operation that the grammar lacks
         return _open(error.problem, 0, began)
     written = build_tape(statement.names, parts)
@@ -172,10 +176,13 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     constraints = build_tape(names, case.constraints)
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
-    # without slack, the first round and sums of squares decide most claims, and sooner than further short rounds
-    before = min(_SHORT, 1) if attempt.slack == 0 else _SHORT
+    rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
+    if not attempt.slack and case.touching:
+        if excluded(case.constraints, case.touching, names, root):
+            before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
+        usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
     everywhere = all(fine[0] for fine in written.run(root).defined)
-    for number, (most, part) in enumerate(_ROUNDS):
+    for number, (most, part) in enumerate(rounds):
         if number == before and attempt.with_squares and everywhere:
             rest = _SHARE * max(seconds - (time.process_time() - began), 0.0)
             squares = prove_by_squares(case, names, (statement.lower, statement.upper), seconds=rest)
@@ -183,6 +190,9 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
                 result = SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
                 return _Shown(squares.form, result, 0.0, squares.squares)
             tried = squares.tried
+        if len(usable) == 1 and before <= number < len(rounds) - 1 and not attempt.slack:
+            continue  # nothing to choose: the last round alone
+        volumes = []
         for k, form in enumerate(usable):
             task = Task(
                 build_tape(names, [form.numerator, *form.denominators]),
@@ -190,14 +200,17 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
             )  # fmt: skip
             rest = max(seconds - (time.process_time() - began), 0.0)
             # the last round divides the remaining time among the forms
-            share = rest / (len(usable) - k) if most == _ROUNDS[-1][0] else rest / (8 if number < before else 4)
+            share = rest / (len(usable) - k if most == rounds[-1][0] else 8 if number == 0 else max(len(usable), 4))
             report = _reporter(attempt.label, attempt.progress)
             result = search(task, deadline=time.process_time() + share, most=most, progress=report)
             looked += result.boxes
             if result.closed:
                 return _Shown(form, result, task.slack)
-            if best is None or _volume(result) <= _volume(best[1]):
+            volumes.append(_volume(result))
+            if best is None or volumes[-1] <= _volume(best[1]):
                 best = form, result, task.slack
+        # the next round begins with the form that left least
+        usable = [usable[k] for k in sorted(range(len(usable)), key=lambda k: volumes[k])]
     assert best is not None  # the form as written is always usable
     return _Shown(best[0], replace(best[1], boxes=looked, reason=result.reason), best[2], tried=tried)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, log2
 from typing import Any
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.sos.exact import Certificate, certify
+from surctl.sos.division import quotient
+from surctl.sos.exact import Certificate, certify, completed
 from surctl.sos.polynomial import Polynomial
 from surctl.verification.formula import Node, number, text_of
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge
@@ -70,6 +71,9 @@ def _tried(case: Case, names: tuple[str, ...], box: tuple[Array, Array], end: fl
     if not problem.usable:
         return SquaresProof(None, {}, "")
     tried = 0
+    multiple = problem.multiple()
+    if multiple is not None:
+        return SquaresProof(problem.form, multiple, "")
     for degree, factors in problem.levels():
         left = end - time.process_time()
         if left <= 0:
@@ -92,7 +96,7 @@ class _Problem:
     """A case as polynomials in symbols, which are scaled and moved atoms."""
 
     def __init__(self, case: Case, names: tuple[str, ...], box: tuple[Array, Array]) -> None:
-        self._names, self._box = names, box
+        self._names, self._box, self._at = names, box, case.touching
         self._algebra = algebra = SplitAngles()
         margin = algebra.of(case.margin)
         guards = [_guard(algebra, c) for c in case.constraints]
@@ -162,7 +166,7 @@ class _Problem:
         nearest = {
             name: min(max(Fraction(0), Fraction(repr(float(a)))), Fraction(repr(float(b))))
             for name, a, b in zip(self._names, lower, upper, strict=True)
-        }
+        } | dict(self._at)
         values = {at: self._value(at, nearest) for at in self._atoms}
         known = {at: v for at, v in values.items() if v is not None}
         self._touching = False
@@ -262,6 +266,18 @@ class _Problem:
             total = total * self._factors[name]
         return total * (1 / _size(total))
 
+    def multiple(self) -> dict[str, Any] | None:
+        """Return the entry `squares` if the target is a sum of squares times a constraint, which has no interior."""
+        for name in self._factors:
+            other = quotient(self.target, self.weight((name,))) if name[0] == "c" else None
+            if other is None:
+                continue
+            proof = certify(other, zeros=self.zeros)
+            if proof is not None:
+                blocks = tuple(replace(b, weight=0) for b in completed(other, proof.blocks))
+                return self.entry(Certificate(blocks, (), proof.least), [(name,)])
+        return None
+
     def levels(self) -> list[tuple[int, list[tuple[str, ...]]]]:
         """Return the identities to try: their degree and the products of factors."""
         first = self.target.degree + self.target.degree % 2
@@ -275,6 +291,8 @@ class _Problem:
             # with few factors, the matrices are smaller
             if known:
                 levels.append((degree, [*known, *pairs]))
+            # products of both bounds keep the symmetry to changes of signs, which divides the matrices into blocks
+            levels.append((degree, [*known, *pairs, *boxes]))
             levels.append((degree, [*known, *pairs, *ends]))
             levels.append((degree, [*known, *pairs, *ends, *boxes]))
         return levels

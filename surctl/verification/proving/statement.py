@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
 
 from surctl.verification.claim import Claim
@@ -25,11 +25,13 @@ class Case:
             the constraints; empty if there is no branching expression.
         margin: left − right.
         constraints: the constraints of the statement, then one constraint for each chosen branch.
+        touching: values of variables for which the margin is 0, if known.
     """
 
     choice: str
     margin: Node
     constraints: tuple[Node, ...]
+    touching: Mapping[str, Fraction] = field(default_factory=dict)
 
 
 def statement_of(claim: Claim) -> Statement:

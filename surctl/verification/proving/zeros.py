@@ -34,7 +34,10 @@ def zeros_of(
         return []
     from scipy.optimize import minimize
 
+    box = _within(box, sides)
     ends = np.array([[float(low), float(high)] for low, high in box])
+    if np.any(ends[:, 0] > ends[:, 1]):
+        return []
     slopes = [target.derivative(k) for k in range(len(box))]
     size = max(abs(float(c)) for c in target.terms.values())
     rng = np.random.default_rng(0)
@@ -59,3 +62,19 @@ def zeros_of(
         if any(point) and inside and target.value(point) == 0 and all(side.value(point) >= 0 for side in sides):
             zeros[point] = None
     return list(zeros)
+
+
+def _within(box: Sequence[tuple[Fraction, Fraction]], sides: Sequence[Polynomial]) -> list[tuple[Fraction, Fraction]]:
+    """Return the box without the part where a bound of one variable, given as polynomial, is negative."""
+    ends = [list(pair) for pair in box]
+    for side in sides:
+        among = {k for m in side.terms for k, _ in m}
+        if side.degree != 1 or len(among) != 1:
+            continue
+        (k,) = among
+        slope, offset = Fraction(side.terms[((k, 1),)]), Fraction(side.terms.get((), 0))
+        if slope > 0:
+            ends[k][0] = max(ends[k][0], -offset / slope)
+        else:
+            ends[k][1] = min(ends[k][1], -offset / slope)
+    return [(low, high) for low, high in ends]

@@ -1,0 +1,159 @@
+"""Normal forms about a point at which a claim holds with equality: each term is then exactly 0 there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.sos.polynomial import Polynomial
+from surctl.verification.formula import Node, number, ordered, power, substitute
+from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge
+from surctl.verification.proving.facts import VALUES
+from surctl.verification.proving.horner import Written
+from surctl.verification.proving.intervals import Ends
+from surctl.verification.proving.polynomial import Monomial, Poly, constant
+from surctl.verification.proving.tape import build_tape
+from surctl.verification.proving.turns import SplitAngles
+
+__all__ = ["excluded", "range_at", "touches", "touching_form", "vanishes"]
+
+
+def vanishes(node: Node) -> bool:
+    """Return True only if an expression is 0 wherever it is defined, which exact rewriting shows."""
+    try:
+        return not SplitAngles().of(node).over
+    except (TooLarge, ArithmeticError):
+        return False
+
+
+def range_at(node: Node, point: Mapping[str, float]) -> tuple[float, float] | None:
+    """Return bounds of the value of an expression at a point; None if it may be undefined there."""
+    at = np.array([[x] for x in point.values()])
+    read = build_tape(tuple(point), [node]).run((at, at))
+    low, high = read.jets[0].value
+    return (float(low[0]), float(high[0])) if read.defined[0][0] else None
+
+
+def touches(node: Node, point: Mapping[str, Fraction], names: Sequence[str], root: Ends) -> bool:
+    """Return whether interval arithmetic shows an expression and its gradient to be exactly 0 at a point.
+
+    An expression that is shown to be 0 only roughly cannot be proved to be ≤ 0 on any box that contains the point.
+
+    Args:
+        node: the expression.
+        point: values of some variables; the others take the middle of their range.
+        names: names of the variables.
+        root: lower and upper bounds (n, 1).
+    """
+    at = _point(point, names, (root[0] + root[1]) / 2)
+    jet = build_tape(tuple(names), [node]).run((at, at), order=1).jets[0]
+    assert jet.slope is not None
+    moving = [k for k, name in enumerate(names) if name in point]
+    return bool(jet.value[1][0] <= 0) and not any(end[k].any() for end in jet.slope for k in moving)
+
+
+def excluded(constraints: Sequence[Node], point: Mapping[str, Fraction], names: Sequence[str], root: Ends) -> bool:
+    """Return whether a constraint is positive at a point, for all values of the variables that the point lacks.
+
+    The arguments are those of `touches`, with the constraints instead of an expression.
+    """
+    box = _point(point, names, root[0]), _point(point, names, root[1])
+    return any(jet.value[0][0] > 0 for jet in build_tape(tuple(names), constraints).run(box).jets)
+
+
+def _point(point: Mapping[str, Fraction], names: Sequence[str], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([[float(point[name])] if name in point else others[k] for k, name in enumerate(names)])
+
+
+def touching_form(algebra: Algebra, written: Written, over: Poly, point: Mapping[str, Fraction]) -> Node | None:
+    """Return a polynomial as expression in differences of atoms to their values at a point.
+
+    If the value and the gradient of the polynomial are 0 at the point, interval arithmetic then shows exactly this,
+    also where the values of the atoms are not 0: as for cos x − 1.
+
+    Args:
+        algebra: the algebra of the polynomial.
+        written: converter of this algebra.
+        over: the polynomial.
+        point: values of some variables.
+
+    Returns:
+        The expression; None if a value is not known, a term is not of second order, or no atom has to be moved.
+    """
+    moved = _Moved(algebra, written, point)
+    orders: dict[int, int] = {}
+    for at in {k for m in over for k, _ in m}:
+        if moved.varies(at):
+            value = moved.value(at)
+            if value is None:
+                return None
+            # the cosine of 0 has a maximum there
+            orders[at] = 2 if algebra.atoms[at][0] == "cos" and value == constant(1) else 1
+    if not any(moved.value(at) for at in orders):
+        return None
+    total = moved.polynomial(over)
+    if any(sum(orders.get(k, 0) * e for k, e in m) < 2 for m in total):
+        return None
+    return moved.poly(total)
+
+
+class _Moved(Written):
+    """Converter of polynomials in the differences of atoms to their values at a point."""
+
+    def __init__(self, algebra: Algebra, written: Written, point: Mapping[str, Fraction]) -> None:
+        super().__init__(algebra)
+        self._plain, self._point = written, point
+        self._values: dict[int, Poly | None] = {}
+        self._moved: dict[int, Node] = {}
+
+    def varies(self, at: int) -> bool:
+        """Return whether an atom depends on a variable that the point names."""
+        return any(n.op == "var" and n.name in self._point for n in ordered(self._plain.atom(at)))
+
+    def value(self, at: int) -> Poly | None:
+        """Return the value of an atom at the point, as a polynomial in atoms without its variables, if it is known."""
+        if at not in self._values:
+            self._values[at] = self._value(self._plain.atom(at))
+        return self._values[at]
+
+    def _value(self, node: Node) -> Poly | None:
+        fixed = substitute(node, {name: number(x) for name, x in self._point.items()})
+        try:
+            if node.op in VALUES and not self._algebra.of(fixed.args[0]).over:
+                return constant(VALUES[node.op][1])
+            value = self._algebra.of(fixed)
+        except (TooLarge, ArithmeticError):
+            return None
+        return None if value.under else dict(value.over)
+
+    def polynomial(self, a: Poly) -> Poly:
+        """Return a polynomial in the atoms as polynomial in the differences."""
+        among = {k for m in a for k, _ in m if self.varies(k)}
+        by = {k: Polynomial.variable(k) + Polynomial(self.value(k) or {}) for k in among}
+        apart: dict[Monomial, Poly] = {}
+        for m, c in Polynomial(a).substituted(by).terms.items():
+            own, fixed = (tuple((k, e) for k, e in m if (k in among) == part) for part in (True, False))
+            apart.setdefault(own, {})[fixed] = Fraction(c)
+        return {
+            tuple(sorted(own + fixed)): c
+            for own, part in apart.items()
+            for fixed, c in self._algebra._reduced(part).items()
+        }
+
+    def atom(self, at: int) -> Node:
+        """Return the difference of an atom to its value, as an expression."""
+        if at in self._moved:
+            return self._moved[at]
+        node, value = self._plain.atom(at), self.value(at) if self.varies(at) else None
+        kind, args = self._algebra.atoms[at]
+        if value and kind in VALUES and isinstance(args[0], Ratio):
+            # the argument is exactly 0 at the point as well
+            inside = self.poly(self.polynomial(args[0].over))
+            for factor, exponent in args[0].under:
+                inside = inside / power(self._plain.factor(factor), exponent)
+            node = Node(kind, (inside,))
+        self._moved[at] = node - self._plain.poly(value) if value else node
+        return self._moved[at]
