@@ -15,8 +15,7 @@ __all__ = ["choose_law", "law_option", "law_words", "trust_option"]
 law_option = click.option(
     "--law",
     metavar="NAME",
-    help="Law: guarded (default), steered (default without sway force), paper, closed_form, apf, dwa, vo, cbf; or your "
-    "own, FILE.py:FUNCTION, which is run.",
+    help="Law: guarded, steered, paper, closed_form, apf, dwa, vo, cbf or FILE.py:FUNCTION (default: the vehicle's).",
 )
 
 

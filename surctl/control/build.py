@@ -161,20 +161,10 @@ def build_law(
     contacts = contacts if source.slots is None else source.slots
     depths = depths and "depths" in source.options
     chosen = _Configuration(
-        law,
-        cast("AvoidanceForm", avoidance),
-        cast("Mode", mode),
-        dt,
-        contacts,
-        sonar,
-        equipment,
-        moving,
-        cast("Guidance", guidance),
-        cast("Barrier", barrier),
-        cast("Movers", movers),
-        depths,
+        law, cast("AvoidanceForm", avoidance), cast("Mode", mode), dt, contacts, sonar, equipment, moving,
+        cast("Guidance", guidance), cast("Barrier", barrier), cast("Movers", movers), depths,
         cast("Fallback", fallback),
-    )
+    )  # fmt: skip
     built = _cached_law(chosen)
     return built if actuators is None else with_allocation(built, actuators)
 

@@ -200,8 +200,7 @@ def brakes_of(
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
     axes = slice(2 if vehicle["Fv_max"] > 0 else 1)
-    limits = ("Fu_max", "Fv_max")[axes]
-    most = [vehicle[n] if spread is not None else _ends(vehicle, n, None)[1] for n in limits]
+    most = [vehicle[n] if spread is not None else _ends(vehicle, n, None)[1] for n in ("Fu_max", "Fv_max")[axes]]
     most += [vehicle[name] for axis, name in vehicle.form.reverse() if axis < 2]
     return Brakes(
         ends(*("m11", "m22")[axes]),

@@ -56,8 +56,7 @@ _SLOW = 0.25  # share of the cruise speed at which the margin is checked too
 _CRUISE_SHARE = 0.35  # cruise speed as a share of the top speed, if no mission states one
 _HELD = 0.9  # largest share of the top speed for which gains are derived
 _MUNK_DELAY = 0.34  # product of Munk rate and delay at which the margin is about reached
-_BRACKET = 1.2
-_BEARABLE_STEPS = 6
+_BRACKET, _BEARABLE_STEPS = 1.2, 6
 _LOWERED = 10  # largest number of times that the result is lowered by 2 %
 _SLOWER, _SLOWER_SPEEDS = 0.85, 9  # ratio and number of the speeds tried for a craft without sway force
 _UNSTABLE = 1e-3  # margin of an unstable loop in the search
@@ -301,10 +300,8 @@ def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
     def margin(speed: float) -> float:
         law = default_law(vehicle)
         gains = _named(vehicle, inner_start(vehicle, cruise=speed, dt=dt), speed, dt, 1.0)
-        own = gains.with_own(law_source(law).gains)
-        loop = law_loop(build_law(law, dt=dt), vehicle, own, cruise=speed)
-        shown = loop.disk.guaranteed if loop.stable else 0.0
-        return 0.0 if np.isnan(shown) else float(shown)
+        loop = law_loop(build_law(law, dt=dt), vehicle, gains.with_own(law_source(law).gains), cruise=speed)
+        return float(np.nan_to_num(loop.disk.guaranteed)) if loop.stable else 0.0
 
     reached, bearable = margin(cruise), cruise
     if reached < DERIVED_MARGIN:
