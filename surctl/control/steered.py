@@ -185,10 +185,7 @@ def _first_hit(
     gain: ca.SX,
     stream: ca.SX,
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the step of the prediction in which the craft first touches a contact, or `NEVER`.
-
-    The second result is the distance travelled until then [m].
-    """
+    """Return the step of the prediction with the first contact (or `NEVER`), and the distance travelled until then."""
 
     def ahead(
         place: ca.SX, hull: ca.SX, nu: ca.SX, so_far: ca.SX, k: ca.SX, *_: ca.SX

@@ -103,7 +103,7 @@ def turning_radius(vehicle: Vehicle, gains: Mapping[str, float], speed: float) -
         >>> from surctl.control import turning_radius
         >>> from surctl.vehicle import load_vehicle
         >>> round(turning_radius(load_vehicle("sur400"), {"sideslip": 0.2}, 0.15), 2)
-        1.38
+        13.0
     """
     model = {name: getattr(vehicle, name) for name in ("mass", "quadratic_drag", "thrust_limit")}
     numbers = {**model, "linear_drag": vehicle.drag_at(speed), "sideslip": gains["sideslip"], "cruise": speed}
