@@ -74,6 +74,12 @@ def test_the_study_of_fitted_vehicles() -> None:
     assert [row[0] for row in table(done.stdout) if len(row) == 5] == ["parameter", *FITTED]
 
 
+def test_the_study_of_fitted_vehicles_with_coloured_noise() -> None:
+    done = run(ANALYSIS / "20_identification" / "coloured.py", "--quick", "--workers", "1")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert {row[1].strip("| ") for row in table(done.stdout) if len(row) == 2 and "held-out" in row[0]} == {"holds"}
+
+
 def test_the_study_of_import_times() -> None:
     done = run(ANALYSIS / "21_import_time" / "run.py", "--quick")
     rows = {row[0].strip("`"): row[4].strip("| ") for row in table(done.stdout) if len(row) == 5}

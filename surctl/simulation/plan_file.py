@@ -61,7 +61,7 @@ def read_mission(path: Path) -> Mission:
         >>> _ = Path("bay.gpx").write_text(f"<gpx><rte>{points}</rte></gpx>")
         >>> mission = read_mission(Path("bay.gpx"))
         >>> mission.points.round(1).tolist(), mission.heights.tolist()
-        ([[0.0, 0.0], [0.0, 111.4]], [-2.0, -2.0])
+        ([[0.0, 0.0], [0.0, 111.5]], [-2.0, -2.0])
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

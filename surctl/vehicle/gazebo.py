@@ -97,13 +97,13 @@ def gazebo_vehicle(
     limits = (thrust, thrust if sway_thrust is None else sway_thrust, thrust if heave_thrust is None else heave_thrust)
     values |= dict(zip(("Fu_max", "Fv_max", "Fw_max"), limits, strict=True))
     values |= {"Fr_max": yaw_thrust, "radius": radius, "thrust_lag": thrust_lag}
-    given = {"Fu_max", "Fv_max", "Fw_max", "Fr_max", "radius", "thrust_lag"}
+    from_user = {"Fu_max", "Fv_max", "Fw_max", "Fr_max", "radius", "thrust_lag"}
     parameters = {}
     for key, value in [*((k, values[k]) for k in PARAMETERS), *((k, cross[k]) for k in TERMS if k in cross)]:
         spec = parameter_spec(key)
         if spec is None or not np.isfinite(value) or (value <= 0 and not spec.zero_allowed):
             raise InputError("must be greater than 0", file=shown(path), key=key, value=value, remedy="correct it")
-        parameters[key] = Parameter(float(value), spec.unit, None, "given" if key in given else said)
+        parameters[key] = Parameter(float(value), spec.unit, None, "given" if key in from_user else said)
     return Vehicle(name, f"from {path.name}; roll and pitch are omitted", parameters)
 
 

@@ -202,12 +202,12 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
     everything = _fitted(x, y)
-    kept, too_many = _without_outliers(x, y)
-    fit = everything if kept.all() else _fitted(x[kept], y[kept])
-    relative = np.interp(x, x[kept], fit.relative)
-    studentised = _studentised(x, y, relative, kept)
-    error = (y - x)[kept]
-    mean, spread, n = float(error.mean()), float(error.std(ddof=1)), int(kept.sum())
+    inlier, too_many = _without_outliers(x, y)
+    fit = everything if inlier.all() else _fitted(x[inlier], y[inlier])
+    relative = np.interp(x, x[inlier], fit.relative)
+    studentised = _studentised(x, y, relative, inlier)
+    error = (y - x)[inlier]
+    mean, spread, n = float(error.mean()), float(error.std(ddof=1)), int(inlier.sum())
     return Calibration(
         true=x,
         measured=y,
@@ -222,8 +222,8 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
         error_sd=_of_sd(spread, n - 1),
         relative_sd=relative,
         studentised=studentised,
-        outliers=np.flatnonzero(~kept),
-        rests_on_outliers=not kept.all() and everything.at_zero is not None and fit.at_zero is None,
+        outliers=np.flatnonzero(~inlier),
+        rests_on_outliers=not inlier.all() and everything.at_zero is not None and fit.at_zero is None,
         too_many_outliers=too_many,
     )
 
@@ -263,28 +263,28 @@ def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> _Fit:
 
 
 def _without_outliers(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.bool_], bool]:
-    """Return which readings (n,) the fit keeps, and whether more readings deviate than it may leave out.
+    """Return which readings (n,) are inliers, and whether more readings deviate than it may leave out.
 
     The readings that deviate most are left out first, because they may hide others or make good readings deviate. A
     reading that agrees with the fit to the others is taken back.
     """
-    kept = np.ones(len(x), dtype=bool)
+    inlier = np.ones(len(x), dtype=bool)
     for _ in range(_ROUNDS):
-        fit = _fitted(x[kept], y[kept])
+        fit = _fitted(x[inlier], y[inlier])
         if fit.level.value == 0.0:
             deviation = np.abs(y - (fit.scale.value * x + fit.bias.value))
             return deviation <= _EXACT * float(x.max()), False
-        size = np.abs(_studentised(x, y, np.interp(x, x[kept], fit.relative), kept))
+        size = np.abs(_studentised(x, y, np.interp(x, x[inlier], fit.relative), inlier))
         bound = _bound(len(x))
-        back = ~kept & (size <= bound)
-        worst = kept & (size > max(bound, _WORST * float(size[kept].max())))
+        back = ~inlier & (size <= bound)
+        worst = inlier & (size > max(bound, _WORST * float(size[inlier].max())))
         if not back.any() and not worst.any():
             break
-        after = (kept | back) & ~worst
+        after = (inlier | back) & ~worst
         if (~after).sum() > _MOST_OUTLIERS * len(x) or not _enough(x[after]):
-            return kept, True
-        kept = after
-    return kept, False
+            return inlier, True
+        inlier = after
+    return inlier, False
 
 
 def _enough(x: NDArray[np.float64]) -> bool:
@@ -292,19 +292,19 @@ def _enough(x: NDArray[np.float64]) -> bool:
 
 
 def _studentised(
-    x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[np.float64], kept: NDArray[np.bool_]
+    x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[np.float64], inlier: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    # residuals (n,) about the line through the readings `kept`, each divided by its sd as estimated from the others
-    line = fit_line(x[kept], y[kept], relative[kept])
+    # residuals (n,) about the line through the inliers, each divided by its sd as estimated from the others
+    line = fit_line(x[inlier], y[inlier], relative[inlier])
     if line.sd <= _EXACT * float(x.max()):
         return np.zeros(len(x))
     result = np.empty(len(x))
-    result[kept] = studentised_residuals(line)
+    result[inlier] = studentised_residuals(line)
     columns = np.column_stack([np.ones_like(x), x]) / relative[:, None]
-    covariance = np.linalg.inv(columns[kept].T @ columns[kept])
+    covariance = np.linalg.inv(columns[inlier].T @ columns[inlier])
     spread = line.sd * np.sqrt(1.0 + np.einsum("ni,ij,nj->n", columns, covariance, columns))
     residual = (y - (line.beta[0] + line.beta[1] * x)) / relative
-    result[~kept] = (residual / spread)[~kept]
+    result[~inlier] = (residual / spread)[~inlier]
     return result
 
 

@@ -87,7 +87,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
             excluded.add("thrust_lag")
             notes.append(f"thrust_lag is not determined: {reason}")
     identified = tuple(k for k in estimates if k not in excluded and _ratio(model, estimates, k) <= 1.0)
-    # a constant force that cannot be told from 0 gets no entry in the vehicle
+    # a constant force that does not differ from 0 gets no entry in the vehicle
     small = {k for k in CONSTANT_FORCE if abs(estimates[k][0]) <= estimates[k][1] and k not in start.parameters}
     theta, held, zeroed = _consistent(full, excluded | small)
     notes += _negative_notes(zeroed, estimates)
@@ -236,7 +236,7 @@ def _vehicle(
     for key, (estimate, half) in estimates.items():
         prior, spec = known.get(key), parameter_spec(key)
         if spec is None or (key in kinds.held and prior is None):
-            continue  # a constant force that cannot be told from 0
+            continue  # a constant force that does not differ from 0
         if key in kinds.held and prior is not None:
             said = f"{prior.provenance} (not identifiable from {log.source})"
             known[key] = Parameter(prior.value, prior.unit, prior.range, said)

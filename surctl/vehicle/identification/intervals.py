@@ -116,7 +116,7 @@ def _correlation(left: list[Array], present: list[NDArray[np.bool_]]) -> tuple[A
 
 
 def _end(correlation: Array, number: float) -> int:
-    # the last lag before `_QUIET` successive correlations that cannot be told from 0 (Politis 2003)
+    # the last lag before `_QUIET` successive correlations that do not differ from 0 (Politis 2003)
     level = 2.0 * np.sqrt(np.log10(max(number, 10.0)) / number)
     quiet = np.abs(correlation) < level
     for k in range(len(quiet)):

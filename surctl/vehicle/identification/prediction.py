@@ -77,14 +77,25 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = _WINDOW) -> Pre
         >>> motion[:, 4] = speed
         >>> result = predict(MotionLog(t, motion, np.zeros((200, 4))), boat)
         >>> result.model["u_m_per_s"] < result.hold["u_m_per_s"], result.windows
-        (True, 4)
+        (True, 3)
     """
     whole = with_all_constants(vehicle)
     return predict_with(log, vehicle, {k: whole[k] for k in names_of(whole)}, window=window)
 
 
 def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *, window: float = _WINDOW) -> Prediction:
-    """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others."""
+    """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import CONSTANT_FORCE, FITTED, MotionLog, load_vehicle, predict_with
+        >>> boat, motion = load_vehicle("sur400"), np.full((200, 8), np.nan)
+        >>> motion[:, 4] = 0.2
+        >>> log = MotionLog(0.1 * np.arange(200), motion, np.zeros((200, 4)))
+        >>> values = {k: boat[k] for k in FITTED} | dict.fromkeys(CONSTANT_FORCE, 0.0) | {"Xu": 0.0, "Xuu": 0.0}
+        >>> predict_with(log, boat, values).model["u_m_per_s"] < 1e-9  # without drag, the speed stays
+        True
+    """
     lag = values.get("thrust_lag", 0.0)
     windows = [
         w for section in sections_of(log) for w in _windows(log, section, window, after=min(_LAGS * lag, window))

@@ -39,6 +39,13 @@ def read_recording(path: Path, topics: Collection[str] | None = None, *, log_map
 
     Raises:
         InputError: the file does not exist or cannot be read, or a package for its format is not installed.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.vehicle import read_recording
+        >>> _ = Path("log.csv").write_text("t_s,speed,mode\\n0,0.1,AUTO\\n0.5,0.2,AUTO\\n")
+        >>> read_recording(Path("log.csv")).topics[""].fields["speed"].tolist()
+        [0.1, 0.2]
     """
     if not path.exists():
         raise InputError("no such file", file=shown(path), remedy="check the path")
@@ -91,7 +98,15 @@ def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
 
 
 def topic_lines(recording: Recording) -> list[str]:
-    """Return one line per topic: name, number of messages, rate, and the names of its fields."""
+    """Return one line per topic: name, number of messages, rate, and the names of its fields.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.vehicle import read_recording, topic_lines
+        >>> _ = Path("log.csv").write_text("t_s,speed,depth\\n0,0.1,2\\n0.5,0.2,2\\n")
+        >>> topic_lines(read_recording(Path("log.csv")))
+        ['(table): 2 messages, 2 Hz: speed, depth']
+    """
     lines = []
     for name, topic in sorted(recording.topics.items()):
         span = float(topic.time[-1] - topic.time[0])
