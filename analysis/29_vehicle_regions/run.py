@@ -34,6 +34,8 @@ PAIRS = (
     ("region-turning-20", "bluerov2-vonbenzon"),
     ("region-turning-20", "bluerov2-wu"),
     ("region-turning-20", "sur540-flooded"),
+    ("region-turning-20-rest", "bluerov2-vonbenzon"),
+    ("region-turning-20-rest", "bluerov2-wu"),
 )
 MOTIONS, SECONDS, STEP = 2_400, 40.0, 0.02
 HEADS = ("claim", "vehicle", "y_e from", "at rest", "settles", "Munk moment", "proof", "check", "size",

@@ -14,7 +14,7 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.certcheck.region_exact import quadratic
-from surctl.certcheck.turning_cells import Trim, _axes, _lack, _turns, heading_cells, steady
+from surctl.certcheck.turning_cells import Trim, _axes, _axis, _Form, _lack, _masses, _turns, heading_cells, steady
 from surctl.certcheck.turning_claim import factors, read_claim
 from surctl.certcheck.turning_law import draw_vehicles, true_rate
 from surctl.control import build_law, law_parameters, load_gains
@@ -23,7 +23,7 @@ from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, bui
 from tests.certcheck.altering import altered, put, sealed
 
 HERE = Path(__file__).parent
-NAMES = ("region-turning", "region-turning-20")
+NAMES = ("region-turning", "region-turning-20", "region-turning-20-rest")
 
 
 def document(name: str = "region-turning") -> dict[str, Any]:
@@ -64,7 +64,7 @@ def test_the_kept_certificates_are_accepted_and_small(name: str) -> None:
     assert len((HERE / f"{name}.json").read_text()) < 10_000 and found.seconds < 20
     claim = whole["claim"]
     assert claim["law"]["mass_kg"][0] != claim["law"]["mass_kg"][1] and claim["motion"]["offset_m"] >= 0.25
-    assert name != "region-turning" or claim["motion"]["rest_offset_m"] >= 0.2
+    assert name == "region-turning-20" or claim["motion"]["rest_offset_m"] >= 0.2
     assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0 < worst(whole, low=20.0, high=40.0)
 
 
@@ -140,7 +140,7 @@ def quick() -> dict[str, Any]:
     shells = whole["proof"]["shells"]
     extent = np.sqrt(np.diag(np.linalg.inv(matrix(whole)))[:2] * shells[-3]["level"])
     whole["claim"]["motion"]["ultimate_bound_m"] = [round(float(n) + 1e-3, 6) for n in extent]
-    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 8}
+    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 16}
     return sealed(whole)
 
 
@@ -219,6 +219,25 @@ def test_the_coriolis_points_enclose_every_ratio_of_masses() -> None:
     for angle in np.linspace(0, 2 * np.pi, 181):
         direction = np.array([np.cos(angle), np.sin(angle)])
         assert (inside @ direction).max() <= (points @ direction).max() + 1e-15
+
+
+def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
+    whole = document("region-turning-20")
+    whole["claim"]["vehicle"]["thrust_n"] = [8.0, 8.0]  # so little that the limit binds in V ≤ 9
+    claim, trim = read_claim(whole["claim"]), trim_of(whole)
+    form = _Form([[Fraction(repr(float(e))) for e in row] for row in matrix(whole)])
+    cells, directions = heading_cells(claim, trim, 8), np.linspace(0, 2 * np.pi, 181)
+    ahead = np.stack([np.cos(directions), np.sin(directions)])
+    for k in range(8):
+        for i, axis in enumerate(_axes(cells.corners[k])):
+            kept = _axis(claim, trim, form, i, axis, cells.share[k, i], [np.diag([0.3, 0.2])], 9.0)
+            assert kept.shape == (6, 2)  # φ least: (h, t) low low, low high, high low; φ = 1: low high, high low, both
+            missing = np.array([[kept[2, 0], kept[1, 1]], [kept[3, 0], kept[4, 1]]])
+            assert np.all((missing @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-12)
+    kept, every = (np.array([[float(1 / f) for f in pair] for pair in some])
+                   for some in (_masses(claim), factors(claim.mass_factor, claim.mass_asymmetry, 2)))  # fmt: skip
+    assert len(kept) == 6 < len(every)
+    assert np.all((every @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-12)
 
 
 # the law and the vehicle of the checker are those of the toolkit

@@ -10,7 +10,9 @@ import numpy as np
 from surctl.certcheck import check_document, seal
 from surctl.verification.region.proof import RegionProof
 from surctl.verification.region.turning import TurningClaim
-from surctl.verification.region.turning_search import TurningCandidate, turning_search
+from surctl.verification.region.turning_loop import corner_factors
+from surctl.verification.region.turning_search import turning_search
+from surctl.verification.region.turning_shells import TurningCandidate
 
 __all__ = ["prove_turning"]
 
@@ -58,14 +60,13 @@ def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str
     floor = np.sqrt(np.diag(covariance)[:2] * candidate.levels[0]) * 1.0001
     away = max(map(abs, candidate.cruise.omega)) / claim.gains["k1"]
     fastest = claim.cruise + np.sqrt(np.linalg.eigvalsh(covariance[2:, 2:])[-1])
-    f, g = claim.mass_factor
-    apart = max(abs(a * claim.mass[0] - b * claim.mass[1]) for a in (f, g) for b in (f, g))
+    apart = np.abs(corner_factors(claim.mass_factor, claim.mass_asymmetry, 2) @ (claim.mass * np.array([1, -1]))).max()
     start, still = (_down(rounded.start(claim, speed)) for speed in (0.0, -claim.cruise))
     stated = claim.document(
         offset=start,
         rest_offset=still if still > 0 else None,
         ultimate_bound=(_up(float(floor[0]) + away), _up(float(floor[1]))),
-        munk_moment=_up(1.0001 * apart * fastest**2 / 2),
+        munk_moment=_up(float(1.0001 * apart * fastest**2 / 2)),
     )
     proof = {
         "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(4)],
