@@ -231,9 +231,13 @@ def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
     for k in range(8):
         for i, axis in enumerate(_axes(cells.corners[k])):
             kept = _axis(claim, trim, form, i, axis, cells.share[k, i], [np.diag([0.3, 0.2])], 9.0)
-            assert kept.shape == (6, 2)  # φ least: (h, t) low low, low high, high low; φ = 1: low high, high low, both
-            missing = np.array([[kept[2, 0], kept[1, 1]], [kept[3, 0], kept[4, 1]]])
-            assert np.all((missing @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-12)
+            gain = float(claim.mass[i] * claim.k_v)
+            h1, low, top = kept[5, 0] - gain, kept[4, 1] - gain, kept[5, 1] - gain
+            part = (kept[0, 1] - low) / gain
+            h0 = kept[0, 0] / part - gain
+            assert len(kept) == 6 and 0 < part < 1 and 0 <= h0 < h1 and 0 <= low < top
+            corners = [(q * (gain + h), q * gain + t) for q in (part, 1) for h in (h0, h1) for t in (low, top)]
+            assert np.all((np.array(corners) @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-9)
     kept, every = (np.array([[float(1 / f) for f in pair] for pair in some])
                    for some in (_masses(claim), factors(claim.mass_factor, claim.mass_asymmetry, 2)))  # fmt: skip
     assert len(kept) == 6 < len(every)
