@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, inverse, root_up
-from surctl.certcheck.turning_claim import TurningClaim, factors
+from surctl.certcheck.turning_claim import TurningClaim, drag_factors, factors
 
 __all__ = ["Cells", "Trim", "check_shell", "heading_cells", "steady"]
 
@@ -61,7 +61,7 @@ def steady(claim: TurningClaim, slopes: tuple[Fraction, Fraction]) -> Trim:
     Raises:
         Rejected: the steady command is not positive, or reaches the speed cap.
     """
-    ends = [_omega(slopes, f) for f in factors(claim.drag_factor, claim.drag_asymmetry, 4)]
+    ends = [_omega(slopes, f) for f in drag_factors(claim)]
     low, high = min(ends), max(ends)
     command = (claim.cruise + low, claim.cruise + high)
     if command[0] <= 0 or command[1] >= claim.cap:
@@ -111,7 +111,7 @@ def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
     for axis in (0, 1):
         gain, linear, square = claim.mass[axis] * claim.k_v, claim.linear[axis], claim.quadratic[axis]
         low, high = share[:, axis, 0], share[:, axis, 1]
-        for f in factors(claim.drag_factor, claim.drag_asymmetry, 4):
+        for f in drag_factors(claim):
             omega = _omega(trim.slopes, f)
             slope = float(gain * omega + linear * (omega + (1 - f[axis]) * v))
             bend = float(square * (2 * v * omega + (1 - f[2 + axis]) * v * v))

@@ -15,7 +15,7 @@ import pytest
 from surctl.certcheck import check_document
 from surctl.certcheck.region_exact import quadratic
 from surctl.certcheck.turning_cells import Trim, _axes, _axis, _Form, _lack, _masses, _turns, heading_cells, steady
-from surctl.certcheck.turning_claim import factors, read_claim
+from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
 from surctl.certcheck.turning_law import draw_vehicles, true_rate
 from surctl.control import build_law, law_parameters, load_gains
 from surctl.guidance import Path as Route
@@ -56,15 +56,16 @@ def worst(whole: dict[str, Any], *, low: float, high: float, count: int = 20_000
     return float(np.max(change / np.einsum("ni,ij,nj->n", xi, P, xi))) + float(claim.rate)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "region-turning-20-scale"])
 def test_the_kept_certificates_are_accepted_and_small(name: str) -> None:
     whole = document(name)
     found = check_document(whole)
     assert found.accepted, found.reason
     assert len((HERE / f"{name}.json").read_text()) < 10_000 and found.seconds < 20
     claim = whole["claim"]
-    assert claim["law"]["mass_kg"][0] != claim["law"]["mass_kg"][1] and claim["motion"]["offset_m"] >= 0.25
-    assert name == "region-turning-20" or claim["motion"]["rest_offset_m"] >= 0.2
+    equal = claim["law"]["mass_kg"][0] == claim["law"]["mass_kg"][1]
+    assert equal == (name == "region-turning-20-scale") and claim["motion"]["offset_m"] >= (0.34 if equal else 0.25)
+    assert name not in ("region-turning", "region-turning-20-rest") or claim["motion"]["rest_offset_m"] >= 0.2
     assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0 < worst(whole, low=20.0, high=40.0)
 
 
@@ -162,12 +163,15 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
 
 
 def test_the_vertices_of_factors_enclose_every_allowed_vehicle() -> None:
-    vertices = factors((Fraction(4, 5), Fraction(6, 5)), Fraction(1, 20), 4)
-    assert len(vertices) == 32
+    vertices = factors((Fraction(4, 5), Fraction(6, 5)), Fraction(1, 20), 2)
+    assert len(vertices) == 8
     for one in vertices:
         assert min(one) >= Fraction(4, 5) and max(one) <= Fraction(6, 5)
         assert max(one) - min(one) <= Fraction(1, 20) * (max(one) + min(one)) / 2
     assert factors((Fraction(1), Fraction(1)), Fraction(0), 2) == [(1, 1)]
+    drag = drag_factors(read_claim(document("region-turning-20")["claim"]))
+    assert set(drag) == {(*linear, *quadratic) for linear in vertices for quadratic in vertices}
+    assert (Fraction(4, 5),) * 2 + (Fraction(6, 5),) * 2 in drag  # less linear drag, more quadratic drag
 
 
 def test_the_triangles_contain_every_heading() -> None:

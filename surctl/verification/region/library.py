@@ -84,6 +84,11 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         {"loop": "turning", "rate_per_s": 0.02, "at_rest": True, "attempts": 150},
     ),
     (
+        "region-turning-20-scale",
+        "as region-turning-20, with both masses off by the same factor of up to ±20 %",
+        {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 150},
+    ),
+    (
         "region-heading-20",
         "heading-steered loop of 8 states with its own soft gains, all parameters uncertain by ±20 %, thrust limits",
         {"loop": "heading", "attempts": 3, "cells": 250},

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 class Cruise:
     """The steady cruise: slopes of ω [m/s] in the mean drag factors, range of ω, and headings ψ (cells + 1,) [rad].
 
-    `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N].
+    `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N] near each heading.
     """
 
     slopes: tuple[float, float]
@@ -43,6 +43,8 @@ class Vertices:
         loops: stiffness and damping (headings, 2, loops, 2) of each body axis [N s/m].
         plans: κ and s/Δ (laws, 2) [1/s].
         Q: bound on w wᵀ (headings, masses, terms, 2, 2).
+        effect: Coriolis term of the steady cruise (headings, terms, 2) [m/s²].
+        lack: trim error (headings, masses, 2) of the body axes [m/s²].
     """
 
     bodies: Array
@@ -51,6 +53,8 @@ class Vertices:
     loops: Array
     plans: Array
     Q: Array
+    effect: Array
+    lack: Array
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -76,7 +80,9 @@ class Vertices:
         kinematic = change @ P[:, :2] @ speed
         fixed = kinematic + kinematic.T + (rate + growth) * np.eye(4)
         turned = side @ self.coriolis @ speed
-        base = fixed - (turned + turned.swapaxes(-1, -2))[:, None] + side @ self.Q @ side.T / (growth * low)
+        base = (
+            fixed - (turned + turned.swapaxes(-1, -2))[:, None] + side @ self._weighted(side) @ side.T / (growth * low)
+        )
         led = side @ (self.bodies[:, :, None] * self.plans[:, None, :]) @ place  # (h, 2, p, 4, 4)
         slowed = side @ self.bodies @ speed  # (h, 2, 4, 4)
         led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
@@ -89,23 +95,36 @@ class Vertices:
             base[..., None, None, None] - (one[..., None, :, None, :] + two[..., None, None, :, :])
         ).reshape(4, 4, -1)  # fmt: skip
 
+    def _weighted(self, side: Array) -> Array:
+        """Return Q with the weights of the checker, which measures the parts of w by V; `side` (4, 2) is T P B."""
+        most = np.linalg.norm(self.effect @ side.T, axis=-1).max(axis=1)[:, None, None]
+        sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))  # (h, i)
+        total = most + sizes.sum(axis=1)[:, None, None]
+        share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
+        parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
+        own = np.einsum("hi,hmi,hijk->hmjk", parts, self.lack**2, self.bodies)
+        return np.asarray(share * np.einsum("hti,htj->htij", self.effect, self.effect)[:, None] + own[:, :, None])
 
-def corner_factors(ends: tuple[float, float], asymmetry: float, count: int) -> Array:
-    """Return the vertices (k, count) of the factors of the masses or of the drag coefficients."""
+
+def corner_factors(ends: tuple[float, float], asymmetry: float) -> Array:
+    """Return the vertices (k, 2) of the factors of the two masses, or of two drag coefficients."""
     low, high = ends
     ratio = (2 + asymmetry) / (2 - asymmetry)
     pairs = ((low, min(low * ratio, high)), (max(high / ratio, low), high))
-    return np.array(sorted({one for pair in pairs for one in product(pair, repeat=count)}))
+    return np.array(sorted({one for pair in pairs for one in product(pair, repeat=2)}))
 
 
 def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
-    """Return the steady cruise whose ω leaves the least error of the trim force at the worst heading."""
+    """Return the steady cruise whose ω leaves the least error of the trim force at the worst heading.
+
+    The error at a heading is the largest one up to half a cell away.
+    """
     from scipy.optimize import linprog
 
-    v, psi = claim.cruise, np.linspace(0, np.pi / 2, cells + 1)
-    n = np.stack([np.cos(psi), np.sin(psi)], 1)  # (cells + 1, 2)
-    corners = corner_factors(claim.drag_factor, claim.drag_asymmetry, 4)
-    f, g = corners[:, :2], corners[:, 2:]  # of linear and of quadratic drag
+    v, psi = claim.cruise, np.linspace(0, np.pi / 2, 2 * cells + 1)
+    n = np.stack([np.cos(psi), np.sin(psi)], 1)  # (2 cells + 1, 2)
+    corners = corner_factors(claim.drag_factor, claim.drag_asymmetry)
+    f, g = np.repeat(corners, len(corners), axis=0), np.tile(corners, (len(corners), 1))  # linear, quadratic drag
     gain = np.array(claim.mass) * claim.gains["k_v"]
     own = (gain + claim.linear) * n + 2 * np.array(claim.quadratic) * v * n * n  # force per ω
     missing = (1 - f)[:, None] * claim.linear * n * v + (1 - g)[:, None] * claim.quadratic * (n * v) ** 2
@@ -123,7 +142,9 @@ def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
         np.abs(missing + omegas[:, None, None] * own).max(axis=0)
         + np.square(omegas).max() * np.array(claim.quadratic) * n * n
     )
-    return Cruise((float(slopes[0]), float(slopes[1])), (float(omegas.min()), float(omegas.max())), psi, lack)
+    near = np.pad(lack, ((1, 1), (0, 0)), mode="edge")
+    lack = np.max([near[:-2], near[1:-1], near[2:]], axis=0)[::2]
+    return Cruise((float(slopes[0]), float(slopes[1])), (float(omegas.min()), float(omegas.max())), psi[::2], lack)
 
 
 def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Vertices | None:
@@ -145,12 +166,13 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     cross = np.array([[[0.0, a], [b, 0.0]] for a, b in _turns(claim)])
     coriolis = turn[:, None] @ cross @ turn.swapaxes(-1, -2)[:, None]
     bodies = np.einsum("hji,hki->hijk", turn, turn)
-    return Vertices(bodies, masses, coriolis, loops, plans, _forces(claim, cruise, bodies, masses, coriolis))
+    effect, lack = coriolis[..., 0] * claim.cruise, cruise.lack[:, None, :] * masses
+    return Vertices(bodies, masses, coriolis, loops, plans, _forces(bodies, effect, lack), effect, lack)
 
 
 def _mass_factors(claim: TurningClaim) -> Array:
     """Return the vertices (k, 2) of the factors of the two masses, without those between two others."""
-    corners = corner_factors(claim.mass_factor, claim.mass_asymmetry, 2)
+    corners = corner_factors(claim.mass_factor, claim.mass_asymmetry)
     outer = (corners[:, 0] != corners[:, 1]) | np.isin(corners[:, 0], claim.mass_factor)
     return np.asarray(corners[outer])
 
@@ -162,10 +184,8 @@ def _turns(claim: TurningClaim) -> list[tuple[float, float]]:
     return sorted({(k * claim.yaw_rate * a, k * claim.yaw_rate * b) for a, b in points for k in (1, -1)})
 
 
-def _forces(claim: TurningClaim, cruise: Cruise, bodies: Array, masses: Array, coriolis: Array) -> Array:
+def _forces(bodies: Array, effect: Array, lack: Array) -> Array:
     """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for the trim errors and the Coriolis force."""
-    effect = coriolis[..., 0] * claim.cruise  # (h, t, 2)
-    lack = cruise.lack[:, None, :] * masses  # (h, m, 2)
     size = np.linalg.norm(effect, axis=-1)[:, None]  # (h, 1, t)
     total = size + lack.sum(axis=-1)[:, :, None]
     share = np.divide(total, size, out=np.zeros_like(total), where=size > 0)

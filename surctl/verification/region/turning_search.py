@@ -8,7 +8,7 @@ of a convex program. Then the region is enlarged and the floor lowered as far as
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ _BASIS = np.zeros((6, 4, 4))
 for _k, (_i, _j) in enumerate(((0, 0), (2, 0), (2, 2), (1, 1), (3, 1), (3, 3))):
     _BASIS[_k, _i, _j] = _BASIS[_k, _j, _i] = 1
 _SHELLS = 3  # shells of the search
-_CELLS = 7  # cells of headings in the search
+_CELLS, _FINE = 28, 4  # cells of headings, and the number of them that one cell of the search covers
 _ROUNDS, _CUTS, _TIGHT = 25, 6, 8
 _FIRST = np.array([
     [0.14, 0.33, 1.0, 0.63, 0.4, 0.03, 0.25], [0.22, 0.45, 1.0, 0.45, 0.5, 0.09, 0.25],
@@ -161,7 +161,8 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
     The size of a region is that of its start beside the path, and also that of its start at rest if the claim asks for
     it. `attempts` is the number of start values of the search; equal seeds give equal candidates.
     """
-    cruise = steady_turning(claim, cells=_CELLS)
+    fine = steady_turning(claim, cells=_CELLS)
+    cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
     away = max(map(abs, cruise.omega)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
     active = _Active([set() for _ in range(_SHELLS)])
@@ -178,7 +179,7 @@ def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iter
         if P is not None:
             regions.append((_score(claim, TurningCandidate(P, (floor,), (), cruise)), start, P))
     regions.sort(key=lambda one: -one[0])
-    candidates = [fitted(claim, cruise, P, start[5]) for _, start, P in regions[:_TRIED]]
+    candidates = [fitted(claim, fine, P, start[5]) for _, start, P in regions[:_TRIED]]
     yield from sorted((one for one in candidates if one is not None), key=lambda one: -_score(claim, one))
 
 
