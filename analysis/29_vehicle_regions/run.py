@@ -34,6 +34,9 @@ PAIRS = (
     ("region-turning-20", "bluerov2-vonbenzon"),
     ("region-turning-20", "bluerov2-wu"),
     ("region-turning-20", "sur540-flooded"),
+    ("region-turning-20-rest", "bluerov2-vonbenzon"),
+    ("region-turning-20-rest", "bluerov2-wu"),
+    ("region-turning-20-scale", "sur540-flooded"),
 )
 MOTIONS, SECONDS, STEP = 2_400, 40.0, 0.02
 HEADS = ("claim", "vehicle", "y_e from", "at rest", "settles", "Munk moment", "proof", "check", "size",
@@ -54,21 +57,21 @@ class Plant:
         self.law, vehicle = claim["law"], claim["vehicle"]
         self.limit = vehicle["thrust_n"]
 
-        def factors(key: str, size: int) -> Array:
+        def factors(key: str) -> Array:
             # numbers in [least, largest] that differ by at most the asymmetry: between t and ratio t
             low, high = vehicle[f"{key}_factor"]
             share = vehicle[f"{key}_asymmetry"]
             ratio = (2 + share) / (2 - share)
             least = np.exp(rng.uniform(np.log(low), np.log(max(high / ratio, low)), size=(count, 1)))
             least = np.where(rng.uniform(size=(count, 1)) < 0.5, rng.choice([low, max(high / ratio, low)]), least)
-            inside = rng.uniform(size=(count, size))
-            inside = np.where(rng.uniform(size=(count, size)) < 0.6, np.round(inside), inside)
+            inside = rng.uniform(size=(count, 2))
+            inside = np.where(rng.uniform(size=(count, 2)) < 0.6, np.round(inside), inside)
             return np.asarray(np.minimum(least * ratio**inside, high))
 
-        self.mass = factors("mass", 2) * self.law["mass_kg"]
-        drag = factors("drag", 4)
-        self.linear, self.quadratic = drag[:, :2] * self.law["linear_drag"], drag[:, 2:] * self.law["quadratic_drag"]
-        self.means = drag[:, :2].mean(axis=1) - 1, drag[:, 2:].mean(axis=1) - 1
+        self.mass = factors("mass") * self.law["mass_kg"]
+        linear, quadratic = factors("drag"), factors("drag")
+        self.linear, self.quadratic = linear * self.law["linear_drag"], quadratic * self.law["quadratic_drag"]
+        self.means = linear.mean(axis=1) - 1, quadratic.mean(axis=1) - 1
 
     def rate(self, state: Array, r: Array) -> Array:
         """Return d/dt of (x_e, y_e, psi, u, v) (5, n) for the yaw rate r (n,)."""

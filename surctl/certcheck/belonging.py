@@ -168,7 +168,8 @@ class _Comparison:
                 self._gain(key.removesuffix("_kg"), model, axis)
                 self._within(f"{what} {name}", [model * end for end in vehicle[factor]], (name,))
         self._factors("mass", vehicle["mass_asymmetry"], _ALIKE[:1])
-        self._factors("drag", vehicle["drag_asymmetry"], _ALIKE[1:])
+        for row in _ALIKE[1:]:  # the linear and the quadratic coefficients have their own factors
+            self._factors("drag", vehicle["drag_asymmetry"], (row,))
         for axis, name in enumerate(_LIMITS):
             have = [*self._gains("thrust_limit")[axis : axis + 1], *self._numbers(name)]
             self._at_least(f"thrust_limit of {name}", vehicle["thrust_n"][axis], "N", have)

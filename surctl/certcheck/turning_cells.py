@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, inverse, root_up
-from surctl.certcheck.turning_claim import TurningClaim, factors
+from surctl.certcheck.turning_claim import TurningClaim, drag_factors, factors
 
 __all__ = ["Cells", "Trim", "check_shell", "heading_cells", "steady"]
 
@@ -61,7 +61,7 @@ def steady(claim: TurningClaim, slopes: tuple[Fraction, Fraction]) -> Trim:
     Raises:
         Rejected: the steady command is not positive, or reaches the speed cap.
     """
-    ends = [_omega(slopes, f) for f in factors(claim.drag_factor, claim.drag_asymmetry, 4)]
+    ends = [_omega(slopes, f) for f in drag_factors(claim)]
     low, high = min(ends), max(ends)
     command = (claim.cruise + low, claim.cruise + high)
     if command[0] <= 0 or command[1] >= claim.cap:
@@ -111,7 +111,7 @@ def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
     for axis in (0, 1):
         gain, linear, square = claim.mass[axis] * claim.k_v, claim.linear[axis], claim.quadratic[axis]
         low, high = share[:, axis, 0], share[:, axis, 1]
-        for f in factors(claim.drag_factor, claim.drag_asymmetry, 4):
+        for f in drag_factors(claim):
             omega = _omega(trim.slopes, f)
             slope = float(gain * omega + linear * (omega + (1 - f[axis]) * v))
             bend = float(square * (2 * v * omega + (1 - f[2 + axis]) * v * v))
@@ -174,8 +174,7 @@ def check_shell(
     steer, catch = _commanded(claim, trim, form, high)
     plans = [np.diag([k, s / float(claim.lookahead)]) for k in sorted(set(catch)) for s in steer]
     turns = _turns(claim)
-    per_mass = [tuple(float(1 / (f * m)) for f, m in zip(pair, claim.mass, strict=True))
-                for pair in factors(claim.mass_factor, claim.mass_asymmetry, 2)]  # fmt: skip
+    per_mass = [tuple(float(1 / (f * m)) for f, m in zip(pair, claim.mass, strict=True)) for pair in _masses(claim)]
     floor = float(growth * low) / _UP
     for k in range(len(cells.corners)):
         go_on()
@@ -192,6 +191,15 @@ def _axes(z: Array) -> tuple[Array, Array]:
     """Return n_1 n_1ᵀ and n_2 n_2ᵀ (k, 2, 2) for points (cos 2ψ, sin 2ψ) (k, 2)."""
     turned = np.stack([np.stack([z[:, 0], z[:, 1]], 1), np.stack([z[:, 1], -z[:, 0]], 1)], 1)
     return (np.eye(2) + turned) / 2, (np.eye(2) - turned) / 2
+
+
+def _masses(claim: TurningClaim) -> list[tuple[Fraction, ...]]:
+    """Return the vertices of the factors of both masses.
+
+    Two equal factors g with f < g < h are left out: the point (1/g, 1/g) lies between (1/f, 1/f) and (1/h, 1/h).
+    """
+    pairs = factors(claim.mass_factor, claim.mass_asymmetry, 2)
+    return [pair for pair in pairs if pair[0] != pair[1] or pair[0] in claim.mass_factor]
 
 
 def _turns(claim: TurningClaim) -> list[tuple[float, float]]:
@@ -241,7 +249,11 @@ def _axis(
         form.largest(np.hstack([(gain + slope) * plan, gain * np.eye(2)]), axes, high) for plan in plans for slope in h
     )
     part = min(1.0, left / most_force / _UP)
-    return np.array([(q * (gain + slope), q * gain + t) for q in {part, 1.0} for slope in h for t in (low, top)])
+    if part == 1:
+        return np.array([(gain + slope, gain + t) for slope in h for t in (low, top)])
+    # φ moves the rectangle of (h, t): its inner corners for the two ends of φ lie in the hull of the other six
+    pairs = [(part, h[0], low), (part, h[0], top), (part, h[1], low), (1, h[0], top), (1, h[1], low), (1, h[1], top)]
+    return np.array([(q * (gain + slope), q * gain + t) for q, slope, t in pairs])
 
 
 def _decays(

@@ -10,7 +10,7 @@ from typing import Any
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import number, read_top, record
 
-__all__ = ["EXCLUDES", "Pair", "TurningClaim", "factors", "read_claim"]
+__all__ = ["EXCLUDES", "Pair", "TurningClaim", "drag_factors", "factors", "read_claim"]
 
 Pair = tuple[Fraction, Fraction]
 
@@ -30,8 +30,8 @@ class TurningClaim:
     """Claim about the cruise along a straight path for m11 ≠ m22; SI units, pairs are (surge, sway).
 
     A true parameter is its value in the law's model times a constant factor. The two masses have their own factors
-    within the same range (least, largest), and so have the four drag coefficients; any two factors of a range differ by
-    at most an asymmetry times their mean.
+    within the same range (least, largest), and so have the four drag coefficients. The factors of the two masses, of
+    the two linear and of the two quadratic drag coefficients differ by at most an asymmetry times their mean.
 
     Attributes:
         mass_factor, drag_factor: ranges of the factors of the masses and of the drag coefficients.
@@ -80,6 +80,12 @@ def factors(ends: Pair, asymmetry: Fraction, count: int) -> list[tuple[Fraction,
     ratio = (2 + asymmetry) / (2 - asymmetry)
     low, high = (least, min(least * ratio, largest)), (max(largest / ratio, least), largest)
     return sorted({vertex for pair in (low, high) for vertex in product(pair, repeat=count)})
+
+
+def drag_factors(claim: TurningClaim) -> list[tuple[Fraction, ...]]:
+    """Return the vertices of the drag factors (linear surge, linear sway, quadratic surge, quadratic sway)."""
+    pairs = factors(claim.drag_factor, claim.drag_asymmetry, 2)
+    return [(*linear, *quadratic) for linear, quadratic in product(pairs, repeat=2)]
 
 
 def _two(value: Any, where: str, *, above: bool = False) -> Pair:

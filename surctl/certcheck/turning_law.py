@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.turning_cells import Trim
-from surctl.certcheck.turning_claim import TurningClaim, factors
+from surctl.certcheck.turning_claim import TurningClaim, drag_factors, factors
 
 __all__ = ["check_samples", "draw_vehicles", "true_rate"]
 
@@ -24,9 +24,8 @@ _SAMPLES = 4_000
 def draw_vehicles(claim: TurningClaim, count: int, rng: np.random.Generator) -> Mapping[str, Array]:
     """Return the factors (count, 2) of `mass`, `linear` and `quadratic` of random vehicles within the claim."""
     values = []
-    for ends, asymmetry, size in ((claim.mass_factor, claim.mass_asymmetry, 2),
-                                  (claim.drag_factor, claim.drag_asymmetry, 4)):  # fmt: skip
-        vertices = np.array([[float(n) for n in one] for one in factors(ends, asymmetry, size)])
+    for corners in (factors(claim.mass_factor, claim.mass_asymmetry, 2), drag_factors(claim)):
+        vertices = np.array([[float(n) for n in one] for one in corners])
         weights = rng.dirichlet(np.ones(len(vertices)), size=count)
         weights = np.where(rng.uniform(size=(count, 1)) < 0.6, np.eye(len(vertices))[weights.argmax(axis=1)], weights)
         values.append(weights @ vertices)

@@ -64,6 +64,7 @@ class ReportData:
         loops: frequency responses of the loops; if empty, the report has no Bode plot.
         verdicts: verdicts on the claims.
         inapplicable: claims that do not apply to this vehicle, each with the reason.
+        regions: region claims that cannot be proved for this vehicle, grouped by reason.
         runs: closed-loop runs.
         deciding: for each run, whether the run counts towards the result; if None, only runs with true positions count.
         sweep: the parameter sweep that selected the gains, or None.
@@ -89,6 +90,7 @@ class ReportData:
     loops: tuple[LoopResponse, ...] = ()
     verdicts: tuple[Verdict, ...] = ()
     inapplicable: tuple[Inapplicable, ...] = ()
+    regions: tuple[Inapplicable, ...] = ()
     runs: tuple[Run, ...] = ()
     deciding: tuple[bool, ...] | None = None
     sweep: SweepTable | None = None

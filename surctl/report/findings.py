@@ -26,6 +26,7 @@ def findings_section(data: ReportData) -> Section:
     rows += [_together_row(data, side) for side in data.linear]
     rows += [_claim_row(data, verdict) for verdict in data.verdicts]
     rows += [_inapplicable_row(data, one) for one in data.inapplicable]
+    rows += [_region_row(data, one) for one in data.regions]
     text = (
         "Margins concern the loop linearised about straight cruise. The paper's claims concern the kinematic loop, "
         "in which velocities follow their commands without delay. Some claims are expected to be refuted as printed."
@@ -125,4 +126,14 @@ def _inapplicable_row(data: ReportData, one: Inapplicable) -> Row:
         reason,
         f"{_where(data, data.vehicle.name)}.",
         "This claim does not count towards the result.",
+    )
+
+
+def _region_row(data: ReportData, one: Inapplicable) -> Row:
+    return (
+        Cell(one.claim, code=True),
+        Cell("not provable", "note"),
+        f"Not provable for {one.to}, because {one.because}.",
+        f"{_where(data, data.vehicle.name)}.",
+        "No region of attraction of the dynamic loop; this does not count towards the result.",
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surctl import __version__
-from surctl.control import Law, build_law, law_source, write_gains
+from surctl.control import Gains, Law, build_law, law_source, write_gains
 from surctl.export import ExportedFile, SilReport
 from surctl.files import prepare_folder, write_file
 from surctl.ir import find_compiler
@@ -26,6 +26,7 @@ from surctl.verification import (
     applicable_claims,
     decide,
 )
+from surctl.verification.region import refused_regions
 
 if TYPE_CHECKING:
     from surctl.report import ExportSummary
@@ -176,6 +177,7 @@ def conduct(
                 named = plan.claims or ()
                 applicable, inapplicable = (), tuple(Inapplicable(name, _NO_PART, "this law") for name in named)
             verdicts = tuple(decide(claim) for claim in applicable if plan.claims or claim.paper)
+            regions = _unprovable_regions(plan, swept.gains, speeds=(fastest.cruise, fastest.cap))
         with clock("runs"):
             leg_runs = _simulate_legs(plan, legs, (law, sonar_laws), swept, progress)
         runs = tuple(run for _, run in leg_runs)
@@ -197,6 +199,7 @@ def conduct(
                 gains_file=str(gain_file),
                 verdicts=verdicts,
                 inapplicable=inapplicable,
+                regions=regions,
                 runs=runs,
                 deciding=deciding,
                 sweep=swept,
@@ -238,6 +241,14 @@ def conduct(
         gain_file,
         seconds,
     )
+
+
+def _unprovable_regions(plan: Plan, gains: Gains, *, speeds: tuple[float, float]) -> tuple[Inapplicable, ...]:
+    """Return the region claims that cannot be proved for the vehicle, one record for each reason."""
+    if not law_source(plan.law).parts:
+        return ()
+    refused = refused_regions(plan.vehicle, gains, cruise=speeds[0], cap=speeds[1])
+    return tuple(Inapplicable(", ".join(names), reason.because, reason.to) for reason, names in refused)
 
 
 _NO_PART = "the claim is about a part of the built-in laws"

@@ -430,5 +430,7 @@ def test_what_differs_from_a_turning_certificate_is_named(change: Callable[[dict
 def test_factors_that_differ_more_than_certified_are_named() -> None:
     found = compare(turning(), own_manifest(Xuu=1.15 * 141.0))
     assert any(text.startswith("drag: factors that differ by a share of 0.05 certified") for text in found.differs)
+    own = compare(turning(), own_manifest(Xu=1.15 * 13.7)).differs  # linear and quadratic drag have their own factors
+    assert not any(text.startswith("drag: factors") for text in own)
     found = compare(turning(), own_manifest(m11=0.96 * 19.8567, m22=1.04 * 20.6206))
     assert any(text.startswith("mass: factors that differ by a share of 0.05 certified") for text in found.differs)

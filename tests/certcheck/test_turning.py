@@ -14,8 +14,8 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.certcheck.region_exact import quadratic
-from surctl.certcheck.turning_cells import Trim, _axes, _lack, _turns, heading_cells, steady
-from surctl.certcheck.turning_claim import factors, read_claim
+from surctl.certcheck.turning_cells import Trim, _axes, _axis, _Form, _lack, _masses, _turns, heading_cells, steady
+from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
 from surctl.certcheck.turning_law import draw_vehicles, true_rate
 from surctl.control import build_law, law_parameters, load_gains
 from surctl.guidance import Path as Route
@@ -23,7 +23,7 @@ from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, bui
 from tests.certcheck.altering import altered, put, sealed
 
 HERE = Path(__file__).parent
-NAMES = ("region-turning", "region-turning-20")
+NAMES = ("region-turning", "region-turning-20", "region-turning-20-rest")
 
 
 def document(name: str = "region-turning") -> dict[str, Any]:
@@ -56,15 +56,16 @@ def worst(whole: dict[str, Any], *, low: float, high: float, count: int = 20_000
     return float(np.max(change / np.einsum("ni,ij,nj->n", xi, P, xi))) + float(claim.rate)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "region-turning-20-scale"])
 def test_the_kept_certificates_are_accepted_and_small(name: str) -> None:
     whole = document(name)
     found = check_document(whole)
     assert found.accepted, found.reason
     assert len((HERE / f"{name}.json").read_text()) < 10_000 and found.seconds < 20
     claim = whole["claim"]
-    assert claim["law"]["mass_kg"][0] != claim["law"]["mass_kg"][1] and claim["motion"]["offset_m"] >= 0.25
-    assert name != "region-turning" or claim["motion"]["rest_offset_m"] >= 0.2
+    equal = claim["law"]["mass_kg"][0] == claim["law"]["mass_kg"][1]
+    assert equal == (name == "region-turning-20-scale") and claim["motion"]["offset_m"] >= (0.34 if equal else 0.25)
+    assert name not in ("region-turning", "region-turning-20-rest") or claim["motion"]["rest_offset_m"] >= 0.2
     assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0 < worst(whole, low=20.0, high=40.0)
 
 
@@ -140,7 +141,7 @@ def quick() -> dict[str, Any]:
     shells = whole["proof"]["shells"]
     extent = np.sqrt(np.diag(np.linalg.inv(matrix(whole)))[:2] * shells[-3]["level"])
     whole["claim"]["motion"]["ultimate_bound_m"] = [round(float(n) + 1e-3, 6) for n in extent]
-    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 8}
+    whole["proof"] |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 16}
     return sealed(whole)
 
 
@@ -162,12 +163,15 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
 
 
 def test_the_vertices_of_factors_enclose_every_allowed_vehicle() -> None:
-    vertices = factors((Fraction(4, 5), Fraction(6, 5)), Fraction(1, 20), 4)
-    assert len(vertices) == 32
+    vertices = factors((Fraction(4, 5), Fraction(6, 5)), Fraction(1, 20), 2)
+    assert len(vertices) == 8
     for one in vertices:
         assert min(one) >= Fraction(4, 5) and max(one) <= Fraction(6, 5)
         assert max(one) - min(one) <= Fraction(1, 20) * (max(one) + min(one)) / 2
     assert factors((Fraction(1), Fraction(1)), Fraction(0), 2) == [(1, 1)]
+    drag = drag_factors(read_claim(document("region-turning-20")["claim"]))
+    assert set(drag) == {(*linear, *quadratic) for linear in vertices for quadratic in vertices}
+    assert (Fraction(4, 5),) * 2 + (Fraction(6, 5),) * 2 in drag  # less linear drag, more quadratic drag
 
 
 def test_the_triangles_contain_every_heading() -> None:
@@ -219,6 +223,29 @@ def test_the_coriolis_points_enclose_every_ratio_of_masses() -> None:
     for angle in np.linspace(0, 2 * np.pi, 181):
         direction = np.array([np.cos(angle), np.sin(angle)])
         assert (inside @ direction).max() <= (points @ direction).max() + 1e-15
+
+
+def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
+    whole = document("region-turning-20")
+    whole["claim"]["vehicle"]["thrust_n"] = [8.0, 8.0]  # so little that the limit binds in V ≤ 9
+    claim, trim = read_claim(whole["claim"]), trim_of(whole)
+    form = _Form([[Fraction(repr(float(e))) for e in row] for row in matrix(whole)])
+    cells, directions = heading_cells(claim, trim, 8), np.linspace(0, 2 * np.pi, 181)
+    ahead = np.stack([np.cos(directions), np.sin(directions)])
+    for k in range(8):
+        for i, axis in enumerate(_axes(cells.corners[k])):
+            kept = _axis(claim, trim, form, i, axis, cells.share[k, i], [np.diag([0.3, 0.2])], 9.0)
+            gain = float(claim.mass[i] * claim.k_v)
+            h1, low, top = kept[5, 0] - gain, kept[4, 1] - gain, kept[5, 1] - gain
+            part = (kept[0, 1] - low) / gain
+            h0 = kept[0, 0] / part - gain
+            assert len(kept) == 6 and 0 < part < 1 and 0 <= h0 < h1 and 0 <= low < top
+            corners = [(q * (gain + h), q * gain + t) for q in (part, 1) for h in (h0, h1) for t in (low, top)]
+            assert np.all((np.array(corners) @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-9)
+    kept, every = (np.array([[float(1 / f) for f in pair] for pair in some])
+                   for some in (_masses(claim), factors(claim.mass_factor, claim.mass_asymmetry, 2)))  # fmt: skip
+    assert len(kept) == 6 < len(every)
+    assert np.all((every @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-12)
 
 
 # the law and the vehicle of the checker are those of the toolkit

@@ -31,11 +31,13 @@ def test_where_sections_are_folded_only_what_fails_is_open() -> None:
 
 def test_margins_and_claims_are_one_table_of_sentences() -> None:
     unfit = Inapplicable("braking-rule-20", "m11 = 1 kg and m22 = 2 kg differ")
-    section = findings_section(replace(report(), inapplicable=(unfit,)))
+    regions = (Inapplicable("region-cruise-20, region-heading-20", "m11 = 3 kg and m22 = 4 kg differ"),)
+    section = findings_section(replace(report(), inapplicable=(unfit,), regions=regions))
     (table,) = [block for block in section.blocks if isinstance(block, Table)]
     rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.cells}
     assert list(rows) == [
         "each loop alone", "all loops together", "v1-printed", "m-norm-printed", "v1-corrected", "braking-rule-20",
+        regions[0].claim,
     ]  # fmt: skip
     for verdict, holds, where, beyond in rows.values():
         assert verdict and holds.endswith(".") and where.startswith("sur540-flooded") and beyond.endswith(".")
@@ -52,7 +54,12 @@ def test_margins_and_claims_are_one_table_of_sentences() -> None:
         "not applicable",
         f"Not applicable to this vehicle, because {unfit.because}.",
     ]
-    text = Reader(render_page(bare(inapplicable=(unfit,)))).text
+    assert rows[regions[0].claim][:2] == [
+        "not provable",
+        "Not provable for this vehicle, because m11 = 3 kg and m22 = 4 kg differ.",
+    ]
+    text = Reader(render_page(bare(inapplicable=(unfit,), regions=regions))).text
+    assert f"because {regions[0].because}" in text
     assert f"because {unfit.because}" in text
 
 

@@ -3,7 +3,7 @@
 from surctl.verification.region.claim import RegionClaim, region_claim
 from surctl.verification.region.heading import HeadingClaim, heading_claim
 from surctl.verification.region.heading_proof import prove_heading
-from surctl.verification.region.library import REGION_CLAIMS, prove_statement, region_statement
+from surctl.verification.region.library import REGION_CLAIMS, prove_statement, refused_regions, region_statement
 from surctl.verification.region.proof import RegionProof, prove_region
 from surctl.verification.region.statement import RegionStatement, load_region, write_region
 from surctl.verification.region.turning import TurningClaim, turning_claim
@@ -22,6 +22,7 @@ __all__ = [
     "prove_region",
     "prove_statement",
     "prove_turning",
+    "refused_regions",
     "region_claim",
     "region_statement",
     "turning_claim",

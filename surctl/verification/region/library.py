@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from surctl.control import Gains
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, NotApplicable, nearest
 from surctl.vehicle import Vehicle
 from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.heading import HeadingClaim
@@ -16,7 +16,7 @@ from surctl.verification.region.statement import RegionStatement
 from surctl.verification.region.turning import TurningClaim
 from surctl.verification.region.turning_proof import prove_turning
 
-__all__ = ["REGION_CLAIMS", "prove_statement", "region_statement"]
+__all__ = ["REGION_CLAIMS", "prove_statement", "refused_regions", "region_statement"]
 
 
 def _entries(*entries: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionStatement]:
@@ -71,12 +71,22 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
     (
         "region-turning",
         "vehicle with its own masses and drag in surge and sway, exactly known, any heading, also from rest",
-        {"loop": "turning", "share": 0.0, "mass_share": 0.0, "rate_per_s": 0.02, "at_rest": True, "attempts": 90},
+        {"loop": "turning", "share": 0.0, "mass_share": 0.0, "rate_per_s": 0.02, "at_rest": True, "attempts": 120},
     ),
     (
         "region-turning-20",
         "as region-turning, with masses uncertain by ±5 % and drag by ±20 %, not from rest",
-        {"loop": "turning", "rate_per_s": 0.02, "attempts": 45},
+        {"loop": "turning", "rate_per_s": 0.02, "attempts": 150},
+    ),
+    (
+        "region-turning-20-rest",
+        "as region-turning-20, also from rest",
+        {"loop": "turning", "rate_per_s": 0.02, "at_rest": True, "attempts": 150},
+    ),
+    (
+        "region-turning-20-scale",
+        "as region-turning-20, with both masses off by the same factor of up to ±20 %",
+        {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 150},
     ),
     (
         "region-heading-20",
@@ -105,6 +115,30 @@ def region_statement(name: str) -> RegionStatement:
     if name not in REGION_CLAIMS:
         raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, REGION_CLAIMS))
     return REGION_CLAIMS[name]
+
+
+def refused_regions(
+    vehicle: Vehicle, gains: Gains, *, cruise: float, cap: float
+) -> tuple[tuple[NotApplicable, tuple[str, ...]], ...]:
+    """Return each reason why region claims cannot be proved for a vehicle, gains and speeds [m/s], and their names.
+
+    Nothing is searched: a claim that is left out may still have no proof.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification.region import refused_regions
+        >>> refused = refused_regions(load_vehicle("bluerov2-wu"), load_gains("default"), cruise=0.15, cap=0.22)
+        >>> [(reason.because[:31], names[0], len(names)) for reason, names in refused]
+        [('m11 = 17 kg and m22 = 24.2 kg d', 'region-cruise-20', 12)]
+    """
+    reasons: dict[tuple[str, str], tuple[NotApplicable, list[str]]] = {}
+    for name, statement in REGION_CLAIMS.items():
+        try:
+            statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+        except NotApplicable as reason:
+            reasons.setdefault((reason.because, reason.to), (reason, []))[1].append(name)
+    return tuple((reason, tuple(names)) for reason, names in reasons.values())
 
 
 def prove_statement(

@@ -24,11 +24,11 @@ _HEADING_KNOWS = frozenset(
 )
 _TURNING_KNOWS = frozenset(
     {
-        "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "thrust_share", "yaw_rate_rad_per_s",
-        "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "gains", "attempts",
+        "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "mass_asymmetry", "thrust_share",
+        "yaw_rate_rad_per_s", "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "gains", "attempts",
     }
 )  # fmt: skip
-_TURNING_ALONE = frozenset({"mass_share", "at_rest"})
+_TURNING_ALONE = frozenset({"mass_share", "mass_asymmetry", "at_rest"})
 
 
 class RegionStatement(Strict):
@@ -45,7 +45,8 @@ class RegionStatement(Strict):
         ranges: whether the ranges of the vehicle file replace `share`.
         thrust_share: largest relative reduction of the thrust limits.
         asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean
-            (`turning`: of the relative errors of any two drag coefficients, and of the two masses).
+            (`turning`: of the factors of the two linear, and of the two quadratic drag coefficients).
+        mass_asymmetry: largest difference of the factors of the two masses, divided by their mean (`turning` only).
         sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
         yaw_rate_rad_per_s: largest yaw rate.
         spinning: whether the value of the gain `spin` replaces `yaw_rate_rad_per_s`.
@@ -69,6 +70,7 @@ class RegionStatement(Strict):
     ranges: StrictBool = False
     thrust_share: StrictFloat = Field(default=0.0, ge=0, lt=1)
     asymmetry: StrictFloat = Field(default=0.05, ge=0, le=2)
+    mass_asymmetry: StrictFloat = Field(default=0.05, ge=0, lt=2)
     sampled: StrictBool = False
     lagged: StrictBool = False
     yaw_rate_rad_per_s: StrictFloat = Field(default=0.5, ge=0)
@@ -111,8 +113,8 @@ class RegionStatement(Strict):
             self._used(_TURNING_KNOWS, "the turning loop")
             return turning_claim(
                 self.name, vehicle, law_gains, share=self.share, mass_share=self.mass_share, asymmetry=self.asymmetry,
-                thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise, cap=cap, rate=self.rate_per_s,
-                rest=self.at_rest,
+                mass_asymmetry=self.mass_asymmetry, thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise,
+                cap=cap, rate=self.rate_per_s, rest=self.at_rest,
             )  # fmt: skip
         self._used(type(self).model_fields.keys() - _TURNING_ALONE, "the cruise with equal masses")
         return region_claim(

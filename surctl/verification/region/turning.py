@@ -26,7 +26,8 @@ class TurningClaim:
     Attributes:
         name: name of the claim.
         mass_factor, drag_factor: (least, largest) factor of the masses and of the drag coefficients.
-        mass_asymmetry, drag_asymmetry: largest difference of two factors of masses or of drag, divided by their mean.
+        mass_asymmetry, drag_asymmetry: largest difference of the factors of the two masses, and of the two linear or
+            the two quadratic drag coefficients, divided by their mean.
         thrust: least thrust limits (surge, sway) of the plant and of the law [N].
         yaw_limit: largest yaw moment of the thrusters [N m].
         yaw_rate: largest yaw rate |r| [rad/s]; within this limit the heading may change arbitrarily.
@@ -110,6 +111,7 @@ def turning_claim(
     share: float = 0.2,
     mass_share: float = 0.05,
     asymmetry: float = 0.05,
+    mass_asymmetry: float | None = None,
     thrust_share: float = 0.0,
     yaw_rate: float = 0.5,
     cruise: float = 0.15,
@@ -125,7 +127,9 @@ def turning_claim(
         gains: gains of the law.
         share: relative error of the drag coefficients.
         mass_share: relative error of the masses m11 and m22.
-        asymmetry: largest difference of the factors of two masses or of two drag coefficients, divided by their mean.
+        asymmetry: largest difference of the factors of the two linear or the two quadratic drag coefficients, divided
+            by their mean.
+        mass_asymmetry: the same for the factors of the two masses; None for the value of `asymmetry`.
         thrust_share: largest relative reduction of the thrust limits.
         yaw_rate: largest yaw rate |r| [rad/s].
         cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
@@ -150,7 +154,7 @@ def turning_claim(
         name=name,
         mass_factor=factors(mass_share),
         drag_factor=factors(share),
-        mass_asymmetry=asymmetry if mass_share else 0.0,
+        mass_asymmetry=(asymmetry if mass_asymmetry is None else mass_asymmetry) if mass_share else 0.0,
         drag_asymmetry=asymmetry if share else 0.0,
         thrust=pair("Fu_max", "Fv_max", 1 - thrust_share),
         yaw_limit=vehicle["Fr_max"] * (1 - thrust_share),

@@ -6,7 +6,6 @@ parameters ξ̇ = A ξ + B w with w wᵀ ⪯ Q; `certcheck.turning_cells` derive
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from surctl.verification.region.turning import TurningClaim
 
-__all__ = ["Cruise", "Vertices", "steady_turning", "vertices"]
+__all__ = ["Cruise", "Vertices", "corner_factors", "steady_turning", "vertices"]
 
 Array = NDArray[np.float64]
 
@@ -24,7 +23,7 @@ Array = NDArray[np.float64]
 class Cruise:
     """The steady cruise: slopes of ω [m/s] in the mean drag factors, range of ω, and headings ψ (cells + 1,) [rad].
 
-    `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N].
+    `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N] near each heading.
     """
 
     slopes: tuple[float, float]
@@ -35,28 +34,97 @@ class Cruise:
 
 @dataclass(frozen=True)
 class Vertices:
-    """Vertices of a shell: A (n, 4, 4) and Q (n, 2, 2)."""
+    """Vertices of a shell, one for each heading, pair of masses, Coriolis term, pair of loops and law; n in all.
 
-    A: Array
+    Attributes:
+        bodies: n_i n_iᵀ (headings, 2, 2, 2) of the body axes i.
+        masses: 1/m (masses, 2) [1/kg].
+        coriolis: r R [[0, e1], [e2, 0]] Rᵀ (headings, terms, 2, 2) [1/s].
+        loops: stiffness and damping (headings, 2, loops, 2) of each body axis [N s/m].
+        plans: κ and s/Δ (laws, 2) [1/s].
+        Q: bound on w wᵀ (headings, masses, terms, 2, 2).
+        effect: Coriolis term of the steady cruise (headings, terms, 2) [m/s²].
+        lack: trim error (headings, masses, 2) of the body axes [m/s²].
+    """
+
+    bodies: Array
+    masses: Array
+    coriolis: Array
+    loops: Array
+    plans: Array
     Q: Array
+    effect: Array
+    lack: Array
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of headings, masses, Coriolis terms, loops of surge, loops of sway, and laws."""
+        count = self.loops.shape[2]
+        return *self.Q.shape[:3], count, count, len(self.plans)
+
+    def select(self, chosen: NDArray[np.intp] | list[int]) -> tuple[Array, Array]:
+        """Return A (k, 4, 4) and Q (k, 2, 2) of the vertices with the numbers (k,)."""
+        h, m, t, one, two, p = np.unravel_index(np.asarray(chosen, dtype=int), self.shape)
+        pairs = np.stack([self.loops[h, 0, one], self.loops[h, 1, two]], 1) * self.masses[m][:, :, None]
+        stiff, damped = np.einsum("nic,nijk->cnjk", pairs, self.bodies[h])
+        A = np.zeros((len(h), 4, 4))
+        A[:, 0, 2] = A[:, 1, 3] = 1
+        A[:, 2:, :2] = -stiff * self.plans[p][:, None, :]
+        A[:, 2:, 2:] = -damped - self.coriolis[h, t]
+        return A, self.Q[h, m, t]
+
+    def matrices(self, P: Array, rate: float, growth: float, low: float) -> Array:
+        """Return T (Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low)) Tᵀ (4, 4, n) of all vertices, where T P Tᵀ = I."""
+        change = np.linalg.inv(np.linalg.cholesky(P))
+        side, place, speed = change @ P[:, 2:], change[:, :2].T, change[:, 2:].T
+        kinematic = change @ P[:, :2] @ speed
+        fixed = kinematic + kinematic.T + (rate + growth) * np.eye(4)
+        turned = side @ self.coriolis @ speed
+        base = (
+            fixed - (turned + turned.swapaxes(-1, -2))[:, None] + side @ self._weighted(side) @ side.T / (growth * low)
+        )
+        led = side @ (self.bodies[:, :, None] * self.plans[:, None, :]) @ place  # (h, 2, p, 4, 4)
+        slowed = side @ self.bodies @ speed  # (h, 2, 4, 4)
+        led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
+        whole = (
+            np.einsum("mi,hila,hipjk->ihmlpjk", self.masses, self.loops[..., :1], led)
+            + np.einsum("mi,hil,hijk->ihmljk", self.masses, self.loops[..., 1], slowed)[:, :, :, :, None]
+        )
+        base, one, two = (np.moveaxis(part, (-2, -1), (0, 1)) for part in (base, *whole))
+        return np.asarray(
+            base[..., None, None, None] - (one[..., None, :, None, :] + two[..., None, None, :, :])
+        ).reshape(4, 4, -1)  # fmt: skip
+
+    def _weighted(self, side: Array) -> Array:
+        """Return Q with the weights of the checker, which measures the parts of w by V; `side` (4, 2) is T P B."""
+        most = np.linalg.norm(self.effect @ side.T, axis=-1).max(axis=1)[:, None, None]
+        sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))  # (h, i)
+        total = most + sizes.sum(axis=1)[:, None, None]
+        share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
+        parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
+        own = np.einsum("hi,hmi,hijk->hmjk", parts, self.lack**2, self.bodies)
+        return np.asarray(share * np.einsum("hti,htj->htij", self.effect, self.effect)[:, None] + own[:, :, None])
 
 
-def corner_factors(ends: tuple[float, float], asymmetry: float, count: int) -> Array:
-    """Return the vertices (k, count) of the factors of the masses or of the drag coefficients."""
+def corner_factors(ends: tuple[float, float], asymmetry: float) -> Array:
+    """Return the vertices (k, 2) of the factors of the two masses, or of two drag coefficients."""
     low, high = ends
     ratio = (2 + asymmetry) / (2 - asymmetry)
     pairs = ((low, min(low * ratio, high)), (max(high / ratio, low), high))
-    return np.array(sorted({one for pair in pairs for one in product(pair, repeat=count)}))
+    return np.array(sorted({one for pair in pairs for one in product(pair, repeat=2)}))
 
 
 def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
-    """Return the steady cruise whose ω leaves the least error of the trim force at the worst heading."""
+    """Return the steady cruise whose ω leaves the least error of the trim force at the worst heading.
+
+    The error at a heading is the largest one up to half a cell away.
+    """
     from scipy.optimize import linprog
 
-    v, psi = claim.cruise, np.linspace(0, np.pi / 2, cells + 1)
-    n = np.stack([np.cos(psi), np.sin(psi)], 1)  # (cells + 1, 2)
-    corners = corner_factors(claim.drag_factor, claim.drag_asymmetry, 4)
-    f, g = corners[:, :2], corners[:, 2:]  # of linear and of quadratic drag
+    v, psi = claim.cruise, np.linspace(0, np.pi / 2, 2 * cells + 1)
+    n = np.stack([np.cos(psi), np.sin(psi)], 1)  # (2 cells + 1, 2)
+    corners = corner_factors(claim.drag_factor, claim.drag_asymmetry)
+    f, g = np.repeat(corners, len(corners), axis=0), np.tile(corners, (len(corners), 1))  # linear, quadratic drag
     gain = np.array(claim.mass) * claim.gains["k_v"]
     own = (gain + claim.linear) * n + 2 * np.array(claim.quadratic) * v * n * n  # force per ω
     missing = (1 - f)[:, None] * claim.linear * n * v + (1 - g)[:, None] * claim.quadratic * (n * v) ** 2
@@ -74,90 +142,96 @@ def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
         np.abs(missing + omegas[:, None, None] * own).max(axis=0)
         + np.square(omegas).max() * np.array(claim.quadratic) * n * n
     )
-    return Cruise((float(slopes[0]), float(slopes[1])), (float(omegas.min()), float(omegas.max())), psi, lack)
+    near = np.pad(lack, ((1, 1), (0, 0)), mode="edge")
+    lack = np.max([near[:-2], near[1:-1], near[2:]], axis=0)[::2]
+    return Cruise((float(slopes[0]), float(slopes[1])), (float(omegas.min()), float(omegas.max())), psi[::2], lack)
 
 
 def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Vertices | None:
     """Return the vertices in V ≤ high for the covariance P⁻¹ (4, 4); None if the law has another form there."""
-    headings = list(_each(claim, cruise, covariance, high))
-    if not headings or any(one is None for one in headings):
-        return None
-    return Vertices(
-        np.concatenate([one[0] for one in headings if one]), np.concatenate([one[1] for one in headings if one])
-    )
-
-
-def _each(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Iterator[tuple[Array, Array] | None]:
     k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
     x, y = 1.001 * np.sqrt(np.diag(covariance)[:2] * high)
     slow, fast = v + cruise.omega[0], v + cruise.omega[1]
     most = cap * ahead / np.hypot(ahead, y)
     if most <= fast or k1 * x >= slow or x + max(map(abs, cruise.omega)) / k1 >= claim.gains["wait"] / 2:
-        return
-    steer, catch = (slow - k1 * x, min(fast + k1 * x, cap)), {min(k1, (most - fast) / x), k1}
-    plans = [np.diag([k, s / ahead]) for k, s in product(sorted(catch), steer)]
-    masses = 1 / (corner_factors(claim.mass_factor, claim.mass_asymmetry, 2) * claim.mass)
+        return None
+    steer, catch = (slow - k1 * x, min(fast + k1 * x, cap)), (min(k1, (most - fast) / x), k1)
+    plans = np.array([[k, s / ahead] for k, s in product(sorted(set(catch)), steer)])
+    c, s = np.cos(cruise.headings), np.sin(cruise.headings)
+    turn = np.stack([np.stack([c, -s], 1), np.stack([s, c], 1)], 1)  # (headings, 2, 2)
+    loops = _loops(claim, cruise, covariance * high * 1.002, turn, plans)
+    if loops is None:
+        return None
+    masses = 1 / (_mass_factors(claim) * claim.mass)
+    cross = np.array([[[0.0, a], [b, 0.0]] for a, b in _turns(claim)])
+    coriolis = turn[:, None] @ cross @ turn.swapaxes(-1, -2)[:, None]
+    bodies = np.einsum("hji,hki->hijk", turn, turn)
+    effect, lack = coriolis[..., 0] * claim.cruise, cruise.lack[:, None, :] * masses
+    return Vertices(bodies, masses, coriolis, loops, plans, _forces(bodies, effect, lack), effect, lack)
+
+
+def _mass_factors(claim: TurningClaim) -> Array:
+    """Return the vertices (k, 2) of the factors of the two masses, without those between two others."""
+    corners = corner_factors(claim.mass_factor, claim.mass_asymmetry)
+    outer = (corners[:, 0] != corners[:, 1]) | np.isin(corners[:, 0], claim.mass_factor)
+    return np.asarray(corners[outer])
+
+
+def _turns(claim: TurningClaim) -> list[tuple[float, float]]:
     ratio = min((2 + claim.mass_asymmetry) / (2 - claim.mass_asymmetry), claim.mass_factor[1] / claim.mass_factor[0])
     low, top = claim.mass[0] / claim.mass[1] / ratio, claim.mass[0] / claim.mass[1] * ratio
     points = {(1 - 1 / low, low - 1), (1 - 1 / top, top - 1), (1 - 2 / (low + top), 2 * low * top / (low + top) - 1)}
-    turns = sorted({(k * claim.yaw_rate * a, k * claim.yaw_rate * b) for a, b in points for k in (1, -1)})
+    return sorted({(k * claim.yaw_rate * a, k * claim.yaw_rate * b) for a, b in points for k in (1, -1)})
+
+
+def _forces(bodies: Array, effect: Array, lack: Array) -> Array:
+    """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for the trim errors and the Coriolis force."""
+    size = np.linalg.norm(effect, axis=-1)[:, None]  # (h, 1, t)
+    total = size + lack.sum(axis=-1)[:, :, None]
+    share = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
+    Q = share[..., None, None] * np.einsum("hti,htj->htij", effect, effect)[:, None]
+    return np.asarray(Q + np.einsum("hmt,hmi,hijk->hmtjk", total, lack, bodies))
+
+
+def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array) -> Array | None:
+    """Return the extreme pairs (headings, 2, k, 2) of stiffness and damping; `sized` is P⁻¹ times the level."""
     step = (cruise.headings[1] - cruise.headings[0]) / 2
-    for psi, lack in zip(cruise.headings, cruise.lack, strict=True):
-        c, s = np.cos(psi), np.sin(psi)
-        R = np.array([[c, -s], [s, c]])
-        near, far = np.clip(psi - step, 0, None), np.clip(psi + step, None, np.pi / 2)
-        shares = ((np.cos(far), np.cos(near)), (np.sin(near), np.sin(far)))
-        loops = []
-        for i in (0, 1):
-            one = _axis(claim, cruise, covariance * high * 1.002, i, R[:, i], shares[i], plans)
-            if one is None:
-                yield None
-                return
-            loops.append(one)
-        bodies = [np.outer(R[:, i], R[:, i]) for i in (0, 1)]
-        As, Qs = [], []
-        for per_mass in masses:
-            for a, b in turns:
-                C = R @ np.array([[0, a], [b, 0]]) @ R.T
-                pieces = [(np.sqrt(max(np.square(C[:, 0]).sum(), 0)) * v, np.outer(C[:, 0], C[:, 0]) * v * v)]
-                pieces += [(lack[i] * per_mass[i], (lack[i] * per_mass[i]) ** 2 * bodies[i]) for i in (0, 1)]
-                total = sum(size for size, _ in pieces)
-                Q = sum((one * total / size for size, one in pieces if size > 0), np.zeros((2, 2)))
-                stiff = [np.einsum("k,ij->kij", loops[i][:, 0] * per_mass[i], bodies[i]) for i in (0, 1)]
-                damped = [np.einsum("k,ij->kij", loops[i][:, 1] * per_mass[i], bodies[i]) for i in (0, 1)]
-                both = (stiff[0][:, None] + stiff[1][None]).reshape(-1, 2, 2)
-                A = np.zeros((len(plans), len(both), 4, 4))
-                A[..., 0, 2] = A[..., 1, 3] = 1
-                A[..., 2:, :2] = -np.array([both @ plan for plan in plans])
-                A[..., 2:, 2:] = -((damped[0][:, None] + damped[1][None]).reshape(-1, 2, 2) + C)
-                As.append(A.reshape(-1, 4, 4))
-                Qs.append(np.broadcast_to(Q, (len(As[-1]), 2, 2)))
-        yield np.concatenate(As), np.concatenate(Qs)
-
-
-def _axis(
-    claim: TurningClaim, cruise: Cruise, sized: Array, i: int, n: Array, share: tuple[float, float], plans: list[Array]
-) -> Array | None:
-    """Return the extreme pairs (k, 2) of stiffness and damping of an axis; `sized` is P⁻¹ times the level."""
-    v, cap = claim.cruise, claim.cap
-    gain, linear, square = claim.mass[i] * claim.gains["k_v"], claim.linear[i], claim.quadratic[i]
-
-    def largest(row: Array) -> float:
-        return float(np.sqrt(max(float(row @ sized @ row), 0.0)))
-
-    moved = largest(np.concatenate([[0, 0], n]))
-    led = max(largest(np.concatenate([n @ plan, [0, 0]])) for plan in plans)
+    near, far = np.clip(cruise.headings - step, 0, None), np.clip(cruise.headings + step, None, np.pi / 2)
+    shares = np.array([[np.cos(far), np.cos(near)], [np.sin(near), np.sin(far)]])  # (axis, end, headings)
+    v, cap, (low, top) = claim.cruise, claim.cap, claim.drag_factor
     slow, fast = v + cruise.omega[0], v + cruise.omega[1]
-    w, u = (slow * share[0], fast * share[1]), (v * share[0], v * share[1])
-    h = (linear + square * max(0.828 * w[0], 2 * w[0] - led), linear + square * (w[1] + min(cap, w[1] + led)))
-    t = (claim.drag_factor[0] * linear + claim.drag_factor[0] * square * max(0.828 * u[0], 2 * u[0] - moved),
-         claim.drag_factor[1] * linear + claim.drag_factor[1] * square * (2 * u[1] + moved))  # fmt: skip
-    forces = [
-        abs(((gain + linear) * one - gain * v) * k + square * (one * k) ** 2) for one in (slow, fast) for k in share
-    ]
-    left = claim.thrust[i] - max(*forces, -((gain + linear) * slow - gain * v) * share[1])
-    if left <= 0:
-        return None
-    most = max(largest(np.concatenate([(gain + slope) * (n @ plan), gain * n])) for plan in plans for slope in h)
-    part = min(1.0, 0.99 * left / most)
-    return np.array([(q * (gain + a), q * gain + b) for q in {part, 1.0} for a in h for b in t])
+
+    def largest(rows: Array) -> Array:
+        return np.asarray(np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", rows, sized, rows), 0.0)))
+
+    axes = []
+    for i in (0, 1):
+        gain, linear, square = claim.mass[i] * claim.gains["k_v"], claim.linear[i], claim.quadratic[i]
+        n, (least, most) = turn[:, :, i], shares[i]
+        still = np.hstack([np.zeros_like(n), n])
+        led = np.stack([np.hstack([n * plan, np.zeros_like(n)]) for plan in plans])
+        moved, away = largest(still), largest(led).max(axis=0)
+        w, u = (slow * least, fast * most), (v * least, v * most)
+        h = (linear + square * np.maximum(0.828 * w[0], 2 * w[0] - away),
+             linear + square * (w[1] + np.minimum(cap, w[1] + away)))  # fmt: skip
+        t = (low * (linear + square * np.maximum(0.828 * u[0], 2 * u[0] - moved)),
+             top * (linear + square * (2 * u[1] + moved)))  # fmt: skip
+        ends = [((gain + linear) * one - gain * v) * k + square * (one * k) ** 2
+                for one in (slow, fast) for k in shares[i]]  # fmt: skip
+        left = claim.thrust[i] - np.max([*np.abs(ends), -((gain + linear) * slow - gain * v) * most], axis=0)
+        if np.any(left <= 0):
+            return None
+        need = np.max([largest((gain + slope)[:, None] * one + gain * still) for one in led for slope in h], axis=0)
+        part = np.minimum(1.0, 0.99 * left / need)
+        axes.append([(q * (gain + h[a]), q * gain + t[b]) for q, a, b in _extremes(part)])
+    if len({len(axis) for axis in axes}) > 1:  # one axis alone may reach its thrust limit: repeat the other's pairs
+        axes = [axis if len(axis) == 6 else [*axis, *axis[:2]] for axis in axes]
+    return np.asarray(np.moveaxis(np.array(axes, dtype=np.float64), (0, 1, 2), (1, 2, 3)))
+
+
+def _extremes(part: Array) -> list[tuple[Array, int, int]]:
+    """Return the extreme (φ, end of h, end of t): the other two corners of the rectangles of φ lie between these."""
+    full = np.ones_like(part)
+    if np.all(part >= 1):
+        return [(full, a, b) for a in (0, 1) for b in (0, 1)]
+    return [(part, 0, 0), (part, 0, 1), (part, 1, 0), (full, 0, 1), (full, 1, 0), (full, 1, 1)]

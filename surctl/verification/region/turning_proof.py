@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +12,13 @@ import numpy as np
 from surctl.certcheck import check_document, seal
 from surctl.verification.region.proof import RegionProof
 from surctl.verification.region.turning import TurningClaim
-from surctl.verification.region.turning_search import TurningCandidate, turning_search
+from surctl.verification.region.turning_loop import corner_factors
+from surctl.verification.region.turning_search import turning_search
+from surctl.verification.region.turning_shells import TurningCandidate
 
 __all__ = ["prove_turning"]
 
-_PROOF_CELLS = 24
+_PROOF_CELLS = 48
 _NOT = "not provable for this vehicle and these gains, because"
 
 
@@ -29,8 +33,11 @@ def prove_turning(claim: TurningClaim, *, attempts: int = 40, seed: int = 0) -> 
     began = time.perf_counter()
     reason = f"{_NOT} the search found no quadratic V with this decay rate"
     for candidate in turning_search(claim, attempts=attempts, seed=seed):
-        document = certificate_of(claim, candidate)
-        checked = check_document(document)
+        for raised in _raised(candidate):
+            document = certificate_of(claim, raised)
+            checked = check_document(document)
+            if checked.accepted:
+                break
         if not checked.accepted:
             reason = f"{_NOT} {checked.reason}"
             continue
@@ -50,6 +57,12 @@ def prove_turning(claim: TurningClaim, *, attempts: int = 40, seed: int = 0) -> 
     return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
 
 
+def _raised(candidate: TurningCandidate) -> Iterator[TurningCandidate]:
+    """Yield the candidate, then with a higher floor: between the headings of the search, a low shell may not hold."""
+    for inner in range(len(candidate.growths)):
+        yield replace(candidate, levels=candidate.levels[inner:], growths=candidate.growths[inner:])
+
+
 def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str, Any]:
     """Return the certificate of a candidate, with few decimals; its stated numbers are rounded to the safe side."""
     P = np.array([[float(f"{entry:.9g}") for entry in row] for row in candidate.P])
@@ -58,14 +71,13 @@ def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str
     floor = np.sqrt(np.diag(covariance)[:2] * candidate.levels[0]) * 1.0001
     away = max(map(abs, candidate.cruise.omega)) / claim.gains["k1"]
     fastest = claim.cruise + np.sqrt(np.linalg.eigvalsh(covariance[2:, 2:])[-1])
-    f, g = claim.mass_factor
-    apart = max(abs(a * claim.mass[0] - b * claim.mass[1]) for a in (f, g) for b in (f, g))
+    apart = np.abs(corner_factors(claim.mass_factor, claim.mass_asymmetry) @ (claim.mass * np.array([1, -1]))).max()
     start, still = (_down(rounded.start(claim, speed)) for speed in (0.0, -claim.cruise))
     stated = claim.document(
         offset=start,
         rest_offset=still if still > 0 else None,
         ultimate_bound=(_up(float(floor[0]) + away), _up(float(floor[1]))),
-        munk_moment=_up(1.0001 * apart * fastest**2 / 2),
+        munk_moment=_up(float(1.0001 * apart * fastest**2 / 2)),
     )
     proof = {
         "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(4)],

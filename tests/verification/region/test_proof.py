@@ -20,6 +20,7 @@ from surctl.verification.region import (
     prove_heading,
     prove_region,
     prove_turning,
+    refused_regions,
     region_claim,
     region_statement,
     turning_claim,
@@ -27,6 +28,8 @@ from surctl.verification.region import (
 from surctl.verification.region.conic import minimise, symmetric_basis
 from surctl.verification.region.loop import steady_cruise
 from surctl.verification.region.ratio import level_ratios
+from surctl.verification.region.turning_loop import steady_turning, vertices
+from surctl.verification.region.turning_shells import violated, worst_rate
 from tests.certcheck.cruise import boats, matrix, rate, rest, thrust
 
 KEPT = Path(__file__).parents[2] / "certcheck"
@@ -87,9 +90,19 @@ def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
         region_statement("region-cruise-21")
 
 
+def test_claims_that_a_vehicle_rules_out_are_named_once_for_each_reason() -> None:
+    refused = refused_regions(load_vehicle("bluerov2-wu"), load_gains("default"), cruise=0.15, cap=0.22)
+    assert [(reason.because[:18], reason.to) for reason, _ in refused] == [("m11 = 17 kg and m2", "this vehicle")]
+    assert set(refused[0][1]) == {name for name in REGION_CLAIMS if "turning" not in name}
+    assert not refused_regions(load_vehicle("sur540-flooded"), load_gains("default"), cruise=0.15, cap=0.22)
+    (slow,) = refused_regions(load_vehicle("sur540-flooded"), load_gains("default"), cruise=0.15, cap=0.15)
+    assert "not below the cap" in slow[0].because and "region-turning" in slow[1]
+
+
 @pytest.mark.parametrize("name", REGION_CLAIMS)
 def test_the_library_builds_what_it_says(name: str) -> None:
-    vehicle = load_vehicle("bluerov2-vonbenzon" if "turning" in name else "sur540-flooded")
+    equal = "turning" not in name or name == "region-turning-20-scale"
+    vehicle = load_vehicle("sur540-flooded" if equal else "bluerov2-vonbenzon")
     claim = REGION_CLAIMS[name].claim(vehicle, load_gains("default"))
     assert claim.name == name
     kept = KEPT / f"{name}.json"
@@ -102,7 +115,7 @@ def test_the_library_builds_what_it_says(name: str) -> None:
             depth=motion["depth_m"], ultimate_bound=motion["ultimate_bound_m"],
         )  # fmt: skip
     elif isinstance(claim, TurningClaim):
-        assert claim.mass == (19.8567, 20.6206)
+        assert claim.mass == ((95.0, 95.0) if equal else (19.8567, 20.6206))
         own = claim.document(
             offset=motion["offset_m"], rest_offset=motion["rest_offset_m"],
             ultimate_bound=tuple(motion["ultimate_bound_m"]), munk_moment=stated["vehicle"]["munk_moment_nm"],
@@ -213,6 +226,33 @@ def test_a_certificate_of_these_numbers_is_not_one_of_others() -> None:
     whole = json.loads((KEPT / "region-cruise-20.json").read_text())
     whole["claim"]["law"]["cruise"] = 0.16
     assert "altered" in check_document(whole).reason
+
+
+def test_all_vertices_of_a_turning_cruise_are_judged_at_once() -> None:
+    claim = turning_claim("test", load_vehicle("sur540-flooded"), load_gains("default"), rate=0.02)
+    P = np.diag([50.0, 12.0, 250.0, 160.0])
+    P[0, 2] = P[2, 0] = 40.0
+    at = vertices(claim, steady_turning(claim, cells=4), np.linalg.inv(P), 1.0)
+    assert at is not None and at.shape[3] == 6  # the thrust limit binds
+    every = at.matrices(P, claim.rate, 0.05, 0.3)
+    assert every.shape == (4, 4, np.prod(at.shape))
+    some = np.random.default_rng(0).integers(every.shape[2], size=40)
+    A, _ = at.select(some)
+    h, m = np.unravel_index(some, at.shape)[:2]
+    change, entry = np.linalg.inv(np.linalg.cholesky(P)), P[:, 2:]
+    own = A.swapaxes(1, 2) @ P + P @ A + (claim.rate + 0.05) * P
+    force = np.moveaxis(every[..., some], -1, 0) - change @ own @ change.T  # T P B w wᵀ Bᵀ P Tᵀ/(η low) or more
+    for sign in (1, -1):
+        axes = np.stack([np.cos(at_psi := np.linspace(0, np.pi / 2, 5)[h]), np.sin(at_psi)], 1)
+        w = at.lack[h, m, :1] * axes + sign * at.lack[h, m, 1:] * np.stack([-axes[:, 1], axes[:, 0]], 1)
+        pushed = (change @ entry @ w[:, :, None])[..., 0]
+        least = np.linalg.eigvalsh(force - np.einsum("ki,kj->kij", pushed, pushed) / (0.05 * 0.3))[:, 0]
+        assert least.min() > -1e-9 and np.abs(force).max() > 0
+    values = np.linalg.eigvalsh(np.moveaxis(every, -1, 0))[:, -1]
+    bound = float(np.quantile(values, 0.9))
+    assert set(violated(every, bound)) == set(np.flatnonzero(values >= bound))
+    worst, known = worst_rate(every, np.zeros(0, dtype=int))
+    assert worst == pytest.approx(values.max(), abs=1e-8) and values[known[0]] == pytest.approx(worst)
 
 
 def test_unequal_masses_are_proved_and_an_impossible_rate_is_not() -> None:
