@@ -28,6 +28,15 @@ def advance(form: PlantForm = _PAPER) -> ca.Function:
 
     Args:
         form: the optional terms of the vehicle's dynamics, `Vehicle.form`.
+
+    Example:
+        >>> from surctl.simulation import advance
+        >>> from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, load_vehicle, plant_parameters
+        >>> boat, still = load_vehicle("sur400"), PLANT_DISTURBANCE.pack()
+        >>> x, p = PLANT_STATE.pack({"nu": [0.2, 0, 0, 0]}), plant_parameters(boat)
+        >>> after = advance(boat.form)(x, [0, 0, 0, 0], still, p)
+        >>> round(float(after[0]) * 1000, 2)  # mm after 25 ms
+        4.99
     """
     return _advance(form)
 

@@ -209,6 +209,14 @@ def build_plant(form: PlantForm = PAPER) -> Plant:
 
     Args:
         form: the optional terms, `Vehicle.form`.
+
+    Example:
+        >>> from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
+        >>> craft = load_vehicle("otter")
+        >>> x, still = PLANT_STATE.pack({"nu": [0.7, 0.1, 0.0, 0.2]}), PLANT_DISTURBANCE.pack()
+        >>> rate = build_plant(craft.form).ode(x, [0, 0, 0, 0], still, plant_parameters(craft))
+        >>> rate[4:8].full().ravel().round(3).tolist()  # m/s², rad/s²
+        [-0.848, -0.108, 0.0, -0.776]
     """
     return _plant(form)
 
@@ -260,6 +268,16 @@ def check_equation_3(vehicle: Vehicle, *, reverse: bool = False) -> None:
     Args:
         vehicle: the vehicle for which the claim is to be checked.
         reverse: whether the claim covers less thrust astern than ahead.
+
+    Example:
+        >>> from surctl.errors import NotApplicable
+        >>> from surctl.vehicle import check_equation_3, load_vehicle
+        >>> check_equation_3(load_vehicle("bluerov2-wu"))
+        >>> try:
+        ...     check_equation_3(load_vehicle("otter"))
+        ... except NotApplicable as reason:
+        ...     print(reason.because)
+        it has m24, Fu_reverse, and the claim assumes equation (3) of the paper, without them
     """
     form = vehicle.form
     terms = [name for name in form.terms if not (reverse and name in [limit for _, limit in form.reverse()])]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import InputError
 from surctl.vehicle.identification.excitation import at_rest, few_thrusts, ill_excited, notes_of
 from surctl.vehicle.identification.intervals import Spread, spread_of
 from surctl.vehicle.identification.model import CONSTANT_FORCE, MASS_OF, Model, axes_of, sections_of
@@ -56,8 +57,8 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     thrust lag. Thrust limits and radius are those of `start`, because they cannot be identified from a log.
 
     Raises:
-        InputError: no simulated motion is finite, which shows that the columns of motion and thrust do not match;
-            or the log has no part of sufficient length without a gap.
+        InputError: `start` rolls and pitches; no simulated motion is finite, which shows that the columns of motion and
+            thrust do not match; or the log has no part of sufficient length without a gap.
 
     Example:
         >>> import numpy as np
@@ -74,6 +75,13 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         >>> round(result.estimates["m11"][0], 1), "m11" in result.identified, "m22" in result.identified
         (60.0, True, False)
     """
+    if start.form.tilts:
+        raise InputError(
+            "rolls and pitches, and a log of x, y, z, psi and their rates does not tell roll and pitch",
+            file=start.source or start.name,
+            key="start",
+            remedy="start from a vehicle without weight and buoyancy",
+        )
     full = _full_fit(log, start)
     model, estimates = full.model, full.estimates
     rest = at_rest(model, full.theta, full.noise)
