@@ -81,9 +81,7 @@ def test_heights_and_depths_are_kept():
 
 def test_many_sensors_and_whole_centimetres_are_written_and_read() -> None:
     table = scenario_table(load_scenario("tank-static"))
-    table["sonar"] = {
-        "azimuths_deg": [15.0 * k for k in range(24)], "cycle_limit_s": 0.6, "step_m": 0.01, "chances": {}, "faults": [],
-    }  # fmt: skip
+    table["sonar"] = {"azimuths_deg": [15.0 * k for k in range(24)], "cycle_limit_s": 0.6, "step_m": 0.01}
     scenario = scenario_from_table(table, source="many.toml")
     array = scenario.sensors.equipment.array
     assert array.size == 24 and array.cycle == pytest.approx(0.6) and array.top_code == 450
