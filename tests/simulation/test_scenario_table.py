@@ -77,3 +77,13 @@ def test_heights_and_depths_are_kept():
     again = scenario_from_table(tomllib.loads(toml_text(scenario_table(other))), source="")
     assert (again.obstacles, again.depths) == (other.obstacles, (-1.0, 0.0))
     assert "depths_m" not in scenario_table(scenario)
+
+
+def test_many_sensors_and_whole_centimetres_are_written_and_read() -> None:
+    table = scenario_table(load_scenario("tank-static"))
+    table["sonar"] = {"azimuths_deg": [15.0 * k for k in range(24)], "cycle_limit_s": 0.6, "step_m": 0.01}
+    scenario = scenario_from_table(table, source="many.toml")
+    array = scenario.sensors.equipment.array
+    assert array.size == 24 and array.cycle == pytest.approx(0.6) and array.top_code == 450
+    again = scenario_from_table(scenario_table(scenario), source="many.toml")
+    assert again.sensors.equipment.array == array
