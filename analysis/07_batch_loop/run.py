@@ -31,7 +31,7 @@ sys.path.insert(0, str(HERE / "peers"))
 from contender import Contender, fit, race, ratio  # noqa: E402
 from hand import FLAGS, HandLoop  # noqa: E402
 from python_loop import control_step, flown_by, matched, scipy_step  # noqa: E402
-from scene import luck_of, scene_of  # noqa: E402
+from scene import COUNTED, luck_of, scene_of  # noqa: E402
 
 from surctl.control import GAINS, Gains, load_gains  # noqa: E402
 from surctl.errors import InputError, ToolMissing  # noqa: E402
@@ -163,7 +163,7 @@ def agree(case: Case, hand: dict[str, HandLoop], config: Config, *, numba: bool)
         case.scenario, case.vehicle, gains=chosen, law=case.build(), sensing=case.sensing, seed=int(seeds[0])
     )
     gaps = {REFERENCE: gap(np.array([once.metrics.row()]), batch[:1])}
-    gaps |= {name: gap(table, batch) for name, table in others.items()}
+    gaps |= {name: gap(table[:, COUNTED], batch[:, COUNTED]) for name, table in others.items()}
     print_rows(["the same runs", "largest difference of a figure"], [[n, f"{g:.1e}"] for n, g in gaps.items()])
     wrong = [name for name, size in gaps.items() if not size <= config.tolerance]
     for name in wrong:

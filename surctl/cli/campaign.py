@@ -260,6 +260,7 @@ def _claim(case: Case) -> SafetyClaim | Inapplicable:
 def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
     from surctl.control import BARRIER, law_source
     from surctl.own_code import label
+    from surctl.verification import Inapplicable
 
     case, table = campaign.plan.case, campaign.table
     lines = [f"{campaign.plan.name} by {case.vehicle.name}, law {label(case.law)}, {case.sensing}, {len(table)} runs:"]

@@ -63,7 +63,7 @@ def plot_errors(one: SensorCalibration, ax: Axes | None = None) -> Axes:
     if len(fit.outliers):
         ax.plot(
             fit.true[fit.outliers], 1e3 * fit.errors[fit.outliers], "s", color=AVOIDING, markersize=8,
-            fillstyle="none", label="outlier, kept in the fit",
+            fillstyle="none", label="outlier, not in the fit",
         )  # fmt: skip
     legend_above(ax)
     return ax
@@ -82,7 +82,7 @@ def plot_studentised(one: SensorCalibration, ax: Axes | None = None) -> Axes:
     ax.plot(fit.true[shown], values[shown], "o", color=ROBOT, markersize=_size(shown))
     if len(fit.outliers):
         beyond = np.abs(fit.studentised[fit.outliers]) > 3.0 * bound
-        label = "outlier, kept in the fit (clipped to the axis)" if beyond.any() else "outlier, kept in the fit"
+        label = "outlier, not in the fit (clipped to the axis)" if beyond.any() else "outlier, not in the fit"
         ax.plot(
             fit.true[fit.outliers], values[fit.outliers], "s", color=AVOIDING, markersize=8, fillstyle="none",
             label=label,

@@ -26,6 +26,7 @@ from surctl.ir import Instruction, Program, lower, to_casadi
 from surctl.sensing import SonarArray
 from surctl.simulation import Case, World, advance, build_world, law_numbers
 from surctl.vehicle import PLANT_DISTURBANCE, PlantForm, plant_parameters, plant_state
+from surctl.vehicle.dynamics import PAPER
 from surctl.world import Box, Disc
 
 __all__ = ["SURROGATES", "DifferentiableRun", "prepare"]
@@ -192,7 +193,7 @@ def _functions(law: Law, names: tuple[str, ...], steps: int, form: PlantForm) ->
 
 
 @cache
-def _step(law: Law, form: PlantForm) -> tuple[ca.Function, ca.Function]:
+def _step(law: Law, form: PlantForm = PAPER) -> tuple[ca.Function, ca.Function]:
     """Return two functions of a control step: one computes the next state and cost terms, one the branch number.
 
     Both have the arguments state, data of the step, gains p, and plant parameters.

@@ -187,7 +187,7 @@ class PlantForm:
 
     def ahead(self) -> list[tuple[int, str]]:
         """Return the drag on sway, heave and yaw that grows with the forward speed as (axis, name): Yuv, Zuw, Nur."""
-        return [(axis, name) for axis, by, name in self.drag() if by == (0, axis)]
+        return [(axis, name) for axis, by, name in self.drag() if by == (0, axis) and axis <= _TURNING]
 
     def constant(self) -> list[tuple[int, str]]:
         """Return the constant forces as (axis, name)."""

@@ -51,7 +51,7 @@ def test_errors_are_drawn_in_millimetres_with_line_and_outliers() -> None:
     ax = plot_errors(what)
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert lines["row"].get_ydata() == pytest.approx(1e3 * what.calibration.errors)
-    assert lines["outlier, kept in the fit"].get_xdata() == pytest.approx(X[[20]])
+    assert lines["outlier, not in the fit"].get_xdata() == pytest.approx(X[[20]])
     at = np.asarray(lines["fitted line"].get_xdata())
     wanted = 1e3 * ((what.calibration.scale.value - 1) * at + what.calibration.bias.value)
     assert lines["fitted line"].get_ydata() == pytest.approx(wanted)
@@ -61,7 +61,7 @@ def test_errors_are_drawn_in_millimetres_with_line_and_outliers() -> None:
 def test_a_wild_outlier_is_held_to_the_axis_and_says_so() -> None:
     ax = plot_studentised(CASES["wild outlier"]())
     labels = [line.get_label() for line in ax.get_lines()]
-    assert "outlier, kept in the fit (clipped to the axis)" in labels
+    assert "outlier, not in the fit (clipped to the axis)" in labels
     low, high = ax.get_ylim()
     assert -20 < low < 0 < high < 20
 

@@ -51,7 +51,7 @@ def drawn(plot: Axes | Figure) -> Figure:
 def first_tick(flown: Run) -> Run:
     """A run that ended where it began."""
     r = flown.record
-    short = {k: getattr(r, k)[:1] for k in vars(r) if k != "law_parameters"}
+    short = {k: v[:1] for k, v in vars(r).items() if k != "law_parameters" and v is not None}
     metrics = replace(flown.metrics, time_s=0.0, length_m=0.0, reached=False, stopped_because="fault")
     return replace(flown, record=replace(r, **short), metrics=metrics)
 

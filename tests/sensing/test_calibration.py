@@ -134,7 +134,8 @@ def test_an_outlier_is_marked_and_left_out() -> None:
     assert found.outliers.tolist() == [12]
     assert len(found.true) == 30 and found.largest == 12
     without = calibrate(np.delete(x, 12), np.delete(y, 12))
-    assert found.scale == without.scale and found.noise_sd == without.noise_sd and found.error_sd == without.error_sd
+    assert found.scale == without.scale and found.noise_sd == without.noise_sd
+    assert found.error_sd.value == pytest.approx(np.std(y - x, ddof=1))  # of all readings
     assert found.outlier_bound == pytest.approx(stats.t.ppf(1 - 0.05 / 60, 27))
 
 

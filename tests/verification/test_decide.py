@@ -62,7 +62,8 @@ def test_the_time_limit_is_kept() -> None:
 
 def test_what_is_left_open_counts_the_boxes_of_all_attempts(monkeypatch: pytest.MonkeyPatch) -> None:
     module = sys.modules["surctl.verification.proving.prove"]
-    monkeypatch.setattr(module, "_ROUNDS", ((20, 0.0), (200, 1.0)))
+    for name in ("_ROUNDS", "_EXACT_ROUNDS"):
+        monkeypatch.setattr(module, name, ((20, 0.0), (200, 1.0)))
     monkeypatch.setattr(module, "_SHARE", 0.0)  # no sums of squares
     proof = prove(claim_from("close", {"x": (-4.0, 4.0), "y": (-4.0, 4.0)}, "sin(3*x)*cos(2*y)*sin(x*y)", "0.9"))
     words = r"the limit on boxes was reached after (\d+) boxes: (\d+) open"

@@ -11,21 +11,30 @@ from numpy.typing import NDArray
 from surctl.simulation import METRICS, Obstacle, Scenario, build_world
 from surctl.vehicle import Vehicle, plant_parameters
 
-__all__ = ["LUCK", "MOST_OBSTACLES", "OWN_METRICS", "Array", "luck_of", "scene_of", "with_corners"]
+__all__ = ["COUNTED", "LUCK", "MOST_OBSTACLES", "OWN_METRICS", "Array", "luck_of", "scene_of", "with_corners"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 MOST_OBSTACLES = 16
 LUCK = 3 + 3 * MOST_OBSTACLES  # numbers per run: wave direction and phase, drift direction and phase of every obstacle
-_CORNERS = list(METRICS).index("missed_corner_m")
-OWN_METRICS = len(METRICS) - 1  # all metrics except the missed corner, in order: a path of one leg has no corner
+_ACTIVITY = (
+    "crab_angle_deg", "max_crab_angle_deg", "heading_error_deg", "variation_surge_n_per_s", "variation_sway_n_per_s",
+    "variation_heave_n_per_s", "variation_yaw_n_m_per_s", "sign_changes_per_s", "wasted_impulse_n_s", "wasted_share",
+)  # fmt: skip
+COUNTED = [k for k, name in enumerate(METRICS) if name not in _ACTIVITY]
+"""Columns of the metrics that the hand-written loops return: all but those of attitude and thrust activity."""
+
+_OWN = [k for k in COUNTED if list(METRICS)[k] != "missed_corner_m"]  # a path of one leg has no corner
+OWN_METRICS = len(_OWN)
 _WAYPOINTS = 8
 _DT = 0.05
 
 
 def with_corners(own: Array) -> Array:
     """Return metrics (runs, len(METRICS)) from those that the hand-written loops count, (runs, OWN_METRICS)."""
-    return np.insert(own, _CORNERS, 0.0, axis=1)
+    metrics = np.zeros((len(own), len(METRICS)))
+    metrics[:, _OWN] = own
+    return metrics
 
 
 def scene_of(scenario: Scenario, vehicle: Vehicle, *, sonar: bool, projected: bool) -> Array:

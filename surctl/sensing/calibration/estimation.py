@@ -91,8 +91,8 @@ class Calibration:
             sd at all ranges, or if there are too few readings.
         noise_slope: slope s1 [m/m] in sd = s0 + s1·range; None if there are too few readings or no noise.
         noise_slope_p: p-value of the test that the noise slope is 0; None if `noise_slope` is None.
-        mean_error: mean of the errors measured − true, without the outliers.
-        error_sd: sd of the errors measured − true about their mean, without the outliers.
+        mean_error: mean of the errors measured − true, of all readings.
+        error_sd: sd of the errors measured − true about their mean, of all readings.
         relative_sd: (n,) fitted sd of each reading, divided by `noise_sd`.
         studentised: (n,) externally studentised residuals: each residual is divided by its sd, estimated from the other
             readings.
@@ -206,8 +206,8 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     fit = everything if inlier.all() else _fitted(x[inlier], y[inlier])
     relative = np.interp(x, x[inlier], fit.relative)
     studentised = _studentised(x, y, relative, inlier)
-    error = (y - x)[inlier]
-    mean, spread, n = float(error.mean()), float(error.std(ddof=1)), int(inlier.sum())
+    error = y - x
+    mean, spread, n = float(error.mean()), float(error.std(ddof=1)), len(x)
     return Calibration(
         true=x,
         measured=y,
@@ -296,14 +296,14 @@ def _studentised(
 ) -> NDArray[np.float64]:
     # residuals (n,) about the line through the inliers, each divided by its sd as estimated from the others
     line = fit_line(x[inlier], y[inlier], relative[inlier])
-    if line.sd <= _EXACT * float(x.max()):
-        return np.zeros(len(x))
+    residual = (y - (line.beta[0] + line.beta[1] * x)) / relative
+    if line.sd <= _EXACT * float(x.max()):  # no noise: only outliers deviate, by far
+        return np.asarray(np.where(inlier, 0.0, residual / (_EXACT * float(x.max()))))
     result = np.empty(len(x))
     result[inlier] = studentised_residuals(line)
     columns = np.column_stack([np.ones_like(x), x]) / relative[:, None]
     covariance = np.linalg.inv(columns[inlier].T @ columns[inlier])
     spread = line.sd * np.sqrt(1.0 + np.einsum("ni,ij,nj->n", columns, covariance, columns))
-    residual = (y - (line.beta[0] + line.beta[1] * x)) / relative
     result[~inlier] = (residual / spread)[~inlier]
     return result
 

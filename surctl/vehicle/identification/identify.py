@@ -77,7 +77,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     """
     if start.form.tilts:
         raise InputError(
-            "rolls and pitches, and a log of x, y, z, psi and their rates does not tell roll and pitch",
+            "rolls and pitches, and a log of x, y, z, psi and their rates does not contain roll and pitch",
             file=start.source or start.name,
             key="start",
             remedy="start from a vehicle without weight and buoyancy",
