@@ -118,7 +118,7 @@ class Vehicle:
         astern = ahead.copy()
         for axis, name in self.form.reverse():
             astern[axis] = self[name]
-        return np.array([-astern, ahead])
+        return np.array([0.0 - astern, ahead])
 
     @property
     def thrust_bound(self) -> NDArray[np.float64]:
