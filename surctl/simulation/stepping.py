@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from surctl.ir import on_vectors
 from surctl.vehicle import PlantForm, build_plant
+from surctl.vehicle.dynamics import PAPER
 
 __all__ = ["advance", "advanced"]
 
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
 
-_PAPER = PlantForm()
-
-
-def advance(form: PlantForm = _PAPER) -> ca.Function:
+def advance(form: PlantForm = PAPER) -> ca.Function:
     """Return a CasADi function that integrates the plant over 25 ms by RK4, in steps of 10, 10 and 5 ms.
 
     The function computes the new plant state from the plant state x, the commanded thrust, the disturbance d and the
@@ -55,11 +53,7 @@ def _advance(form: PlantForm) -> ca.Function:
     return ca.Function("advance", [x, tau, d, p], [state], {"cse": True})
 
 
-def advanced(form: PlantForm = _PAPER) -> Callable[..., list[NDArray[np.float64]]]:
-    """Return `advance` as a function of NumPy vectors."""
-    return _advanced(form)
-
-
 @cache
-def _advanced(form: PlantForm) -> Callable[..., list[NDArray[np.float64]]]:
+def advanced(form: PlantForm) -> Callable[..., list[NDArray[np.float64]]]:
+    """Return `advance` as a function of NumPy vectors."""
     return on_vectors(_advance(form))
