@@ -1,4 +1,4 @@
-"""Read a recording: a CSV file with a header and rows, a .mat or a netCDF file; errors name the file and line."""
+"""Read a recording: a CSV file with a header and rows, a .mat or a netCDF file; read XML; errors name file and line."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.recorded_arrays import ARRAY_FILES, read_arrays
 
-__all__ = ["Recorded", "read_recorded", "shown"]
+__all__ = ["Recorded", "read_recorded", "shown", "xml_root"]
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _MISSING = {"", "na", "n/a", "null", "none"}  # cells that mean "no number", in addition to nan
@@ -90,6 +91,29 @@ def _number_remedy(cell: str) -> str:
             return f"write {plain} if the comma separates thousands, {point} if it is a decimal comma"
         return f"write {plain} without commas between thousands"
     return "write a decimal point" if "," in cell else "write a number, or leave the cell empty"
+
+
+def xml_root(text: str, *, file: object, remedy: str) -> ElementTree.Element:
+    """Return the root of an XML text, with the namespaces removed from all names.
+
+    Raises:
+        InputError: the text declares a document type, which may expand without bound, or is not XML; the message names
+            the file and, for a text that is not XML, the remedy.
+
+    Example:
+        >>> from surctl.recorded import xml_root
+        >>> xml_root('<gpx xmlns="http://www.topografix.com/GPX/1/1"/>', file="way.gpx", remedy="correct it").tag
+        'gpx'
+    """
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError("declares a document type", file=shown(file), remedy="remove the DOCTYPE")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"is not XML ({error})", file=shown(file), remedy=remedy) from None
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    return root
 
 
 def shown(path: object) -> str:

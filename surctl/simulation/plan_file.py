@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from math import cos, radians, sin, sqrt
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.files import quoted
-from surctl.recorded import shown
+from surctl.recorded import shown, xml_root
 
 __all__ = ["Mission", "mission_scenario", "read_mission"]
 
@@ -212,14 +211,7 @@ def _simple(items: list[Any]) -> Iterator[dict[str, Any]]:
 
 
 def _gpx(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]:
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError("declares a document type", file=shown(path), remedy="remove the DOCTYPE")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"is not XML ({error})", file=shown(path), remedy="give a .plan or .gpx file") from None
-    for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
+    root = xml_root(text, file=path, remedy="give a .plan or .gpx file")
     groups = [list(rte.iter("rtept")) for rte in root.iter("rte")] + [
         list(trk.iter("trkpt")) for trk in root.iter("trk")
     ]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.recorded import shown
+from surctl.recorded import shown, xml_root
 from surctl.vehicle.parameters import Parameter, Vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS, parameter_spec
 
@@ -145,14 +145,7 @@ def _root(path: Path) -> ElementTree.Element:
         raise InputError(
             f"cannot be read ({error})", file=shown(path), remedy="give an SDF, URDF or xacro file"
         ) from None
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError("declares a document type", file=shown(path), remedy="remove the DOCTYPE")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"is not XML ({error})", file=shown(path), remedy="correct that line") from None
-    for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
+    root = xml_root(text, file=path, remedy="correct that line")
     _replace_properties(root)
     return root
 
