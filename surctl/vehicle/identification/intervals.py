@@ -51,20 +51,22 @@ def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]]
     """Return the uncertainty of the parameters from the normalised residuals and their derivatives.
 
     Args:
-        parts: for each section the residuals (n, 8) and derivatives (n, 8, p + 12) by the parameters and the section's
+        parts: for each section the residuals (n, c) and derivatives (n, c, p + s) by the parameters and the section's
             initial state, both 0 where no measurement exists.
-        present: for each section which residuals (n, 8) exist.
+        present: for each section which residuals (n, c) exist.
         prior: (p,) prior weights 1/σ² of the parameters.
-        first: (12,) prior weights of an initial state.
+        first: (s,) prior weights of an initial state.
     """
-    size = len(prior)
+    size, columns = len(prior), np.flatnonzero(np.vstack(present).any(axis=0))
+    parts = [(e[:, columns], slope[:, columns]) for e, slope in parts]
+    present = [p[:, columns] for p in present]
     split = [_without_initial(slope, size, first) for _, slope in parts]
     slopes = [slope for slope, _ in split]
     inverse = _inverse(np.diag(prior) + sum(np.einsum("tcp,tcq->pq", s, s) for s in slopes))
     root = np.linalg.cholesky(inverse)
     fitted = [np.concatenate([slope @ root, own], axis=-1) for slope, own in split]
     correlation, lag, independent = _correlation([e for e, _ in parts], present, fitted, size)
-    freedom = independent - size - 12 * len(parts)
+    freedom = independent - size - len(first) * len(parts)
     if not lag:
         return Spread(inverse, freedom)
     coloured = inverse @ (np.diag(prior) + _meat(slopes, correlation)) @ inverse
@@ -76,16 +78,16 @@ def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]]
 
 
 def _without_initial(slope: Array, size: int, first: Array) -> tuple[Array, Array]:
-    """Return the derivatives (n, 8, p) with the best initial state for every value of the parameters, and its own.
+    """Return the derivatives (n, c, p) with the best initial state for every value of the parameters, and its own.
 
-    The derivatives (n, 8, 12) by the initial state are scaled to an orthonormal basis.
+    The derivatives (n, c, s) by the initial state are scaled to an orthonormal basis.
     """
     flat = slope.reshape(-1, slope.shape[-1])
     over_p, over_first = flat[:, :size], flat[:, size:]
     inverse = _inverse(over_first.T @ over_first + np.diag(first))
     reduced = over_p - over_first @ (inverse @ (over_first.T @ over_p))
     basis = over_first @ np.linalg.cholesky(inverse)
-    return reduced.reshape(*slope.shape[:2], size), basis.reshape(*slope.shape[:2], 12)
+    return reduced.reshape(*slope.shape[:2], size), basis.reshape(*slope.shape[:2], len(first))
 
 
 def _inverse(matrix: Array) -> Array:
@@ -99,14 +101,15 @@ def _inverse(matrix: Array) -> Array:
 def _correlation(
     left: list[Array], present: list[NDArray[np.bool_]], fitted: list[Array], size: int
 ) -> tuple[Array, int, float]:
-    """Return the windowed covariances (lags + 1, 8, 8), the last lag, and the number of independent residuals.
+    """Return the windowed covariances (lags + 1, c, c), the last lag, and the number of independent residuals.
 
     They are those of the noise. The residuals have less covariance, because the fit has taken up the part of the noise
-    that its directions `fitted` (n, 8, p + 12) can represent; the first `size` directions are common to all sections.
+    that its directions `fitted` (n, c, p + s) can represent; the first `size` directions are common to all sections.
     """
     longest = max(int(_LONGEST_SHARE * max(len(e) for e in left)), 1)
     count = 1 << (2 * max(len(e) for e in left) - 1).bit_length()
-    cross, pairs = np.zeros((count, 8, 8)), np.zeros((count, 8, 8))
+    columns = left[0].shape[1]
+    cross, pairs = np.zeros((2, count, columns, columns))
     for e, p in zip(left, present, strict=True):
         fe, fp = np.fft.rfft(e, count, axis=0), np.fft.rfft(p.astype(float), count, axis=0)
         cross += np.fft.irfft(np.conj(fe)[:, :, None] * fe[:, None, :], count, axis=0)
@@ -134,7 +137,7 @@ def _windowed(raw: Array, numbers: Array) -> tuple[Array, int, float]:
 def _taken_up(
     spectrum: NDArray[np.complex128], fitted: list[Array], present: list[NDArray[np.bool_]], size: int
 ) -> Array:
-    """Return the sums of products (count, 8, 8) by lag that the fit has removed from noise with a spectrum.
+    """Return the sums of products (count, c, c) by lag that the fit has removed from noise with a spectrum.
 
     With the directions P and the covariance Σ of the noise, the residuals have the covariance Σ − P Zᵀ − Z Pᵀ with
     Z = Σ P − P G / 2 and G = Pᵀ Σ P. In G, the directions common to all sections count over all of them.
@@ -173,8 +176,8 @@ def _window(lag: int) -> Array:
 
 
 def _spectrum(covariance: Array, count: int) -> NDArray[np.complex128]:
-    # (count / 2 + 1, 8, 8) without negative eigenvalues, from the covariances (lags + 1, 8, 8)
-    two_sided = np.zeros((count, 8, 8))
+    # (count / 2 + 1, c, c) without negative eigenvalues, from the covariances (lags + 1, c, c)
+    two_sided = np.zeros((count, *covariance.shape[1:]))
     two_sided[: len(covariance)] = covariance
     two_sided[count - len(covariance) + 1 :] = covariance[:0:-1].transpose(0, 2, 1)
     spectrum = np.fft.fft(two_sided, axis=0)[: count // 2 + 1]
@@ -191,6 +194,6 @@ def _meat(slopes: list[Array], covariance: Array) -> Array:
     size = slopes[0].shape[-1]
     meat = np.zeros((size, size))
     for slope in slopes:
-        wave = np.fft.rfft(slope, count, axis=0)  # (f, 8, p)
+        wave = np.fft.rfft(slope, count, axis=0)  # (f, c, p)
         meat += np.einsum("f,fcp,fcd,fdq->pq", weight, wave, spectrum, np.conj(wave), optimize=True).real / count
     return meat
