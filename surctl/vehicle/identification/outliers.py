@@ -35,10 +35,10 @@ def outliers(values: Array) -> NDArray[np.bool_]:
         >>> np.flatnonzero(outliers(values)).tolist()
         [20, 60]
     """
-    found = np.zeros(len(values), dtype=bool)
+    outlying = np.zeros(len(values), dtype=bool)
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < 4 * _HALF:
-        return found
+        return outlying
     windows = np.sort(np.lib.stride_tricks.sliding_window_view(values[known], 2 * _HALF + 1), axis=1)
     middle = np.pad(windows[:, _HALF], _HALF, mode="edge")
     spread = np.pad(windows[:, _HALF + 1] - windows[:, _HALF - 1], _HALF, mode="edge")
@@ -47,8 +47,8 @@ def outliers(values: Array) -> NDArray[np.bool_]:
     finest = float(steps[steps > 0].min(initial=np.inf))  # of a quantised signal, its resolution
     noise = max(float(np.quantile(far, _MOST)) / _QUANTILE, finest)
     inner = slice(_HALF, len(known) - _HALF)  # the first and last values have neighbours on one side only
-    found[known[inner]] = ((far > _FAR * noise) & (far > _STEEP * spread))[inner]
-    return found
+    outlying[known[inner]] = ((far > _FAR * noise) & (far > _STEEP * spread))[inner]
+    return outlying
 
 
 def without_outliers(log: MotionLog) -> MotionLog:
@@ -65,5 +65,5 @@ def without_outliers(log: MotionLog) -> MotionLog:
         >>> int(np.isfinite(without_outliers(log).motion[:, 4]).sum())
         59
     """
-    found = np.column_stack([outliers(column) for column in log.motion.T])
-    return replace(log, motion=np.where(found, np.nan, log.motion)) if found.any() else log
+    outlying = np.column_stack([outliers(column) for column in log.motion.T])
+    return replace(log, motion=np.where(outlying, np.nan, log.motion)) if outlying.any() else log
