@@ -15,9 +15,15 @@ from surctl.tasks import HalfPlane, Task, depth_task, heading_task
 __all__ = ["DECISION_PORTS", "Decision", "Scan", "TaskLevel", "lower_levels", "weakest_acceleration"]
 
 DECISION_PORTS = (
-    Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left"),
-    Port("blocker", (2,), "m", "x, y in {E} of the contact that blocked the desired velocity in the last step"),
-    Port("last_velocity", (2,), "m/s", "horizontal velocity commanded in the last step, in {E}"),
+    Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left", gap="anew"),
+    Port(
+        "blocker",
+        (2,),
+        "m",
+        "x, y in {E} of the contact that blocked the desired velocity in the last step",
+        gap="anew",
+    ),
+    Port("last_velocity", (2,), "m/s", "horizontal velocity commanded in the last step, in {E}", gap="anew"),
 )
 
 

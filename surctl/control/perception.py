@@ -29,7 +29,7 @@ __all__ = ["CELLS_A_HULL", "LAST_THRUST", "PERCEPTION", "PerceptionStage", "buil
 CELLS_A_HULL = 4.0
 """Number of map cells per hull radius (*chosen*); the cell size is 6.75 cm in the tank and 5 cm in the pool."""
 
-LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before")
+LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before", gap="anew")
 """The first entry of the state; the decision writes it, and the filter of the robot's own state reads it."""
 
 PERCEPTION = "perception"
@@ -44,6 +44,8 @@ _MARGIN_SD = 0.02 / 3  # [m] standard deviation of the robot's position that the
 _DEAF = 0.3  # [s] time without a plausible firing, after which a sonar is not trusted
 _PLACED_SD = 0.2  # [m] standard deviation above which the position counts as unknown
 _SILENT_MARGIN = 0.05  # [m] added to the radius of every mark while a sonar is silent, since obstacles drift
+_AGES = ("age", "since", "silent")  # ends of the names of the times in the state that grow without a step
+_KEPT = ("mover_latest", "sonar_distrust")  # messages, which have an age; and what was found wrong with a sonar
 _FAR = 1e5  # [m²] larger than any squared distance in the map
 
 
@@ -64,6 +66,13 @@ class PerceptionStage:
     inputs: Layout
     outputs: Layout
     block: Block
+
+
+def _after_gap(port: Port) -> Port:
+    # what a step does with a memory of the last steps after periods without a step
+    if port.unit == "s" and port.name.endswith(_AGES):
+        return replace(port, gap="age")
+    return port if port.name in _KEPT else replace(port, gap="anew")
 
 
 def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float) -> PerceptionStage:
@@ -162,7 +171,8 @@ class _Builder:
         n = self.equipment.array.size
         silent = Port("silent", (n,), "s", "time since the last plausible firing of each sonar", _DEAF + self.dt)
         launched = Port("launched", (1,), "1", "1 after the free water around the start is marked in the map")
-        return Layout((*own, *movers, *self._ranges.ports("sonar_"), silent, launched))
+        last = tuple(_after_gap(port) for port in (*own, *movers, *self._ranges.ports("sonar_"), silent))
+        return Layout((*last, launched))
 
     @cached_property
     def state(self) -> Layout:
