@@ -17,6 +17,7 @@ from surctl.vehicle.identification.excitation import at_rest, few_thrusts, ill_e
 from surctl.vehicle.identification.fitted import MASS_OF, OFFSETS, axes_of
 from surctl.vehicle.identification.intervals import Spread, spread_of
 from surctl.vehicle.identification.model import Model, sections_of
+from surctl.vehicle.identification.outliers import outliers, without_outliers
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.identification.solve import beginning, minimise, simulable
 from surctl.vehicle.motion_log import LOG_TILT, MotionLog
@@ -87,7 +88,8 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     model, estimates = full.model, full.estimates
     rest = at_rest(model, full.theta, full.noise)
     excluded = {k for k in estimates if axes_of(k) & rest}
-    notes: list[str] = [] if full.converged else ["the fit has not converged: estimates and intervals are rough"]
+    notes: list[str] = _outlier_note(model, log)
+    notes += [] if full.converged else ["the fit has not converged: estimates and intervals are rough"]
     if "thrust_lag" in estimates:
         reason = few_thrusts(log, model.sections)
         if full.theta[model.names.index("thrust_lag")] <= model.low[model.names.index("thrust_lag")] + 1e-9:
@@ -139,17 +141,20 @@ def _check_tilt(log: MotionLog, start: Vehicle) -> None:
 
 
 def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
+    log = without_outliers(log)
     sections = sections_of(log)
     model = Model(log, start, sections)
     noise = np.array([_roughness(model.motion[p, k]) for k, p in enumerate(model.present.T)])
     free = np.ones(model.size, dtype=bool)
     theta, converged = simulable(model, beginning(model, noise, free=free), noise, sections), False
-    count = np.sum([model.present[s.rows].sum(axis=0) for s in sections], axis=0)
-    freedom = 1.0 - len(theta) / max(int(count.sum()), len(theta) + 1)
-    for _ in range(_ROUNDS):
+    for attempt in range(_ROUNDS):
         theta, _ = minimise(model, theta, noise, sections, free=free, tolerance=_ROUGH)
-        left, before = model.misfit(theta, sections), noise
-        squares = np.sum([np.sum(e**2, axis=0) for e in left], axis=0)
+        if attempt == 0:
+            _omit_outliers(model, model.misfit(theta, sections))
+        count = np.sum([model.present[s.rows].sum(axis=0) for s in sections], axis=0)
+        freedom = 1.0 - len(theta) / max(int(count.sum()), len(theta) + 1)
+        before = noise
+        squares = np.sum([np.sum(e**2, axis=0) for e in model.misfit(theta, sections)], axis=0)
         noise = np.where(count > 0, np.maximum(np.sqrt(squares / np.maximum(count, 1) / freedom), 1e-9), 1.0)
         if np.allclose(noise, before, rtol=_STEADY):
             break
@@ -164,6 +169,21 @@ def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
         prior[model.size : model.size + model.order],
     )
     return _Full(model, theta, noise, spread, left, converged)
+
+
+def _omit_outliers(model: Model, left: list[Array]) -> None:
+    # a glitch that is smaller than the motion shows in the residuals alone
+    for section, e in zip(model.sections, left, strict=True):
+        present = model.present[section.rows]
+        values = np.where(present, e, np.nan)
+        model.present[section.rows] = present & ~np.column_stack([outliers(column) for column in values.T])
+
+
+def _outlier_note(model: Model, log: MotionLog) -> list[str]:
+    measured = np.isfinite(log.motion[:, : len(model.columns)])
+    number = (measured & ~model.present).sum(axis=0)
+    listed = ", ".join(f"{k} of {column}" for k, column in zip(number, model.columns, strict=True) if k)
+    return [f"outliers are not used: {listed}"] if listed else []
 
 
 def _ratio(model: Model, estimates: Mapping[str, tuple[float, float]], name: str) -> float:

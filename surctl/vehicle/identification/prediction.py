@@ -12,6 +12,7 @@ from surctl.errors import InputError
 from surctl.vehicle.identification.fitted import names_of, with_all_constants
 from surctl.vehicle.identification.identify import identify
 from surctl.vehicle.identification.model import Model, Section, sections_of
+from surctl.vehicle.identification.outliers import without_outliers
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Vehicle
 
@@ -98,7 +99,7 @@ def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *,
         True
     """
     lag = values.get("thrust_lag", 0.0)
-    log = _columns(log, 12 if start.form.tilts else 8)
+    log = without_outliers(_columns(log, 12 if start.form.tilts else 8))
     windows = [
         w for section in sections_of(log) for w in _windows(log, section, window, after=min(_LAGS * lag, window))
     ]
