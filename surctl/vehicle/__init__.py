@@ -28,7 +28,8 @@ from surctl.vehicle.logs.read import read_mapped_log, read_recording, topic_line
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
-from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Swivel, Thruster
+from surctl.vehicle.thruster_file import axis_ends, axis_limits
+from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Fin, Swivel, Thruster
 from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
@@ -49,6 +50,7 @@ __all__ = [
     "TERMS",
     "Actuators",
     "Attainable",
+    "Fin",
     "Frame",
     "Identified",
     "MotionLog",
@@ -61,6 +63,8 @@ __all__ = [
     "Thruster",
     "Vehicle",
     "attainable",
+    "axis_ends",
+    "axis_limits",
     "build_plant",
     "check_equation_3",
     "check_frame",
