@@ -25,7 +25,7 @@ DEMANDS: Mapping[str, str] = MappingProxyType(
         "RESTARTED": "Apply it, and log: the board that counts samples was started again.",
         "NULL": "Thrusters to zero. A mistake in the program: stop.",
         "NONFINITE": "Thrusters to zero in this period. Go on calling the step; find the input that is no number.",
-        "RANGE": "Thrusters to zero in this period. Go on calling the step. `gains_check` tells whether a gain is "
+        "RANGE": "Thrusters to zero in this period. Go on calling the step. `gains_check` reports whether a gain is "
         "wrong; otherwise an input is out of its range or jumped.",
         "STALE": "Thrusters to zero in this period. The sample number did not rise: the sensor task stands still.",
         "ITER": "Thrusters to zero in this period. Go on calling the step, and report it: the law must not return it.",
@@ -91,7 +91,7 @@ def _sonars(array: SonarArray) -> list[str]:
         f"Ranges: {array.blind:g} to {array.maximum:g} m; nearer than {array.blind:g} m reads {array.lowest:.4g} m; "
         f"beam {degrees(array.beam_angle):.4g}° wide. No echo reads {array.maximum:g} m.",
         f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "
-        f"fires every {array.cycle:.4g} s. A sonar that is heard less often than every 0.3 s counts as unhealthy.",
+        f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
         f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm, bias {1000 * array.bias:.3g} mm, "
         f"{samples}. A row that repeats exactly is taken as a stuck sensor; export with the true "
         "`step_m` and `samples` of the module (`step_m = 0.01`, `samples = 1` for whole centimetres, one number).",
