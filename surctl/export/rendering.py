@@ -39,6 +39,7 @@ from surctl.export.guard_text import (
 )
 from surctl.export.missions import DATA, MISSION_FILES, data_rows, is_fed, mission_values
 from surctl.export.origin import Origin
+from surctl.export.own_names import with_own_names
 from surctl.export.vectors import TOLERANCE, SelfTest
 from surctl.export.wiring import wiring_values
 from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
@@ -120,7 +121,22 @@ def render_files(
     }
     environment = _environment()
     own = {file: {"about": about, "text": text} for file, about, text in of_law}
-    return {file: environment.get_template(t).render(values, **own.get(file, {})) for file, t in templates.items()}
+    texts = {file: environment.get_template(t).render(values, **own.get(file, {})) for file, t in templates.items()}
+    joined = (
+        *(file for file in texts if file.startswith(name) and file.endswith(".c")),
+        "link.c",
+        "mission.c",
+    )  # files of the controller
+    return {
+        file: with_own_names(text, _stem(file, name), bundle=name) if file in joined else text
+        for file, text in texts.items()
+    }
+
+
+def _stem(file: str, name: str) -> str:
+    # the prefix of the file's own names: that of the bundle, and what the file is about
+    stem = file.rpartition(".")[0]
+    return stem if stem.startswith(name) else f"{name}_{stem}"
 
 
 _PARTS: Mapping[str, tuple[str, str]] = MappingProxyType(
