@@ -203,7 +203,8 @@ def export(
     if prove and not constant_gains:
         within = replace(within, gains=gain_box(built, numbers, {**tuned.ranges, **fed_ranges(mission)}))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
-    origin = origin_of(built, robot, load_certificates(certificates))
+    known = equipment if sensing == "sonar" else None
+    origin = origin_of(built, robot, load_certificates(certificates), equipment=known)
     # written before the simulation, so that an invalid name or folder is reported at once
     bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin, mission=table)
     proof = None

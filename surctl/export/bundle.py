@@ -127,7 +127,9 @@ def build_bundle(
     within = (envelope or anywhere(law)).fitted(law, real)
     identity = law_id(law, p, real=real)
     tests = self_test_vectors(in_precision(law, real, within), rounded(p, real), within)
-    files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real, mission=mission)
+    files = render_files(
+        law, p, within, name=prefix, identity=identity, tests=tests, real=real, mission=mission, origin=origin
+    )
     files |= {} if origin is None else origin.files
     _check_gains(law, rounded(p, real), within)
     table = _manifest(law, prefix, identity, real, within) | manifest_entries(law, p, origin, real=real)
