@@ -1,6 +1,7 @@
 """The same closed loop in MuJoCo, a rigid-body engine with contacts, rays and pictures (extra `mujoco`)."""
 
 from surctl.engine.batch import Flight, simulate_seeds
+from surctl.engine.exported import write_mjcf
 from surctl.engine.fluid import Body, body_of, fluid_program, missing_buoyancy
 from surctl.engine.mjcf import mjcf
 from surctl.engine.options import EngineOptions, parse_plant
@@ -22,4 +23,5 @@ __all__ = [
     "mujoco_physics",
     "parse_plant",
     "simulate_seeds",
+    "write_mjcf",
 ]

@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from math import pi
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -26,7 +27,10 @@ from surctl.engine.options import EngineOptions
 from surctl.ir import Program, lower_named
 from surctl.vehicle import PlantForm, Vehicle, plant_layout, plant_parameters
 
-__all__ = ["GRAVITY", "WATER", "Body", "body_of", "fluid_program", "missing_buoyancy"]
+if TYPE_CHECKING:
+    from surctl.simulation import Scenario
+
+__all__ = ["GRAVITY", "WATER", "Body", "body_of", "environment", "fluid_program", "missing_buoyancy"]
 
 GRAVITY = 9.81
 WATER = 1000.0
@@ -105,6 +109,14 @@ def missing_buoyancy(radius: float, z: float) -> float:
         (102.1, 0.0)
     """
     return WATER * GRAVITY * emerged(z, radius)
+
+
+def environment(body: Body, scenario: Scenario, hull: float) -> NDArray[np.float64]:
+    """Return the input `e` (14,) of `fluid_program` without an outer force, for a hull with this radius [m]."""
+    options = body.options
+    ballast = scenario.depth if options.ballast == "path" else -2 * hull
+    current = scenario.disturbance.current_m_per_s
+    return np.array([*current, 0, 0, 0, 0, 0, hull, options.surface, ballast, body.mass, *body.inertia])
 
 
 def fluid_program(body: Body) -> Program:
