@@ -105,7 +105,8 @@ class ControllerOptions:
                 yield line
             return
         target = emulated_target(self.controller.removeprefix("qemu:"))
-        shipped, within = closed_form(law, real="float32"), operating_envelope(law, mission, vehicle, law.gains)
+        shipped = closed_form(law, real="float32")
+        within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
         bundle = build_bundle(shipped, law.gains.unpack(p), real="float32", envelope=within)
         progress(f"compiling for {target.name}")
         with (
@@ -131,7 +132,8 @@ class ControllerOptions:
             return None
         from surctl.export import LinkedLaw, operating_envelope
 
-        return LinkedLaw(law, p, line, self._faults(seed=seed), operating_envelope(law, mission, vehicle, law.gains))
+        within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
+        return LinkedLaw(law, p, line, self._faults(seed=seed), within)
 
     def _faults(self, *, seed: int) -> LinkFaults:
         from surctl.export import LinkFaults

@@ -202,7 +202,7 @@ def export(
         )
     table = mission.path.table(visits=mission.corners == "visit") if mission.path.fed else None
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
-    within = operating_envelope(built, mission, robot, shipped.gains)
+    within = operating_envelope(built, mission, robot, shipped.gains, tuned=None if constant_gains else numbers)
     if prove and not constant_gains:
         within = replace(within, gains=gain_box(built, numbers, {**tuned.ranges, **fed_ranges(mission)}))
     fixed = {} if constant_gains else built.gains.unpack(numbers)

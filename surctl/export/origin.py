@@ -20,7 +20,9 @@ from surctl.certcheck.document import Rejected, read
 from surctl.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_source
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.export.contract import Exportable
+from surctl.export.gain_store import gains_id
 from surctl.guidance import AvoidanceForm
+from surctl.ir import Real
 from surctl.vehicle import Vehicle
 from surctl.verification import Claim, applicable_claims
 from surctl.verification.formula import text_of
@@ -129,7 +131,7 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
     return certificates
 
 
-def manifest_entries(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]:
+def manifest_entries(law: Exportable, p: Vector, origin: Origin | None, *, real: Real = "float64") -> dict[str, Any]:
     """Return the manifest's entries for law and gains and, if `origin` is given, for vehicle and claims."""
     own = law.block.digest()
     digest = own if origin is None else origin.ground_truth.block.digest()
@@ -140,7 +142,11 @@ def manifest_entries(law: Exportable, p: Vector, origin: Origin | None) -> dict[
             "ground_truth_sha256": digest,
             "initial_state_sha256": numbers_sha256(law.initial_state().tolist()),
         },
-        "gains": {"values": rows, "sha256": numbers_sha256(p.tolist())},
+        "gains": {
+            "values": rows,
+            "sha256": numbers_sha256(p.tolist()),
+            "id": gains_id(law, p, real),
+        },
     }
     if origin is not None:
         vehicle = origin.vehicle

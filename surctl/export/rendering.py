@@ -23,9 +23,20 @@ from surctl.export.contract import (
     telemetry_ports,
 )
 from surctl.export.direct import changing, direct_law, results
+from surctl.export.elapsed import RESTART, aged_runs, forgotten, forgotten_runs, longest_gap
 from surctl.export.envelope import Envelope
 from surctl.export.fields import entries, field, starts, transfers
-from surctl.export.guard_text import ANY_NUMBER, box_lines, flat_lines, jump_lines, keep_lines, number_calls, range_text
+from surctl.export.gain_store import gains_values
+from surctl.export.guard_text import (
+    ANY_NUMBER,
+    box_lines,
+    flat_lines,
+    jump_lines,
+    keep_lines,
+    limit_lines,
+    number_calls,
+    range_text,
+)
 from surctl.export.missions import DATA, MISSION_FILES, data_rows, is_fed, mission_values
 from surctl.export.vectors import TOLERANCE, SelfTest
 from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
@@ -75,6 +86,7 @@ def render_files(
         f"{name}.h": "law.h.j2",
         f"{name}_internal.h": "internal.h.j2",
         f"{name}.c": "law.c.j2",
+        **({f"{name}_gains.h": "gains.h.j2", f"{name}_gains.c": "gains.c.j2"} if law.gains.size else {}),
         **{file: "law_part.c.j2" for file, _, _ in of_law},
         f"{name}_selftest.c": "selftest.c.j2",
         "sil_main.c": "sil_main.c.j2",
@@ -167,9 +179,11 @@ def _values(
         "version": __version__,
         **_words(real),
         "f": lambda text: literal(float(text)),
-        "dt": literal(float(law.dt)),
+        "dt": repr(float(law.dt)) if real == "float64" else f"{np.float32(law.dt)!s}f",
         "period": repr(float(law.dt)),
         "status": status_table(law),
+        **_elapsed(law, literal),
+        **(gains_values(law, real) if law.gains.size else {}),
         "structs": _structs(law),
         "state": law.state,
         "inputs": law.inputs,
@@ -191,13 +205,12 @@ def _values(
         "transfers": transfers,
         "initial": runs(law.initial_state(), text=literal),
         "gain_values": [literal(float(v)) for v in gains],
+        "gain_indices": [f"{name}_gain_{port.name} = {at + 1}" for port, at in starts(law.gains)],
         "gain_table": _gain_table(law.gains, gains),
         "direct": isinstance(law.block, Program),
         "changing": changing(law.block) if isinstance(law.block, Program) else [],
         "results": results(law, law.block) if isinstance(law.block, Program) else [],
-        "thrusts": [f"output->{member}" for member, _ in entries(commands(law))]
-        if isinstance(law.block, Program)
-        else [f"tau[{k}]" for k in range(n_tau)],
+        "thrusts": _thrusts(law),
         "pragma": PRAGMA,
         "operations": law.block.operations,
         "libm": sorted(law.block.libm),
@@ -208,6 +221,16 @@ def _values(
         "test_state": [run for row in tests.state for run in runs(row, text=partial(_decimal, real=real))],
         "test_status": ", ".join(str(s) for s in tests.status),
         "flags": " ".join(FLAGS),
+    }
+
+
+def _elapsed(law: Exportable, literal: Callable[[float], str]) -> dict[str, Any]:
+    return {
+        "restart": RESTART,
+        "longest_gap": longest_gap(law.dt),
+        "aged": aged_runs(law, literal),
+        "anew": forgotten_runs(law, literal),
+        "forgotten": forgotten(law),
     }
 
 
@@ -235,13 +258,14 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
         "box": [
             flat_lines(law.state, within.state, "state->x", real),
             box_lines(law.inputs, within.inputs, lambda part, _: f"input->{part}", real),
-            box_lines(law.gains, within.gains, lambda part, _: f"gains->{part}", real),
+            box_lines(law.gains, within.gains, lambda part, _: f"gains->{part}", real, refuse=_numbered),
         ],
         "numbers": [
             call
             for (layout, _), struct in zip(boxes, ("state", "input", "gains"), strict=True)
             for call in number_calls(layout, struct)
         ],
+        "limits": limit_lines(_thrusts(law), within.commands, real),
         "stored": keep_lines(law.inputs, within),
         "jumps": jump_lines(law.inputs, within, law.dt, real),
         "watched": [(k, inputs[rate.entry][0], rate) for k, rate in enumerate(within.rates)],
@@ -250,6 +274,18 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
         "reasons": dict(within.reasons),
         "outside": _outside(law, within),
     }
+
+
+def _numbered(at: str) -> str:
+    # the statement that returns the index, from 1, of a gain out of its range
+    return f"return {int(at) + 1 if at.isdigit() else f'{at} + 1'};"
+
+
+def _thrusts(law: Exportable) -> list[str]:
+    # C text of each command before it is stored in the output
+    if isinstance(law.block, Program):
+        return [f"output->{member}" for member, _ in entries(commands(law))]
+    return [f"tau[{k}]" for k in range(command_size(law))]
 
 
 def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
@@ -266,8 +302,9 @@ def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
     other = law.inputs.size + law.gains.size + law.outputs.size
     arrays = 0 if isinstance(law.block, Program) else memory(law.block) - 2 * law.state.size
     held = {"state": 2 * law.state.size + len(within.rates), "structs": other, "arrays": arrays}
-    # besides these numbers, the input has one counter (the sample), and the state two (last sample, any accepted)
-    return {what: width * count + {"state": 8, "structs": 4}.get(what, 0) for what, count in held.items()}
+    # besides these numbers, the input has one counter (the sample), and the state five or six
+    counters = 6 if any(port.gap != "keep" for port in law.state) else 5
+    return {what: width * count + {"state": 4 * counters, "structs": 4}.get(what, 0) for what, count in held.items()}
 
 
 def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:

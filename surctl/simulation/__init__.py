@@ -44,7 +44,7 @@ from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
 from surctl.simulation.stopping import stop_reason
 from surctl.simulation.thruster_faults import ThrusterFault
-from surctl.simulation.thruster_fit import thruster_findings
+from surctl.simulation.thruster_fit import held_share, thruster_findings
 from surctl.simulation.thruster_use import ThrusterUse, thruster_use
 from surctl.simulation.world import Body, World, build_world
 
@@ -102,6 +102,7 @@ __all__ = [
     "depth_changes",
     "explain",
     "findings",
+    "held_share",
     "law_numbers",
     "load_scenario",
     "margin_needed",

@@ -159,7 +159,7 @@ class Loop:
         self.stepper = stepper
         self.thrusters = thrusters or Thrusters.of(vehicle, law)
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
-        self.limit = vehicle.thrust_range[1]
+        self.limit = vehicle.at_speed(world.scenario.cruise).thrust_range[1]
         self.sensors = world.scenario.sensors
         self.station = self.sensors.equipment.station
         self.array = self.sensors.array_on(world.hull)
@@ -216,7 +216,7 @@ class Loop:
             if standing >= round(STANDSTILL / dt):
                 return "dead end"
             self.law_state = step.x_next
-            self._advance(time, step.tau, noise)
+            self._advance(time, step, noise)
         return LINK_LOST if gone else "time limit"
 
     def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
@@ -227,7 +227,7 @@ class Loop:
         self.state = self.physics.state = state
         time, noise = index * self.law.dt, self._draw()
         step = self.stepper(law_state, self._inputs(self.world.bodies(time), noise, index), self.p)
-        self._advance(time, step.tau + added, noise)
+        self._advance(time, step._replace(tau=step.tau + added), noise)
         return step, self.state
 
     def record(self) -> Record:
@@ -271,8 +271,11 @@ class Loop:
         movers, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
         return _StepNoise(samples, uniforms.reshape(instants, wide, 2), own, movers, float(rest[6]))
 
-    def _advance(self, time: float, tau: NDArray[np.float64], noise: _StepNoise) -> None:
-        thrust = self.world.thrust(self.thrusters.achieved(tau, time), self.limit)
+    def _advance(self, time: float, step: LawStep, noise: _StepNoise) -> None:
+        psi, (east, north) = self.state[3], self.world.scenario.disturbance.current_m_per_s
+        speed = float(self.state[4] - (np.cos(psi) * east + np.sin(psi) * north))
+        achieved = self.thrusters.achieved(step.tau, time, telemetry=step.telemetry, speed=speed)
+        thrust = self.world.thrust(achieved, self.limit)
         half = round(self.law.dt / FIRING)
         for k in range(half):
             self.state = self.physics.advance(thrust, time + k * FIRING)
