@@ -2,7 +2,7 @@
 
 from surctl.engine.batch import Flight, simulate_seeds
 from surctl.engine.exported import write_mjcf
-from surctl.engine.fluid import Body, body_of, fluid_program, missing_buoyancy
+from surctl.engine.fluid import Body, body_of, fluid_program
 from surctl.engine.mjcf import mjcf
 from surctl.engine.options import EngineOptions, parse_plant
 from surctl.engine.physics import MujocoPhysics, mujoco_physics
@@ -18,7 +18,6 @@ __all__ = [
     "Scene",
     "body_of",
     "fluid_program",
-    "missing_buoyancy",
     "mjcf",
     "mujoco_physics",
     "parse_plant",
