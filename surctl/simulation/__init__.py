@@ -32,6 +32,7 @@ from surctl.simulation.metrics import (
 from surctl.simulation.numbers import law_numbers
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.paper_figure import PaperFigure
+from surctl.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
 from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
@@ -72,6 +73,7 @@ __all__ = [
     "Case",
     "CaseParameter",
     "ClosedLoopSystem",
+    "Contact",
     "DepthChange",
     "Disturbance",
     "Engine",
@@ -81,7 +83,10 @@ __all__ = [
     "Metrics",
     "Mission",
     "Obstacle",
+    "OwnPhysics",
     "PaperFigure",
+    "Physics",
+    "PhysicsMaker",
     "PriorityTimeline",
     "Record",
     "RecordFormat",

@@ -39,7 +39,7 @@ __all__ = [
 DERIVED_MARGIN = 0.4
 """Disk margin of all loops at once that derived gains must reach: all gains off by 33 %, or all phases by 23 deg."""
 
-TUNED_FOR = ("sur400", "sur540-flooded", "sur540-light")
+TUNED_FOR = ("sur400", "sur400-tilting", "sur540-flooded", "sur540-light", "sur540-tilting")
 """The built-in vehicles for which the gain set `default` was chosen."""
 
 _DT = 0.05  # [s] control period of the built-in laws

@@ -134,6 +134,7 @@ def _read(tmp_path: Path, *tables: dict[str, str], base: str = BASE, more: str =
         ({"push": "[0.0, 0.0, 0.0]"}, "thruster.0.push", "pushes nowhere"),
         ({"push": "[1.0, 1.0, 0.0]"}, "thruster.0.push", "has length 1.414"),
         ({"forward": '"0 N"'}, "thruster.0.forward", "pushes nowhere"),
+        ({"forward": "44.3"}, "thruster.0.forward", "must be a value with its unit"),
         ({"forward": '"4 m"'}, "thruster.0.forward", "N"),
         ({"reverse": '"-3 N"'}, "thruster.0.reverse", "must be at least 0"),
         ({"curve": "[[-1, -30], [0, 0], [0.5, 45], [1, 40]]"}, "thruster.0.curve", "is not monotone"),
