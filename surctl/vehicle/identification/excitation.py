@@ -29,13 +29,27 @@ def at_rest(model: Model, theta: Array, noise: Array) -> frozenset[str]:
     """Return the names of the masses on axes that did not move by more than the noise.
 
     If an axis is at rest, the fit interprets noise as motion, and the mass of this axis wrongly seems to be identified.
+    An axis has moved if its velocity exceeds the noise of the measured velocity, or its displacement in the sections
+    that of the measured position or heading. A body that oscillates, such as a fish with its tail, may have a
+    velocity that is mostly noise for the model, but a large displacement.
     """
-    x, y, z, psi, *rates = noise  # an axis without a measured velocity uses the position noise per second
-    has_rate = np.atleast_1d(model.present.any(axis=0))[4:]
-    level = np.where(has_rate, rates, [max(x, y), max(x, y), z, psi])
-    velocities = np.vstack([states[:, 4:8] for states in model.states(theta, model.sections)])
-    still = ~(np.sqrt(np.mean(velocities**2, axis=0)) > level)
+    x, y, z, psi, *rates = noise
+    present = np.atleast_1d(model.present.any(axis=0))
+    flat = present[0] & present[1]
+    velocities = [states[:, 4:8] for states in model.states(theta, model.sections)]
+    fast = np.sqrt(np.mean(np.vstack(velocities) ** 2, axis=0)) > rates
+    paths = [np.cumsum(v[1:] * s.dt[:, None], axis=0) for v, s in zip(velocities, model.sections, strict=True)]
+    displaced = np.sqrt(np.mean(np.vstack([(p - p.mean(axis=0)) ** 2 for p in paths]), axis=0))
+    far = displaced > np.array([max(x, y), max(x, y), z, psi])
+    still = ~((fast & present[4:]) | (far & [flat, flat, present[2], present[3]]))
     return frozenset(np.array(FITTED[:4])[still].tolist())
+
+
+def measured_axes(model: Model) -> NDArray[np.bool_]:
+    """Return which of the axes surge, sway, heave and yaw (4,) have a measured pose or velocity."""
+    present = np.atleast_1d(model.present.any(axis=0))
+    flat = present[0] & present[1]
+    return np.asarray(present[4:] | [flat, flat, present[2], present[3]])
 
 
 def few_thrusts(log: MotionLog, sections: tuple[Section, ...]) -> str:
@@ -58,8 +72,17 @@ def ill_excited(
 
     The combinations are the eigenvectors of the covariance of the relative changes with a large eigenvalue.
     """
-    texts = [f"{_AXES[k]}: no motion above the noise, so {k} and its drag are unknown" for k in FITTED[:4] if k in rest]
-    names = [k for k in model.names if not axes_of(k) & rest]
+    unmeasured = {k for k, measured in zip(FITTED[:4], measured_axes(model), strict=True) if not measured}
+    force_of = dict(zip(FITTED[:4], CONSTANT_FORCE, strict=True))
+    texts = [
+        f"{_AXES[k]}: not measured, so {k}, its drag and {force_of[k]} are unknown"
+        if k in unmeasured
+        else f"{_AXES[k]}: no motion above the noise, so {k} and its drag are unknown"
+        for k in FITTED[:4]
+        if k in rest
+    ]
+    unknown = {force_of[k] for k in unmeasured}
+    names = [k for k in model.names if not axes_of(k) & rest and k not in unknown]
     places = [model.names.index(k) for k in names]
     scale = model.scale[places]
     size = np.array(
