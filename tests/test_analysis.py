@@ -60,6 +60,16 @@ def test_the_study_of_published_vehicles() -> None:
     assert by_column["tank: reached, collided"] == "2, 0 of 2" and by_column["straight: end, time [s]"] == "reached, 58"
 
 
+def test_the_study_of_public_logs() -> None:
+    done = run(ANALYSIS / "32_public_logs" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    robots = {row[0]: row for row in table(done.stdout) if len(row) == 6}
+    assert {name: row[3] for name, row in robots.items()} == {
+        "robot": "rows per s", "ship": "2", "fish": "10", "glider": "1"
+    }  # fmt: skip
+    assert "velocities of the world frame" in done.stdout and "| 20 s | " in done.stdout
+
+
 def test_the_study_of_sums_of_squares() -> None:
     done = run(ANALYSIS / "14_claim_prover" / "squares.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -17,6 +17,7 @@ from surctl.vehicle import (
     identify,
     in_sequence,
     load_vehicle,
+    predict,
     read_mapped_log,
     velocity_notes,
 )
@@ -82,7 +83,7 @@ def test_a_map_that_does_not_match_the_table(change: tuple[str, str], fragment: 
 
 
 def circling() -> MotionLog:
-    t = 0.1 * np.arange(300)
+    t = np.linspace(0.0, 29.9, 300)
     psi = 0.4 * np.sin(0.3 * t) + 0.05 * t
     u, v = 0.5 + 0.2 * np.sin(0.5 * t), 0.2 * np.cos(0.4 * t)
     flat = np.exp(1j * psi) * (u + 1j * v)
@@ -158,6 +159,13 @@ def test_a_slow_diver_by_its_depth_alone() -> None:
     short, long = held_out_windows(log, diver(), [5.0, 40.0, 500.0])
     assert (short.window, long.window) == (5.0, 40.0) and long.windows >= 3  # after eight rows for the velocity
     assert short.model["z_m"] <= short.hold["z_m"] and long.model["z_m"] < 0.3 * long.hold["z_m"]
+
+
+def test_the_speed_before_a_window_follows_from_several_rows() -> None:
+    motion = np.full((120, 8), np.nan)
+    motion[:, 2] = np.round(0.13 * np.arange(120.0) / 0.05) * 0.05
+    found = predict(MotionLog(np.arange(120.0), motion, np.zeros((120, 4))), diver(), window=5.0)
+    assert found.hold["z_m"] < 0.04  # two rows alone give 0.10 or 0.15 m/s
 
 
 def test_an_axis_at_rest_by_its_depth_alone_is_still_at_rest() -> None:
