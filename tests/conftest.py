@@ -43,6 +43,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: first.get(item.path, len(first)))
 
 
+def pytest_collection_finish() -> None:
+    """The modules of the tests are loaded."""
+    processes.collect_seldom()
+
+
 def _processor_time() -> float:
     """Of this process and of all that it started [s]."""
     return sum(os.times()[:4]) + sum(processes.spent)

@@ -40,7 +40,7 @@ def velocity_notes(log: MotionLog) -> tuple[str, ...]:
     """
     notes = []
     motion = log.motion
-    x, y, z, psi, u, v, w, r = motion.T
+    x, y, z, psi, u, v, w, r = motion[:, :8].T
     flat = _compared(
         log,
         x + 1j * y,
