@@ -217,12 +217,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one log of two thirds of the length")
     parser.add_argument("--logs", type=int, default=200, help="number of logs (default 200)")
-    parser.add_argument(
-        "--compared", type=int, default=8, help="how many of them, at the end, SciPy fits too (default 8)"
-    )
     parser.add_argument("--workers", type=int, default=2, help="processes")
     given = parser.parse_args()
-    count, compared = (1, 1) if given.quick else (given.logs, min(given.compared, given.logs))
+    count, compared = (1, 1) if given.quick else (given.logs, min(8, given.logs))
     share = 2 / 3 if given.quick else 1.0
     found: list[Trial] = []
     for one in trials([(k, k >= count - compared, share) for k in range(count)], given.workers):

@@ -31,7 +31,7 @@ def outliers(values: Array) -> NDArray[np.bool_]:
         >>> import numpy as np
         >>> from surctl.vehicle.identification.outliers import outliers
         >>> values = np.sin(0.1 * np.arange(100)) + 0.01 * np.cos(40.0 * np.arange(100))
-        >>> values[[20, 60]] += 2.0, -0.4
+        >>> values[[20, 60]] += 3.0, -2.0
         >>> np.flatnonzero(outliers(values)).tolist()
         [20, 60]
     """
