@@ -80,6 +80,13 @@ def test_the_study_of_fitted_vehicles_with_coloured_noise() -> None:
     assert {row[1].strip("| ") for row in table(done.stdout) if len(row) == 2 and "held-out" in row[0]} == {"holds"}
 
 
+def test_the_study_of_fitted_vehicles_that_roll_and_pitch() -> None:
+    done = run(ANALYSIS / "20_identification" / "tilting.py", "--quick", "--workers", "1")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = {row[0]: row[4] for row in table(done.stdout) if len(row) == 5}
+    assert all("100%" in rows[name] for name in ("mpp", "mqq", "Kp", "Mq", "zg"))
+
+
 def test_the_study_of_import_times() -> None:
     done = run(ANALYSIS / "21_import_time" / "run.py", "--quick")
     rows = {row[0].strip("`"): row[4].strip("| ") for row in table(done.stdout) if len(row) == 5}

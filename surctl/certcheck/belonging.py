@@ -43,6 +43,7 @@ _GUARDED = (
 )  # fmt: skip
 _STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
 _LIMITS = ("Fu_max", "Fv_max")
+_NO_TERMS: Mapping[str, float] = {}
 _EQUATION_3 = {
     "radius", "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "Fu_max", "Fv_max",
     "Fw_max", "Fr_max", "thrust_lag",
@@ -157,7 +158,7 @@ class _Comparison:
     def turning(self) -> None:
         read_turning(self.claim)
         vehicle, law = self.claim["vehicle"], self.claim["law"]
-        self._hashes()
+        self._hashes(terms=vehicle["terms"])
         self.excludes += [*self.claim["excludes"], _ROUNDING.format(self.manifest.real)]
         for name in ("k1", "lookahead", "k_v", "wait", "cruise", "cap"):
             self._gain(name, law[name])
@@ -171,11 +172,12 @@ class _Comparison:
         for row in _ALIKE[1:]:  # the linear and the quadratic coefficients have their own factors
             self._factors("drag", vehicle["drag_asymmetry"], (row,))
         for axis, name in enumerate(_LIMITS):
-            have = [*self._gains("thrust_limit")[axis : axis + 1], *self._numbers(name)]
+            limits = name, name.replace("max", "reverse")
+            have = [*self._gains("thrust_limit")[axis : axis + 1], *self._numbers(*limits)]
             self._at_least(f"thrust_limit of {name}", vehicle["thrust_n"][axis], "N", have)
             self._lower_ends("thrust", vehicle["thrust_n"][axis], "N")
         self._at_most("yaw rate", vehicle["yaw_rate_rad_per_s"], "rad/s", self._gains("spin"))
-        yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max")]
+        yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max", "Fr_reverse")]
         self._at_least("thrust_limit of yaw", vehicle["munk_moment_nm"], "N m", yaw)
         self._perception()
 
@@ -277,7 +279,7 @@ class _Comparison:
 
     # ---- helpers of all comparisons
 
-    def _hashes(self, *, lawless: bool = False) -> None:
+    def _hashes(self, *, lawless: bool = False, terms: Mapping[str, float] = _NO_TERMS) -> None:
         laws, vehicle = self.manifest.laws, self.manifest.vehicle
         if not lawless and self.claim["sha256_law"] not in laws:
             self.differs.append(f"law: SHA-256 {self.claim['sha256_law'][:12]} certified, {laws[0][:12]} exported")
@@ -288,11 +290,18 @@ class _Comparison:
             self.differs.append(f"vehicle: SHA-256 {certified} certified, {vehicle[:12]} exported")
         if self.manifest.ranges is None:
             self._unknown("ranges of the vehicle")
-        self._terms()
+        self._terms(terms)
 
-    def _terms(self) -> None:
-        if terms := sorted(set(self.manifest.values) - _EQUATION_3):
+    def _terms(self, certified: Mapping[str, float] = _NO_TERMS) -> None:
+        """Compare the vehicle's terms beside equation (3) with the certified ones."""
+        have = {name: value for name, value in self.manifest.values.items() if name not in _EQUATION_3}
+        if terms := sorted(set(have) - set(certified)):
             self.differs.append(f"vehicle: it has {', '.join(terms)}, which the certificate does not cover")
+        for name, value in certified.items():
+            if name not in have:
+                self.differs.append(f"vehicle: it does not have {name}, which is certified")
+            elif have[name] != value:
+                self.differs.append(f"{name}: {value!r} certified, {have[name]!r} exported")
 
     def _vehicle(self, vehicle: Mapping[str, Any]) -> None:
         for what, key, names in _ALIKE:

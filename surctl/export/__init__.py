@@ -3,6 +3,7 @@
 from surctl.export.bundle import Bundle, ExportedFile, build_bundle, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds
 from surctl.export.closed import ClosedForm, closed_form
+from surctl.export.compiled_law import CompiledLaw
 from surctl.export.contract import STATUS, Exportable
 from surctl.export.emulated import EmulatedLine, emulated, emulated_target
 from surctl.export.envelope import Envelope, Rate
@@ -28,6 +29,7 @@ __all__ = [
     "Bundle",
     "CheckReport",
     "ClosedForm",
+    "CompiledLaw",
     "Controller",
     "Difference",
     "EmulatedLine",

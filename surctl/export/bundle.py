@@ -66,8 +66,9 @@ class Bundle:
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """Return the names of the public header and of the header that only the controller's C files include."""
-        return (f"{self.name}.h", f"{self.name}_internal.h")
+        """Return the names of the public headers and of the header that only the controller's C files include."""
+        names = (f"{self.name}.h", f"{self.name}_gains.h", f"{self.name}_internal.h")
+        return tuple(name for name in names if name in self.files)
 
 
 @dataclass(frozen=True)
@@ -126,13 +127,29 @@ def build_bundle(
     within = (envelope or anywhere(law)).fitted(law, real)
     identity = law_id(law, p, real=real)
     tests = self_test_vectors(in_precision(law, real, within), rounded(p, real), within)
-    files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real, mission=mission)
+    files = render_files(
+        law, p, within, name=prefix, identity=identity, tests=tests, real=real, mission=mission, origin=origin
+    )
     files |= {} if origin is None else origin.files
-    table = _manifest(law, prefix, identity, real, within) | manifest_entries(law, p, origin)
+    _check_gains(law, rounded(p, real), within)
+    table = _manifest(law, prefix, identity, real, within) | manifest_entries(law, p, origin, real=real)
     if origin is not None:
         check_belonging(table | {"sha256": {}, "proof": {}}, origin)
     files["manifest.json"] = manifest_with(table, files, proof={"status": "not tried"})
     return Bundle(prefix, identity, MappingProxyType(files), real, within)
+
+
+def _check_gains(law: Exportable, p: Vector, within: Envelope) -> None:
+    wrong = np.flatnonzero(~((p >= within.gains[:, 0]) & (p <= within.gains[:, 1])))
+    if wrong.size:
+        at = int(wrong[0])
+        port = next(port for port in law.gains if at < law.gains.slice(port.name).stop)
+        raise InputError(
+            f"is outside the range that the guard accepts, {range_text(within.gains[at : at + 1])}",
+            key=port.name,
+            value=float(p[at]),
+            remedy="change the gain, or widen the range of the envelope",
+        )
 
 
 def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:

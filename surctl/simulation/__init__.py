@@ -32,6 +32,7 @@ from surctl.simulation.metrics import (
 from surctl.simulation.numbers import law_numbers
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.paper_figure import PaperFigure
+from surctl.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
 from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
@@ -43,7 +44,7 @@ from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
 from surctl.simulation.stopping import stop_reason
 from surctl.simulation.thruster_faults import ThrusterFault
-from surctl.simulation.thruster_fit import thruster_findings
+from surctl.simulation.thruster_fit import held_share, thruster_findings
 from surctl.simulation.thruster_use import ThrusterUse, thruster_use
 from surctl.simulation.world import Body, World, build_world
 
@@ -65,6 +66,7 @@ __all__ = [
     "Case",
     "CaseParameter",
     "ClosedLoopSystem",
+    "Contact",
     "DepthChange",
     "Disturbance",
     "Engine",
@@ -74,7 +76,10 @@ __all__ = [
     "Metrics",
     "Mission",
     "Obstacle",
+    "OwnPhysics",
     "PaperFigure",
+    "Physics",
+    "PhysicsMaker",
     "PriorityTimeline",
     "Record",
     "RecordFormat",
@@ -97,6 +102,7 @@ __all__ = [
     "depth_changes",
     "explain",
     "findings",
+    "held_share",
     "law_numbers",
     "load_scenario",
     "margin_needed",

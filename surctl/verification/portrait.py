@@ -166,7 +166,7 @@ def _turning(document: Mapping[str, Any]) -> _Loop:
             state[:, 2] += float(claim.cruise)
             tiled = {
                 key: np.tile(pair, (n, 1)) for key, pair in zip(("mass", "linear", "quadratic"), boat, strict=True)
-            }
+            } | dict.fromkeys(("term_mass", "term"), np.ones(n))
             return true_rate(claim, tiled, state, np.full(n, psi), np.full(n, r))
 
         return rate

@@ -89,6 +89,14 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 150},
     ),
     (
+        "region-turning-20-curved",
+        "as region-turning-20-scale, at 0.1 m/s on curved paths with a radius of at least 3 m",
+        {
+            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
+            "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 100,
+        },
+    ),
+    (
         "region-heading-20",
         "heading-steered loop of 8 states with its own soft gains, all parameters uncertain by ±20 %, thrust limits",
         {"loop": "heading", "attempts": 3, "cells": 250},

@@ -25,10 +25,11 @@ _HEADING_KNOWS = frozenset(
 _TURNING_KNOWS = frozenset(
     {
         "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "mass_asymmetry", "thrust_share",
-        "yaw_rate_rad_per_s", "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "gains", "attempts",
+        "yaw_rate_rad_per_s", "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "curvature_per_m",
+        "gains", "attempts",
     }
 )  # fmt: skip
-_TURNING_ALONE = frozenset({"mass_share", "mass_asymmetry", "at_rest"})
+_TURNING_ALONE = frozenset({"mass_share", "mass_asymmetry", "at_rest", "curvature_per_m"})
 
 
 class RegionStatement(Strict):
@@ -56,6 +57,7 @@ class RegionStatement(Strict):
         force_n: largest force of waves and thrust errors, varying arbitrarily.
         place_error_m, velocity_error_m_per_s: largest errors of measured position and velocity, varying arbitrarily.
         at_rest: whether the region must contain a vehicle at rest (`turning` only).
+        curvature_per_m: largest curvature of the path (`turning` only).
         gains: gains that replace those of the gain file.
         attempts: number of start values of the search; for `heading`, number of enlargements of the region.
         cells: largest number of cells of (ψ, y) in a proof (`heading` only).
@@ -83,6 +85,7 @@ class RegionStatement(Strict):
     place_error_m: StrictFloat = Field(default=0.0, ge=0)
     velocity_error_m_per_s: StrictFloat = Field(default=0.0, ge=0)
     at_rest: StrictBool = False
+    curvature_per_m: StrictFloat = Field(default=0.0, ge=0)
     gains: dict[str, StrictFloat] = Field(default_factory=dict)
     attempts: StrictInt = Field(default=80, ge=1)
     cells: StrictInt = Field(default=1500, ge=1)
@@ -114,7 +117,7 @@ class RegionStatement(Strict):
             return turning_claim(
                 self.name, vehicle, law_gains, share=self.share, mass_share=self.mass_share, asymmetry=self.asymmetry,
                 mass_asymmetry=self.mass_asymmetry, thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise,
-                cap=cap, rate=self.rate_per_s, rest=self.at_rest,
+                cap=cap, rate=self.rate_per_s, rest=self.at_rest, curvature=self.curvature_per_m,
             )  # fmt: skip
         self._used(type(self).model_fields.keys() - _TURNING_ALONE, "the cruise with equal masses")
         return region_claim(
