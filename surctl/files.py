@@ -169,8 +169,10 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
             known = _fields_at(model, first["loc"][:-1])
             problem, remedy = "unknown key", nearest(str(first["loc"][-1]), known)
             value = None
-        elif first["type"] == "model_type" and "Quantity" in first["loc"]:
+        elif first["type"] == "model_type" and first["ctx"]["class_name"] == "Quantity":
             problem, remedy = "must be a value with its unit", 'write { value = ..., unit = "..." }'
+        elif first["type"] in ("model_type", "dict_type"):
+            problem, remedy = "must be a table", "write [name] above its keys, or { key = value }"
         elif first["type"] in ("tuple_type", "list_type"):
             problem, remedy = "must be a list", "write [ ... ] around its members"
         elif first["type"] == "missing":

@@ -15,18 +15,20 @@ from surctl.recorded import Recorded, read_recorded
 from surctl.units import in_unit
 from surctl.vehicle.frames import FRAME_TEXT, Frame, check_frame, swap_body, swap_pose
 
-__all__ = ["LOG_MOTION", "LOG_THRUST", "MotionLog", "read_motion_log"]
+__all__ = ["LOG_MOTION", "LOG_THRUST", "LOG_TILT", "MotionLog", "read_motion_log"]
 
 LOG_MOTION = ("x_m", "y_m", "z_m", "psi_rad", "u_m_per_s", "v_m_per_s", "w_m_per_s", "r_rad_per_s")
 """Columns of η and ν; a log may have only some of them, and cells may be empty."""
+LOG_TILT = ("roll_rad", "pitch_rad", "p_rad_per_s", "q_rad_per_s")
+"""Columns of roll and pitch, and of the angular velocities p, q of the hull; a log may have none of them."""
 LOG_THRUST = ("Fu_N", "Fv_N", "Fw_N", "Fr_N_m")
 """Columns of the commanded thrust, which is constant from one row to the next."""
 
 _LEAST = 50  # rows
 _UNITS = dict(
     zip(
-        ("t_s", *LOG_MOTION, *LOG_THRUST),
-        ("s", "m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s", "N", "N", "N", "N m"),
+        ("t_s", *LOG_MOTION, *LOG_TILT, *LOG_THRUST),
+        ("s", "m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s", *2 * ("rad",), *2 * ("rad/s",), *3 * ("N",), "N m"),
         strict=True,
     )
 )
@@ -52,7 +54,8 @@ class MotionLog:
     Attributes:
         time: (n,) [s], increasing.
         motion: (n, 8) pose η in the world frame {E}, then velocity over ground ν in the body frame {B}; NaN where there
-            is no measurement. The heading ψ is continuous, without jumps by a full turn.
+            is no measurement. The heading ψ is continuous, without jumps by a full turn. With roll and pitch, (n, 12):
+            then roll, pitch [rad], and the angular velocities p, q of the hull [rad/s].
         thrust: (n, 4) commanded thrust in {B} [N, N m]; each command is constant until the next sample.
         source: name of the file.
     """
@@ -85,6 +88,8 @@ class MotionLog:
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
     """Read time `t_s`, thrust, and any motion columns of a log file (CSV, .mat, netCDF); ignore other columns.
 
+    With any of the columns roll_rad, pitch_rad, p_rad_per_s and q_rad_per_s, the log has roll and pitch.
+
     A column may have the ending of another unit: t_ns, t_us or t_ms, x_cm or x_mm, psi_deg, u_cm_per_s, r_deg_per_s,
     Fu_kgf. Times in such a unit count from the first row.
 
@@ -108,21 +113,28 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     """
     table = read_recorded(path)
     written = _frame(table, frame)
-    columns = {name: _written_as(table, name) for name in ("t_s", *LOG_MOTION, *LOG_THRUST)}
+    columns = {name: _written_as(table, name) for name in _UNITS}
     table.need(name for name in ("t_s", *LOG_THRUST) if columns[name] is None)
     time = _numbers(table, "t_s", columns)
     if not np.isfinite(time).all():
         row = int(np.flatnonzero(~np.isfinite(time))[0])
         key = (columns["t_s"] or ("t_s", ""))[0]
         raise InputError("is not a time", file=table.at(row), key=key, remedy="fill it in or remove the row")
-    motion = np.column_stack([_numbers(table, c, columns) for c in LOG_MOTION])
+    tilts = any(columns[c] is not None for c in LOG_TILT)
+    motion = np.column_stack([_numbers(table, c, columns) for c in (*LOG_MOTION, *(LOG_TILT if tilts else ()))])
     heading = motion[:, 3]
     known = np.isfinite(heading)
     heading[known] = np.unwrap(heading[known])
     thrust = np.column_stack([_numbers(table, c, columns) for c in LOG_THRUST])
     if written == "ned":
-        motion, thrust = np.hstack([swap_pose(motion[:, :4]), swap_body(motion[:, 4:])]), swap_body(thrust)
+        motion, thrust = swapped(motion), swap_body(thrust)
     return MotionLog(time, motion, thrust, table.name)
+
+
+def swapped(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return motion (n, 8) or (n, 12) of a log in ENU/FLU from NED/FRD, or back; pitch and q change their signs."""
+    tilt = motion[:, 8:] * np.array([1.0, -1.0, 1.0, -1.0])[: motion.shape[1] - 8]
+    return np.hstack([swap_pose(motion[:, :4]), swap_body(motion[:, 4:8]), tilt])
 
 
 def _written_as(table: Recorded, name: str) -> tuple[str, str] | None:

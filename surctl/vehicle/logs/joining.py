@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.units import in_unit
-from surctl.vehicle.frames import swap_body, swap_pose
+from surctl.vehicle.frames import swap_body
 from surctl.vehicle.logs.log_map import LogMap, Source
 from surctl.vehicle.logs.recording import Recording, Topic
-from surctl.vehicle.motion_log import MotionLog
+from surctl.vehicle.motion_log import MotionLog, swapped
 
 __all__ = ["heading_frame", "joined", "roll_pitch_heading"]
 
@@ -58,20 +58,23 @@ def joined(recording: Recording, log_map: LogMap, *, map_name: str) -> MotionLog
 
     The common times are those of the velocity, else of the position, else of the attitude, else of the rates; or a
     constant period. Motion is interpolated between its messages, but not across a gap. A command counts until the next
-    one.
+    one. An attitude of 3 or 4 fields gives roll and pitch too, and rates of 3 fields p and q.
 
     Raises:
         InputError: a topic or field is missing, a unit is wrong, or topics have no common time.
     """
     sources = _Sources(recording, log_map, map_name)
     time = sources.times()
-    motion = np.full((len(time), 8), np.nan)
+    tilts = len(getattr(log_map.attitude, "fields", ())) > 1
+    motion = np.full((len(time), 12 if tilts else 8), np.nan)
     if log_map.position is not None:
         position = sources.motion("position", log_map.position, time, log_map.position.unit, "m")
         motion[:, : position.shape[1]] = position
     angles = _angles(sources, log_map, time)
     if angles is not None:
         motion[:, 3] = angles[:, 2]
+        if tilts:
+            motion[:, 8:10] = angles[:, :2]
     roll, pitch = (np.zeros(len(time)),) * 2 if angles is None else (angles[:, 0], angles[:, 1])
     if log_map.velocity is not None:
         velocity = sources.motion("velocity", log_map.velocity, time, log_map.velocity.unit, "m/s")
@@ -91,11 +94,12 @@ def joined(recording: Recording, log_map: LogMap, *, map_name: str) -> MotionLog
         motion[:, 7] = rates[:, 0]
         if rates.shape[1] == 3:
             motion[:, 7] = (rates[:, 1] * np.sin(roll) + rates[:, 2] * np.cos(roll)) / np.cos(pitch)
+            motion[:, 10:] = rates[:, :2]
     thrust = sources.thrust(time)
     known = np.isfinite(thrust).all(axis=1)
     time, motion, thrust = time[known], motion[known], thrust[known]
     if log_map.log.frame == "ned":
-        motion, thrust = np.hstack([swap_pose(motion[:, :4]), swap_body(motion[:, 4:])]), swap_body(thrust)
+        motion, thrust = swapped(motion), swap_body(thrust)
     return MotionLog(time, motion, thrust, recording.source)
 
 
