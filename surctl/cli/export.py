@@ -14,6 +14,7 @@ from surctl.cli.law_option import choose_law, law_option
 from surctl.cli.next_export import MISSION
 from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
+from surctl.cli.scene_export import export_scene
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 from surctl.cli.system_export import export_system
 from surctl.cli.system_option import is_system, seconds_option
@@ -42,7 +43,7 @@ __all__ = ["export"]
 @click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles from sonar (default), or as inputs: truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
-@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), or fmu to add an FMI 2.0 unit.")
+@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu or mjcf (scene for MuJoCo).")
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option(
     "--constant-gains",
@@ -161,10 +162,12 @@ def export(
     from surctl.simulation.numbers import fed_ranges
     from surctl.vehicle import load_vehicle
 
-    checked = (("--target", target, ("c99", "fmu")), ("--real", real, REALS), ("--sensing", sensing, SENSING))
+    checked = (("--target", target, ("c99", "fmu", "mjcf")), ("--real", real, REALS), ("--sensing", sensing, SENSING))
     for key, value, known in checked:
         if value not in known:
             raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
+    if target == "mjcf":
+        export_scene(scenario, vehicle, out=out, as_json=as_json)
     if not check and (targets or steps):
         raise InputError("needs --check", key="--targets" if targets else "--steps", remedy="add --check")
     precision = REALS[REALS.index(real)]

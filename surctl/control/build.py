@@ -38,7 +38,7 @@ from surctl.control.ports import (
     sonar_inputs,
 )
 from surctl.control.reference import learnt, path_following
-from surctl.control.registry import law_ref, law_source
+from surctl.control.registry import SONARLESS, law_ref, law_source
 from surctl.control.routines import limited, sensing
 from surctl.control.source import LawSource, decision_of, perceived_by, thrust_of
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
@@ -152,8 +152,9 @@ def build_law(
     kind = "sonar" if sonar else "truth"
     for key, value, supported in (("sensing", kind, source.sensing), ("priority-mode", mode, source.modes or MODES)):
         if value not in supported:
+            why = f", because {SONARLESS}" if key == "sensing" and source.steering is not None else ""
             raise InputError(
-                f"law {called} supports only {' and '.join(supported)}",
+                f"law {called} supports only {' and '.join(supported)}{why}",
                 key=key,
                 value=value,
                 remedy=f"set --{key} {supported[0]}",

@@ -1,7 +1,8 @@
 """The same closed loop in MuJoCo, a rigid-body engine with contacts, rays and pictures (extra `mujoco`)."""
 
 from surctl.engine.batch import Flight, simulate_seeds
-from surctl.engine.fluid import Body, body_of, fluid_program, missing_buoyancy
+from surctl.engine.exported import write_mjcf
+from surctl.engine.fluid import Body, body_of, fluid_program
 from surctl.engine.mjcf import mjcf
 from surctl.engine.options import EngineOptions, parse_plant
 from surctl.engine.physics import MujocoPhysics, mujoco_physics
@@ -17,9 +18,9 @@ __all__ = [
     "Scene",
     "body_of",
     "fluid_program",
-    "missing_buoyancy",
     "mjcf",
     "mujoco_physics",
     "parse_plant",
     "simulate_seeds",
+    "write_mjcf",
 ]

@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from math import pi
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -24,12 +25,12 @@ from numpy.typing import NDArray
 
 from surctl.engine.options import EngineOptions
 from surctl.ir import Program, lower_named
-from surctl.vehicle import PlantForm, Vehicle, plant_layout, plant_parameters
+from surctl.vehicle import GRAVITY, WATER, PlantForm, Vehicle, plant_layout, plant_parameters
 
-__all__ = ["GRAVITY", "WATER", "Body", "body_of", "fluid_program", "missing_buoyancy"]
+if TYPE_CHECKING:
+    from surctl.simulation import Scenario
 
-GRAVITY = 9.81
-WATER = 1000.0
+__all__ = ["Body", "body_of", "environment", "fluid_program"]
 
 _TILTING = set("KMpq")
 _LINEAR, _ANGULAR = [0, 1, 2], [4, 5, 3]  # places of (u, v, w) and (p, q, r) in (u, v, w, r, p, q)
@@ -86,25 +87,12 @@ def body_of(vehicle: Vehicle, options: EngineOptions) -> Body:
     return Body(options, form, mass, turning, parameters, coupled)
 
 
-def emerged(z: float, radius: float) -> float:
-    """Return the volume [m³] of a sphere with its centre at `z` [m] that is above the surface at 0."""
-    height = min(max(z + radius, 0.0), 2 * radius)
-    return pi * height * height * (3 * radius - height) / 3
-
-
-def missing_buoyancy(radius: float, z: float) -> float:
-    """Return the weight [N] of the water that the part of a spherical hull above the surface does not displace.
-
-    Args:
-        radius: radius of the hull [m].
-        z: z of its centre [m]; the surface is at 0.
-
-    Example:
-        >>> from surctl.engine import missing_buoyancy
-        >>> round(missing_buoyancy(0.27, -0.15), 1), missing_buoyancy(0.27, -0.3)
-        (102.1, 0.0)
-    """
-    return WATER * GRAVITY * emerged(z, radius)
+def environment(body: Body, scenario: Scenario, hull: float) -> NDArray[np.float64]:
+    """Return the input `e` (14,) of `fluid_program` without an outer force, for a hull with this radius [m]."""
+    options = body.options
+    ballast = scenario.depth if options.ballast == "path" else -2 * hull
+    current = scenario.disturbance.current_m_per_s
+    return np.array([*current, 0, 0, 0, 0, 0, hull, options.surface, ballast, body.mass, *body.inertia])
 
 
 def fluid_program(body: Body) -> Program:

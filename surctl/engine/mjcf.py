@@ -7,8 +7,9 @@ from math import cos, isfinite, pi, radians, sin, tan
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from surctl.engine.fluid import WATER, Body, body_of
+from surctl.engine.fluid import Body, body_of
 from surctl.engine.options import EngineOptions
+from surctl.vehicle import WATER
 
 if TYPE_CHECKING:
     from surctl.simulation import Obstacle, Scenario

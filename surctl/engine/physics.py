@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.engine.fluid import body_of
+from surctl.engine.fluid import body_of, environment
 from surctl.engine.library import mujoco_library, stepper
 from surctl.engine.mjcf import HULL, OBSTACLE, WALLS, mjcf
 from surctl.engine.options import EngineOptions
@@ -93,10 +93,7 @@ class MujocoPhysics:
         self._acting = self.data.act if self._lagged else self.data.ctrl  # thrust that acts on the hull now
         self._mocap_pos, self._xmat = self.data.mocap_pos, self.data.xmat[self._body].reshape(3, 3)
         self._turns = 0.0
-        own = (self.body.mass, *self.body.inertia)
-        ballast = scenario.depth if options.ballast == "path" else -2 * world.hull
-        current = scenario.disturbance.current_m_per_s
-        self._outer = np.array([*current, 0, 0, 0, 0, 0, world.hull, options.surface, ballast, *own])
+        self._outer = environment(self.body, scenario, world.hull)
         self._rays = Rays(array, options)
         self._p = np.array(self.body.parameters)
         self._step = stepper(self.body)(

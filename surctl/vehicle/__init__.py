@@ -1,6 +1,7 @@
 """The vehicle: parameters, equations (1)–(3) of the paper (kinematics, dynamics), linearisation, identification."""
 
 from surctl.vehicle.attainable import Attainable, attainable
+from surctl.vehicle.buoyancy import GRAVITY, WATER, floating_depth, missing_buoyancy
 from surctl.vehicle.dynamics import (
     PLANT_DISTURBANCE,
     PLANT_PARAMETERS,
@@ -38,6 +39,7 @@ __all__ = [
     "FITTED",
     "FRAMES",
     "FRAME_TEXT",
+    "GRAVITY",
     "HELD_OUT",
     "LIBRARY",
     "LOG_MOTION",
@@ -48,6 +50,7 @@ __all__ = [
     "PLANT_PARAMETERS",
     "PLANT_STATE",
     "TERMS",
+    "WATER",
     "Actuators",
     "Attainable",
     "Fin",
@@ -68,6 +71,7 @@ __all__ = [
     "build_plant",
     "check_equation_3",
     "check_frame",
+    "floating_depth",
     "gazebo_vehicle",
     "heading_velocity",
     "held_out",
@@ -75,6 +79,7 @@ __all__ = [
     "jacobian",
     "linearise",
     "load_vehicle",
+    "missing_buoyancy",
     "parameter_spec",
     "planar_rotation",
     "plant_jacobians",

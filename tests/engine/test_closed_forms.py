@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from surctl.engine import EngineOptions, MujocoPhysics, missing_buoyancy
+from surctl.engine import EngineOptions, MujocoPhysics
 from surctl.simulation import Physics, build_world
-from surctl.vehicle import plant_state, steady_speed
+from surctl.vehicle import missing_buoyancy, plant_state, steady_speed
 from tests.engine.tools import MIDDLE, NO_DRAG, NO_TILT_DRAG, STILL, load_vehicle, own, physics, with_values
 
 TILTING = load_vehicle("sur540-tilting")
