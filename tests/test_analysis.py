@@ -50,6 +50,15 @@ def test_the_study_of_the_prover() -> None:
     assert len(rows) >= 10 and all(row[2] != "**not proved**" for row in rows)
 
 
+def test_the_study_of_hostile_gains_and_broken_time() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "34_firmware" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = table(done.stdout)
+    assert [row[4:] for row in rows if len(row) == 6][1:] == [["0", "0"], ["0", "0"]]
+    assert next(row[4:] for row in rows if len(row) == 8 and row[0].isdigit()) == ["0"] * 4
+
+
 def test_the_study_of_published_vehicles() -> None:
     need_compiler()
     done = run(ANALYSIS / "31_craft" / "run.py", "--quick")
