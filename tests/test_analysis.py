@@ -13,7 +13,7 @@ import pytest
 
 from surctl.vehicle import FITTED
 from tests.processes import run_python
-from tests.tools import need, need_compiler
+from tests.tools import need, need_compiler, need_module
 
 ANALYSIS = Path(__file__).parents[1] / "analysis"
 SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
@@ -58,6 +58,16 @@ def test_the_study_of_published_vehicles() -> None:
     by_column = dict(zip(head, rows[0], strict=True))
     assert by_column["gains"] == "derived" and float(by_column["disk margin"]) >= 0.4 and by_column["holds"] == "yes"
     assert by_column["tank: reached, collided"] == "2, 0 of 2" and by_column["straight: end, time [s]"] == "reached, 58"
+
+
+def test_the_study_of_the_independent_engine() -> None:
+    need_compiler()
+    need_module("mujoco")
+    done = run(ANALYSIS / "35_independent_engine" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Repeats: yes" in done.stdout and "within the limits: yes" in done.stdout
+    rows = {row[0]: row[2:6] for row in table(done.stdout) if len(row) == 7}
+    assert rows["tank-static"][0] == rows["tank-static"][1] == "53.90, 0.0533, 0.0094"
 
 
 def test_the_study_of_sums_of_squares() -> None:
