@@ -21,7 +21,7 @@ from certified import confronted
 from surctl.control import build_law, load_gains
 from surctl.engine import BatchCase, EngineOptions, mujoco_physics, simulate_seeds
 from surctl.export import CompiledLaw
-from surctl.simulation import LIBRARY, Case, OwnPhysics, Run, Scenario, load_scenario, simulate
+from surctl.simulation import LIBRARY, Case, OwnPhysics, Run, Scenario, build_world, load_scenario, simulate
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.vehicle.parameters import Parameter
 
@@ -31,6 +31,7 @@ QUICK = ("pool-behind", "tank-static")
 TILTING = {"sur400": "sur400-tilting", "sur540-flooded": "sur540-tilting"}
 TIME, CLEARANCE, PATH = 0.2, 0.003, 0.002  # [s, m, m] limits of the differences with four degrees of freedom
 TRUTH, SONAR = 20.0, 5.0  # limits of the real-time factors
+PICTURE = 0.1  # [s] limit of the processor time of a picture
 GAINS = load_gains("default")
 
 Part = tuple[str, bool]
@@ -229,6 +230,27 @@ bytes: {"yes" if again else "**no**"}.
     return text, held
 
 
+def pictures(names: tuple[str, ...], seeds: int) -> Part:
+    """Processor time of a picture."""
+    from surctl.engine import CAMERAS, Moment, Scene
+
+    scenario = load_scenario("tank-static")
+    vehicle = six(scenario)
+    moment = Moment(scenario.start_pose, (0.1, 0.0), build_world(scenario, vehicle, seed=0).bodies(0.0))
+    times = []
+    with Scene(scenario, vehicle) as scene:
+        scene.picture("above", moment)  # the first picture loads the scene
+        for camera in CAMERAS * 5:
+            began = time.process_time()
+            scene.picture(camera, moment)
+            times.append(time.process_time() - began)
+    held = float(np.mean(times)) <= PICTURE
+    text = f"""## Pictures
+A picture of 640×360 pixels takes {1000 * np.mean(times):.0f} ms of processor time, without a graphics card (limit:
+{1000 * PICTURE:.0f} ms)."""
+    return text, held
+
+
 def certified(names: tuple[str, ...], seeds: int) -> Part:
     """Starts inside a certified region."""
     return confronted(GAINS, 50 * seeds)
@@ -265,6 +287,7 @@ PARTS: dict[str, Callable[[tuple[str, ...], int], Part]] = {
     "sonar": sonar,
     "models": models,
     "speed": speed,
+    "pictures": pictures,
     "certified": certified,
 }
 
