@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from surctl.units import in_unit
 from tests.tools import PATIENCE
 
 ROOT = Path(__file__).parents[1]
@@ -94,6 +95,7 @@ def _serve() -> None:
     """Fork a process a request."""
     for name in LOADED:
         importlib.import_module(name)
+    in_unit(1.0, "cm", "m")  # reads the definitions of all units
     collect_seldom()  # a collection would write to every page, and so copy it
     with os.fdopen(os.dup(1), "w") as answers:
         os.dup2(2, 1)

@@ -42,7 +42,8 @@ def inverse_masses(claim: TurningClaim, coupling: Coupling) -> list[tuple[float,
     pairs = [pair for pair in factors(ends, claim.mass_asymmetry, 2) if pair[0] != pair[1] or pair[0] in ends]
     cross = float(coupling.cross) * UP
     signs = sorted({cross, -cross})
-    return [(*(float(1 / (f * m)) for f, m in zip(pair, claim.mass, strict=True)), b) for pair in pairs for b in signs]
+    first, second = claim.mass
+    return [(float(1 / (f * first)), float(1 / (g * second)), b) for f, g in pairs for b in signs]
 
 
 def _ratio(claim: TurningClaim) -> Fraction:

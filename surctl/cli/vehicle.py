@@ -224,8 +224,8 @@ def from_log(
     A table (CSV, .mat, .nc) without --map has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
     the next row). It has those of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that
     were measured: x forward, y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. The
-    velocity is that in the heading frame, which turns by the heading alone. surctl simulate --save csv (or mat, nc)
-    writes simulated runs as such logs.
+    velocity is that in the heading frame, which turns by the heading alone. A --start that rolls and pitches needs some
+    of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s too. surctl simulate --save csv (mat, nc) writes such logs.
 
     Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg). --topics prints what
     such a log contains.

@@ -170,7 +170,7 @@ def verify(
         [
             linear_part(robot, values, cruise=u, **about)
             if cascaded
-            else law_part(chosen_law, robot, tuned.gains, cruise=u)
+            else law_part(chosen_law, robot, tuned.gains, cruise=u, uncertainty=uncertainty)
             for u in cruise or speeds[:1]
         ]
     )

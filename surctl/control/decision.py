@@ -82,7 +82,7 @@ class Scan(NamedTuple):
     unknown: ca.SX
     sonars: ca.SX
     placed: ca.SX
-    heard: ca.SX
+    echoed: ca.SX
 
 
 def lower_levels(
@@ -98,7 +98,7 @@ def lower_levels(
     depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
     if scan is None:
         return depth, TaskLevel.of(heading_task(eta, desired.heading, gain=p["k_psi"]))
-    turning = ca.if_else(scan.heard, ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"]), 0)
+    turning = ca.if_else(scan.echoed, ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"]), 0)
     depth = depth._replace(reference=ca.if_else(scan.placed, depth.reference, 0))
     return depth, TaskLevel("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")
 

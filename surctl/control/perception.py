@@ -188,7 +188,7 @@ class _Builder:
         pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
         column = (self.outputs.port("column"),) if "column" in self.outputs else ()
         uncertainty = Port("uncertainty", (1,), "m", "position uncertainty that the margin does not cover")
-        flags = tuple(self.outputs.port(name) for name in ("placed", "heard"))
+        flags = tuple(self.outputs.port(name) for name in ("placed", "echoed"))
         return Layout((*pose, uncertainty, *flags, *known, sonars, *column))
 
     def _split(self) -> Program:
@@ -270,7 +270,7 @@ class _Builder:
             "nu": around.nu,
             "uncertainty": around.uncertainty,
             "placed": around.placed,
-            "heard": _least(ca.vertcat(*silent)) < _NEVER,
+            "echoed": _least(ca.vertcat(*silent)) < _NEVER,
             "sonars": ca.vertcat(*sonars),
         }
         if self._movers:
@@ -353,7 +353,7 @@ class _Builder:
             "unknown": blank,
             "sonars": perceived["sonars"],
             "placed": perceived["placed"],
-            "heard": perceived["heard"],
+            "echoed": perceived["echoed"],
         }
         if "column" in perceived:
             values["column"] = perceived["column"]

@@ -149,7 +149,7 @@ def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
                 "one sonar per row: range, range error bound, healthy (0 or 1), age, axis x and y in {E}",
             ),
             Port("placed", (1,), "1", "1 while the robot knows its position", 1.0),
-            Port("heard", (1,), "1", "1 once a firing of any sonar was plausible", 1.0),
+            Port("echoed", (1,), "1", "1 once a firing of any sonar was plausible", 1.0),
             *((_COLUMN,) if depths else ()),
         )
     )

@@ -23,7 +23,7 @@ from surctl.control.baselines.situation import NEVER, Situation, length
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GainSpec
 from surctl.control.steering import SLOWEST, Moving, Steering, drifted, moved, planned_yaw_rate, steerage, yaw_moment
-from surctl.guidance import FAR, MAX_WAYPOINTS, Contact
+from surctl.guidance import FAR, MAX_WAYPOINTS
 from surctl.ir import Port, fold, repeat, tabulated
 from surctl.tasks import depth_task
 
@@ -68,7 +68,9 @@ _INADMISSIBLE = 1e3
 _BLUR = 0.2  # share of the hull radius added to the margin, because the prediction has few steps
 _INSIDE = 0.95  # share of the turning radius within which a point at rest is out of reach for a craft with fins
 _CLEAR = _HIT / STEPS  # cost below which the desired course and speed have no contact in the prediction
+_NOWHERE = 1e6  # [m]
 _BACK = 3.0  # [rad] offset above which a course leads back
+_BETTER = 1e-9  # least difference of cost by which a later candidate replaces an earlier one
 _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
 
 
@@ -163,54 +165,76 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
         towards = ca.vertcat(
             course[0] * turned[0] - course[1] * turned[1], course[0] * turned[1] + course[1] * turned[0]
         )
+        floor = 1 - turned[0] + _SLOW * (1 - share)
+        floor += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * side < 0)
+        # only while the craft passes an obstacle: otherwise the desired course decides alone
+        floor += _OTHER_COURSE * ca.logic_not(side == 0) * (1 - ca.dot(towards, last))
+        # a candidate that cannot be the best even without a contact is not predicted
+        hopeless = floor >= least - _BETTER
         # every candidate is predicted over the same distance
         longer = step / share
         gain = ca.fmin(p["k_psi"], 0.5 / longer)
-        hit, travelled = _first_hit(start, towards, share * speed, contacts, p, step=longer, gain=gain, stream=stream)
+        hit, travelled = _first_hit(
+            start, towards, share * speed, contacts, p, step=longer, gain=gain, stream=stream, skip=hopeless
+        )
         stop = speed * share * (speed * share / (2 * steering.deceleration) + p["reaction"])
         # the craft stops at the end of the path, so what is behind it does not count on the desired course
         met = ca.logic_and(hit < NEVER, ca.logic_or(offset != 0, travelled < ca.fmax(to_end, stop)))
         # a turn takes time, so the distance counts too
         near = 1 - ca.fmin(hit / STEPS, travelled / distance)
-        cost = 1 - turned[0] + _SLOW * (1 - share) + ca.if_else(met, _HIT * near, 0)
+        cost = floor + ca.if_else(met, _HIT * near, 0)
         cost += _NO_WAY_OUT * p["fin_share"] * ca.logic_and(met, travelled < to_end)
-        cost += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * side < 0)
-        # only while the craft passes an obstacle: otherwise the desired course decides alone
-        cost += _OTHER_COURSE * ca.logic_not(side == 0) * (1 - ca.dot(towards, last))
         cost += _INADMISSIBLE * ca.logic_and(met, travelled < stop)
-        better = cost < least - 1e-9
-        return [ca.if_else(better, candidate[:2], best), ca.fmin(cost, least)]
+        better = ca.logic_and(ca.logic_not(hopeless), cost < least - _BETTER)
+        return [ca.if_else(better, candidate[:2], best), ca.if_else(better, cost, least)]
 
     rows = [(offset, share, np.cos(offset), np.sin(offset)) for share in SPEEDS for offset in COURSES]
     best, least = fold("courses", judged, [ca.SX.zeros(2), ca.SX(2 * _INADMISSIBLE)], tabulated(rows, 4))
     return best[0], best[1], least
 
 
-def _contacts(s: Situation) -> ca.SX:
-    """Return a table with one row per contact: `Contact.row`, least allowed distance, and 1 for a half-plane."""
-    rows = []
+def _contacts(s: Situation) -> tuple[ca.SX, ca.SX]:
+    """Return a table with one row per moving or resting body, and one with one row per wall.
+
+    A row contains, relative to the craft, the outward normal of a half-plane and its distance beyond the least allowed
+    one; a body adds centre and squared least distance of a disc, and its velocity. Of half-plane and disc, the one that
+    does not apply is out of reach.
+    """
+    bodies, walls = [], []
     for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):
         for c in contacts:
             # a contact that is nearer than the margin must not come nearer; an empty slot is nowhere
             margin = ca.fmin(s.p["margin"] + _BLUR * s.p["hull"], c.clearance - 1e-3)
-            margin = ca.if_else(ca.fabs(c.clearance - FAR) < 1e-9, -1e6, margin)
-            half_plane = ca.SX(1) if flat else c.combined_radius <= s.p["hull"] + 1e-6
-            rows.append((*c.row, margin, half_plane))
-    return tabulated(rows, 8)
+            margin = ca.if_else(ca.fabs(c.clearance - FAR) < 1e-9, -_NOWHERE, margin)
+            if flat:
+                walls.append((c.normal, c.clearance - margin))
+                continue
+            half_plane = c.combined_radius <= s.p["hull"] + 1e-6
+            centre, least = c.normal * (c.clearance + c.combined_radius), c.combined_radius + margin
+            squared = ca.if_else(ca.logic_or(half_plane, least < 0), -1, least * least)
+            gap = ca.if_else(half_plane, c.clearance - margin, _NOWHERE)
+            bodies.append((c.normal, gap, centre, squared, c.velocity))
+    return tabulated(bodies, 8), tabulated(walls, 3)
 
 
 def _first_hit(
     start: Moving,
     course: ca.SX,
     speed: ca.SX,
-    contacts: ca.SX,
+    contacts: tuple[ca.SX, ca.SX],
     p: Mapping[str, ca.SX],
     *,
     step: ca.SX,
     gain: ca.SX,
     stream: ca.SX,
+    skip: ca.SX,
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the step of the prediction with the first contact (or `NEVER`), and the distance travelled until then."""
+    """Return the step of the prediction with the first contact (or `NEVER`), and the distance travelled until then.
+
+    If `skip` is 1, nothing is predicted.
+    """
+
+    bodies, walls = contacts
 
     def ahead(
         place: ca.SX, hull: ca.SX, nu: ca.SX, so_far: ca.SX, k: ca.SX, *_: ca.SX
@@ -219,18 +243,20 @@ def _first_hit(
         time = step * (k + 1)
 
         def touches(met: ca.SX, row: ca.SX) -> ca.SX:
-            contact, margin, flat = Contact.of(row), row[6], row[7]
-            moving = contact.velocity * time - now.place
-            plane = contact.clearance + ca.dot(contact.normal, moving)
-            centre = contact.normal * (contact.clearance + contact.combined_radius) + moving
-            gap = ca.if_else(flat, plane, length(centre) - contact.combined_radius)
-            return ca.fmax(met, gap < margin)
+            moving = row[6:8] * time - now.place
+            centre = row[3:5] + moving
+            flat = row[2] + ca.dot(row[:2], moving) < 0
+            return ca.logic_or(met, ca.logic_or(flat, ca.dot(centre, centre) < row[5]))
 
-        met = fold("touches", touches, ca.SX(0), contacts)
+        def beyond(met: ca.SX, row: ca.SX) -> ca.SX:
+            return ca.logic_or(met, ca.dot(row[:2], now.place) > row[2])
+
+        met = fold("touches", touches, ca.SX(0), bodies) if bodies.shape[0] else ca.SX(0)
+        met = fold("beyond", beyond, met, walls)
         after = [now.place, now.hull, now.nu, now.travelled, k + 1]
         return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, so_far, 0), met], []
 
-    state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0, 0))]
+    state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0)), skip]
     # the prediction ends at the first contact
     after, _ = repeat("ahead", ahead, state, count=STEPS, until=7)
     return after[5], after[6]

@@ -42,7 +42,20 @@ STATUS: tuple[tuple[str, int, str], ...] = (
 
 SATURATED = next(code for name, code, _ in STATUS if name == "SATURATED")
 
-FILES = ("sil_main", "link", "mission", "controller", "target_start", "target_link", "fmu", "proof")
+FILES = (
+    "sil_main",
+    "main_example",
+    "board",
+    "board_example",
+    "setup",
+    "link",
+    "mission",
+    "controller",
+    "target_start",
+    "target_link",
+    "fmu",
+    "proof",
+)
 """Names of the bundle's C files, without ending, that are not part of the controller."""
 _HEADERS_OF_C = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from decimal import Decimal
 from itertools import groupby
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.export.envelope import Envelope, Rate
 from surctl.export.fields import entries, transfers
-from surctl.ir import Layout, Port, Real, c_literal
+from surctl.ir import C_TYPE, Layout, Port, Real, c_literal
 
 __all__ = [
     "ANY_NUMBER",
@@ -124,7 +125,7 @@ def _port_lines(
 
 def _test(text: str, bounds: Vector, real: Real, refuse: str = _REFUSE) -> str:
     low, high = (_bound(float(b), real) for b in bounds)
-    if low == f"-{high}":
+    if float(bounds[0]) == -float(bounds[1]):
         return f"if (!({'fabs' if real == 'float64' else 'fabsf'}({text}) <= {high})) {{ {refuse} }}"
     return f"if (!(({text} >= {low}) && ({text} <= {high}))) {{ {refuse} }}"
 
@@ -136,7 +137,9 @@ def _bound(value: float, real: Real) -> str:
         return name if value > 0 else f"-{name}"
     # the shortest decimal with exactly this value, for readers and for analysers that cannot read hexadecimal
     short = np.format_float_positional(np.dtype(real).type(value), trim="0")
-    return short + ("f" if real == "float32" else "")
+    literal = short + ("f" if real == "float32" else "")
+    # where the processor computes in a wider format, a cast takes the excess digits from a decimal that is not exact
+    return literal if Decimal(short) == Decimal(value) else f"({C_TYPE[real]}){literal}"
 
 
 def limit_lines(members: Sequence[str], box: Vector | None, real: Real) -> list[str]:

@@ -23,6 +23,7 @@ from surctl.export.contract import Exportable
 from surctl.export.gain_store import gains_id
 from surctl.guidance import AvoidanceForm
 from surctl.ir import Real
+from surctl.sensing import Equipment
 from surctl.vehicle import Vehicle
 from surctl.verification import Claim, applicable_claims
 from surctl.verification.formula import text_of
@@ -51,11 +52,13 @@ class Origin:
         vehicle: vehicle model that the controller is designed for.
         ground_truth: the exported law without perception; the certificates are about this law.
         certificates: certificates by their file name in the bundle.
+        equipment: sensors that the law assumes, for the wiring section of the README; None if they are not known.
     """
 
     vehicle: Vehicle
     ground_truth: Law
     certificates: Mapping[str, Mapping[str, Any]] | None = None
+    equipment: Equipment | None = None
 
     @property
     def files(self) -> dict[str, str]:
@@ -66,7 +69,13 @@ class Origin:
         }
 
 
-def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str, Any]] | None = None) -> Origin:
+def origin_of(
+    law: Law,
+    vehicle: Vehicle,
+    certificates: Mapping[str, Mapping[str, Any]] | None = None,
+    *,
+    equipment: Equipment | None = None,
+) -> Origin:
     """Return the origin of a law that controls a vehicle.
 
     Example:
@@ -95,7 +104,7 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
             movers=law.movers,
             fallback=law.fallback,
         )
-    return Origin(vehicle, ground_truth, certificates)
+    return Origin(vehicle, ground_truth, certificates, equipment)
 
 
 def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:

@@ -38,7 +38,10 @@ from surctl.export.guard_text import (
     range_text,
 )
 from surctl.export.missions import DATA, MISSION_FILES, data_rows, is_fed, mission_values
+from surctl.export.origin import Origin
+from surctl.export.own_names import with_own_names
 from surctl.export.vectors import TOLERANCE, SelfTest
+from surctl.export.wiring import wiring_values
 from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
 from surctl.ir.c99_folded import PRAGMA
 from surctl.ir.compiler import FLAGS
@@ -58,6 +61,7 @@ def render_files(
     tests: SelfTest,
     real: Real = "float64",
     mission: Vector | None = None,
+    origin: Origin | None = None,
 ) -> dict[str, str]:
     """Return the text of every file except the manifest, by file name.
 
@@ -70,6 +74,7 @@ def render_files(
         tests: inputs and expected results of the built-in self-test.
         real: precision of every number.
         mission: waypoints (n, 5) of a mission to add as C data, see `guidance.Path.table`.
+        origin: vehicle and sensors, for the wiring section of the README.
     """
     block = law.block
     parts = (
@@ -82,6 +87,10 @@ def render_files(
     values |= {"law_files": [(file, about) for file, about, _ in of_law], "fed": is_fed(law)}
     values |= mission_values(law, real) if is_fed(law) else {}
     values |= {"rows": data_rows(law, mission, real)} if mission is not None else {}
+    values |= wiring_values(law, origin)
+    code = [f"{name}.c", *([f"{name}_gains.c"] if law.gains.size else []), *(file for file, _, _ in of_law)]
+    headers = [f"{name}.h", *([f"{name}_gains.h"] if law.gains.size else []), f"{name}_internal.h"]
+    values |= {"headers": " ".join(headers), "sources": " ".join(code), "arrivals": _arrivals(law)}
     templates = {
         f"{name}.h": "law.h.j2",
         f"{name}_internal.h": "internal.h.j2",
@@ -97,13 +106,38 @@ def render_files(
         "target_start.c": "target_start.c.j2",
         "target_link.c": "target_link.c.j2",
         "target.ld": "target.ld.j2",
+        "main_example.c": "main_example.c.j2",
+        "board.h": "board.h.j2",
+        "board_example.c": "board_example.c.j2",
+        "CMakeLists.txt": "CMakeLists.txt.j2",
+        "pyproject.toml": "pyproject.toml.j2",
+        "setup.py": "setup.py.j2",
+        f"{name}.py": "wrapper.py.j2",
+        "library.properties": "library.properties.j2",
+        "arduino_example.ino": "arduino_example.ino.j2",
+        "LICENSE": "LICENSE.j2",
         "README.md": "README.md.j2",
         **({file: f"{file}.j2" for file in MISSION_FILES} if is_fed(law) else {}),
         **({DATA: f"{DATA}.j2"} if mission is not None else {}),
     }
     environment = _environment()
     own = {file: {"about": about, "text": text} for file, about, text in of_law}
-    return {file: environment.get_template(t).render(values, **own.get(file, {})) for file, t in templates.items()}
+    texts = {file: environment.get_template(t).render(values, **own.get(file, {})) for file, t in templates.items()}
+    joined = (
+        *(file for file in texts if file.startswith(name) and file.endswith(".c")),
+        "link.c",
+        "mission.c",
+    )  # files of the controller
+    return {
+        file: with_own_names(text, _stem(file, name), bundle=name) if file in joined else text
+        for file, text in texts.items()
+    }
+
+
+def _stem(file: str, name: str) -> str:
+    # the prefix of the file's own names: that of the bundle, and what the file is about
+    stem = file.rpartition(".")[0]
+    return stem if stem.startswith(name) else f"{name}_{stem}"
 
 
 _PARTS: Mapping[str, tuple[str, str]] = MappingProxyType(
@@ -122,6 +156,12 @@ def _law_files(name: str, parts: Parts) -> list[tuple[str, str, str]]:
     # (file name, description of the contents, C text)
     named = {part: _PARTS.get(part, (f"law_{part}", f"{part}, a part of the law")) for part in parts.files}
     return [(f"{name}_{named[part][0]}.c", named[part][1], text) for part, text in parts.files.items()]
+
+
+def _arrivals(law: Exportable) -> list[tuple[str, str]]:
+    # (loop header, C member access) of the inputs that say that something has arrived
+    flags = [port for port in law.inputs if port.name == "fresh" or port.name.endswith("_fresh")]
+    return [(each, member) for each, member, _ in transfers(flags)]
 
 
 def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str:

@@ -39,6 +39,13 @@ from surctl.simulation.record import Record
 from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
 from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
 from surctl.simulation.safety import SafetyClaim, safety_claim
+from surctl.simulation.scaling import (
+    disturbed,
+    mission_size,
+    scaled_scenario,
+    straight_mission,
+    two_leg_mission,
+)
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
@@ -100,6 +107,7 @@ __all__ = [
     "check_speeds",
     "closed_loop_system",
     "depth_changes",
+    "disturbed",
     "explain",
     "findings",
     "held_share",
@@ -107,15 +115,19 @@ __all__ = [
     "load_scenario",
     "margin_needed",
     "mission_scenario",
+    "mission_size",
     "priority_timeline",
     "read_mission",
     "record_columns",
     "safety_claim",
     "save_record",
+    "scaled_scenario",
     "simulate",
     "simulate_batch",
     "stop_reason",
+    "straight_mission",
     "thruster_findings",
     "thruster_use",
     "turn_rate",
+    "two_leg_mission",
 ]

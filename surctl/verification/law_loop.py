@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.allocation import allocate
-from surctl.control import Gains, Law, law_parameters
+from surctl.control import Gains, Law, law_parameters, law_source
 from surctl.errors import InputError
 from surctl.guidance import Path
 from surctl.ir import Layout, Port
@@ -107,7 +107,7 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
     Args:
         law: a law for exact obstacle positions, without sonars.
         vehicle: the plant.
-        gains: the gains of the law.
+        gains: the gains of the law; gains of its own that are missing have their defaults.
         cruise: cruise speed U [m/s], > 0.
         model: the controller's model of the vehicle; default: the vehicle itself.
 
@@ -124,7 +124,7 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
     """
     if "samples" in law.inputs:
         raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
-    nu = np.array([cruise, 0.0, 0.0, 0.0])
+    nu, gains = np.array([cruise, 0.0, 0.0, 0.0]), gains.with_own(law_source(law.ref).gains)
     check_trim(vehicle, nu)
     system = _system(law, vehicle, law_numbers(law, model or vehicle, gains, cruise=cruise), nu)
     return LawLoop(label(law.ref), cruise, linearise(system))

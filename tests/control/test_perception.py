@@ -91,13 +91,13 @@ def test_without_any_echo_it_does_not_turn_to_scan():
     """Turning would scan nothing; the first plausible firing starts the turn, and silence does not end it."""
     robot = Robot(Equipment(), spin=0.0)
     robot.wrong = {k: lambda honest, tick: None for k in range(4)}
-    assert robot.steps(3.0)["heard"][0] == 0.0
+    assert robot.steps(3.0)["echoed"][0] == 0.0
     robot.wrong = {k: lambda honest, tick: -1.0 + 0.0 * honest for k in range(4)}
-    assert robot.steps(3.0)["heard"][0] == 0.0
+    assert robot.steps(3.0)["echoed"][0] == 0.0
     robot.wrong = {}
-    assert robot.steps(0.2)["heard"][0] == 1.0
+    assert robot.steps(0.2)["echoed"][0] == 1.0
     robot.wrong = {k: lambda honest, tick: None for k in range(4)}
-    assert robot.steps(3.0)["heard"][0] == 1.0
+    assert robot.steps(3.0)["echoed"][0] == 1.0
     p = {"depth": 0.0, "k2": 0.3, "spin": ca.SX(0.45), "spin_limit": ca.SX(0.69)}
     for heard, turn in ((1.0, 0.45), (0.0, 0.0)):
         scan = Scan(ca.SX(0), ca.SX(0), ca.SX(1), ca.SX(heard))

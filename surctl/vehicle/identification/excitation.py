@@ -7,12 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.vehicle.identification.fitted import AXIS_OF, OFFSETS, axes_of
+from surctl.vehicle.identification.fitted import AXIS_OF, CONSTANT_FORCE, OFFSETS, axes_of
 from surctl.vehicle.identification.intervals import Spread
 from surctl.vehicle.identification.model import Model, Section
 from surctl.vehicle.motion_log import MotionLog
+from surctl.vehicle.specs import TERMS
 
-__all__ = ["at_rest", "few_thrusts", "ill_excited", "notes_of"]
+__all__ = ["at_rest", "drift_note", "few_thrusts", "ill_excited", "notes_of", "slow_residuals"]
 
 _FEW = 0.1  # smallest share of rows with thrust, or of its changes, that determine a lag
 _LEAST_CHANGES = 8  # changes of thrust that determine a lag
@@ -20,6 +21,7 @@ _CHANGE = 0.02  # share of the largest thrust that counts as a change
 _WIDE = 0.5  # relative half-interval of a direction above which it is named
 _SHARE = 0.4  # smallest component of a direction that is named, relative to the largest
 _WHITE = 4.0  # correlation of neighbouring residuals over its standard deviation, above which they are not white noise
+_SLOW, _SLOW_SHARE = 2.0, 0.5  # [s] slow residuals: share of the variance that means over this time have
 _ROUNDING = 1e-6  # [m, rad, m/s, rad/s] residual standard deviation that is only rounding
 
 Array = NDArray[np.float64]
@@ -35,7 +37,7 @@ def at_rest(model: Model, theta: Array, noise: Array) -> frozenset[str]:
     pose, rate = np.array([0, 1, 2, 3, 8, 9])[:axes], np.array([4, 5, 6, 7, 10, 11])[:axes]
     level = noise[pose]
     level[:2] = max(level[:2])
-    level = np.where(model.present.any(axis=0)[rate], noise[rate], level)
+    level = np.where(np.atleast_1d(model.present.any(axis=0))[rate], noise[rate], level)
     velocities = np.vstack([states[:, model.outputs[rate]] for states in model.states(theta, model.sections)])
     still = ~(np.sqrt(np.mean(velocities**2, axis=0)) > level)
     return frozenset(np.array(model.masses)[still].tolist())
@@ -102,3 +104,32 @@ def notes_of(model: Model, left: list[Array]) -> tuple[str, ...]:
         f"residuals are not white noise: {', '.join(coloured)} (correlation from row to row); the intervals allow for "
         "it; possible causes: a current, filtered measurements, another drag law",
     )
+
+
+def slow_residuals(model: Model, left: list[Array]) -> bool:
+    """Return whether residuals are mainly slow: the means over two seconds have most of the variance of a column."""
+    rows = max(int(_SLOW / float(np.median(np.diff(model.log.time)))), 2)
+    for k in range(len(model.columns)):
+        series = [e[model.present[s.rows][:, k], k] for s, e in zip(model.sections, left, strict=True)]
+        blocks = [e[: len(e) // rows * rows].reshape(-1, rows) for e in series]
+        values = np.vstack(blocks)
+        if len(values) > 2 and np.mean(values.mean(axis=1) ** 2) > _SLOW_SHARE * max(np.mean(values**2), _ROUNDING**2):
+            return True
+    return False
+
+
+def drift_note(model: Model, theta: Array) -> list[str]:
+    """Return a text with the range of the constant force over the log, if it drifts."""
+    if not model.drift:
+        return []
+    own = theta[model.size :].reshape(-1, model.local)[:, model.order :]
+    values = model.values(theta)
+    ends = np.concatenate([own[:, :4] - own[:, 4:], own[:, :4] + own[:, 4:]])
+    listed = [
+        f"{k} from {values[k] + low:.3g} to {values[k] + high:.3g} {TERMS[k].unit}"
+        for k, low, high in zip(CONSTANT_FORCE, ends.min(axis=0), ends.max(axis=0), strict=True)
+    ]
+    return [
+        f"the constant force drifts ({', '.join(listed)}); each section of the log has its own force, which changes "
+        "linearly, and the file has the mean"
+    ]

@@ -13,10 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.vehicle.identification.excitation import at_rest, few_thrusts, ill_excited, notes_of
+from surctl.vehicle.identification.excitation import (
+    at_rest,
+    drift_note,
+    few_thrusts,
+    ill_excited,
+    notes_of,
+    slow_residuals,
+)
 from surctl.vehicle.identification.fitted import MASS_OF, OFFSETS, axes_of
 from surctl.vehicle.identification.intervals import Spread, spread_of
-from surctl.vehicle.identification.model import Model, sections_of
+from surctl.vehicle.identification.model import LONGEST_DRIFT, Model, sections_of
 from surctl.vehicle.identification.outliers import outliers, without_outliers
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.identification.solve import beginning, minimise, simulable
@@ -31,6 +38,7 @@ _SMALL_FORCE = 0.1  # share of the thrust limit below which a constant force cou
 _ROUNDS = 5  # largest number of alternations between fit and noise estimate
 _STEADY, _ROUGH = 0.02, 1e-3  # relative change of the noise that ends them; of the cost that ends each fit
 _MOST_TILT = np.radians(85.0)  # roll and pitch; at 90° the heading has no meaning
+_DRIFTS = 0.9  # sum of squares, relative to that with a constant force, below which the force counts as drifting
 _REFITS = 6  # largest number of fits with more and more parameters held
 
 Array = NDArray[np.float64]
@@ -89,6 +97,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     rest = at_rest(model, full.theta, full.noise)
     excluded = {k for k in estimates if axes_of(k) & rest}
     notes: list[str] = _outlier_note(model, log)
+    notes += drift_note(model, full.theta)
     notes += [] if full.converged else ["the fit has not converged: estimates and intervals are rough"]
     if "thrust_lag" in estimates:
         reason = few_thrusts(log, model.sections)
@@ -142,8 +151,19 @@ def _check_tilt(log: MotionLog, start: Vehicle) -> None:
 
 def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
     log = without_outliers(log)
-    sections = sections_of(log)
-    model = Model(log, start, sections)
+    full = _fit(Model(log, start, sections_of(log)))
+    if not slow_residuals(full.model, full.left):
+        return full
+    try:
+        drifting = _fit(Model(log, start, sections_of(log, longest=LONGEST_DRIFT), drift=True))
+    except InputError:  # no section has enough rows
+        return full
+    squares = [float(sum(np.sum((e / full.noise) ** 2) for e in one.left)) for one in (full, drifting)]
+    return drifting if squares[1] < _DRIFTS * squares[0] else full
+
+
+def _fit(model: Model) -> _Full:
+    sections = model.sections
     noise = np.array([_roughness(model.motion[p, k]) for k, p in enumerate(model.present.T)])
     free = np.ones(model.size, dtype=bool)
     theta, converged = simulable(model, beginning(model, noise, free=free), noise, sections), False
@@ -166,7 +186,7 @@ def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
         parts,
         [model.present[s.rows] for s in sections],
         prior[: model.size],
-        prior[model.size : model.size + model.order],
+        prior[model.size : model.size + model.local],
     )
     return _Full(model, theta, noise, spread, left, converged)
 

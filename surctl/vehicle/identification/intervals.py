@@ -118,7 +118,7 @@ def _correlation(
     numbers = np.vstack(present).sum(axis=0).astype(float)
     result = _windowed(np.where(pairs > 0.5, cross / np.maximum(pairs, 0.5), 0.0), numbers)
     for _ in range(_CORRECTIONS if result[1] else 0):
-        lost = _taken_up(_spectrum(result[0], count), fitted, present, size)[: longest + 1]
+        lost = _absorbed(_spectrum(result[0], count), fitted, present, size)[: longest + 1]
         result = _windowed(np.where(pairs > 0.5, (cross + lost) / np.maximum(pairs, 0.5), 0.0), numbers)
     return result
 
@@ -134,7 +134,7 @@ def _windowed(raw: Array, numbers: Array) -> tuple[Array, int, float]:
     return raw[: lag + 1] * _window(lag)[:, None, None], lag, independent
 
 
-def _taken_up(
+def _absorbed(
     spectrum: NDArray[np.complex128], fitted: list[Array], present: list[NDArray[np.bool_]], size: int
 ) -> Array:
     """Return the sums of products (count, c, c) by lag that the fit has removed from noise with a spectrum.

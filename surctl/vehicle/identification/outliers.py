@@ -18,8 +18,8 @@ __all__ = ["outliers", "without_outliers"]
 _HALF = 3  # values before and after
 _FAR = 6.0  # standard deviations of the noise
 _STEEP = 6.0  # spreads of the middle three of seven values
-_MOST = 0.9  # share of the values, from which the noise follows
-_QUANTILE = 1.645  # of the absolute value of a normal variable, for this share
+_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
+_ROUNDING = 1e-9  # share of the range of the values below which a difference is rounding
 
 Array = NDArray[np.float64]
 
@@ -31,24 +31,27 @@ def outliers(values: Array) -> NDArray[np.bool_]:
         >>> import numpy as np
         >>> from surctl.vehicle.identification.outliers import outliers
         >>> values = np.sin(0.1 * np.arange(100)) + 0.01 * np.cos(40.0 * np.arange(100))
-        >>> values[[20, 60]] += 2.0, -0.4
+        >>> values[[20, 60]] += 3.0, -2.0
         >>> np.flatnonzero(outliers(values)).tolist()
         [20, 60]
     """
-    found = np.zeros(len(values), dtype=bool)
+    outlying = np.zeros(len(values), dtype=bool)
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < 4 * _HALF:
-        return found
+        return outlying
     windows = np.sort(np.lib.stride_tricks.sliding_window_view(values[known], 2 * _HALF + 1), axis=1)
     middle = np.pad(windows[:, _HALF], _HALF, mode="edge")
     spread = np.pad(windows[:, _HALF + 1] - windows[:, _HALF - 1], _HALF, mode="edge")
     far = np.abs(values[known] - middle)
-    steps = np.abs(np.diff(values[known]))
-    finest = float(steps[steps > 0].min(initial=np.inf))  # of a quantised signal, its resolution
-    noise = max(float(np.quantile(far, _MOST)) / _QUANTILE, finest)
+    # a signal at rest, or one with a coarse resolution, does not change at all in most rows
+    least = _ROUNDING * float(np.ptp(values[known]))
+    steps, apart = (x[x > least] for x in (np.abs(np.diff(values[known])), far))
+    if not len(apart):
+        return outlying
+    noise = max(float(np.median(apart)) / _MEDIAN, float(steps.min()))
     inner = slice(_HALF, len(known) - _HALF)  # the first and last values have neighbours on one side only
-    found[known[inner]] = ((far > _FAR * noise) & (far > _STEEP * spread))[inner]
-    return found
+    outlying[known[inner]] = ((far > _FAR * noise) & (far > _STEEP * spread))[inner]
+    return outlying
 
 
 def without_outliers(log: MotionLog) -> MotionLog:
@@ -65,5 +68,5 @@ def without_outliers(log: MotionLog) -> MotionLog:
         >>> int(np.isfinite(without_outliers(log).motion[:, 4]).sum())
         59
     """
-    found = np.column_stack([outliers(column) for column in log.motion.T])
-    return replace(log, motion=np.where(found, np.nan, log.motion)) if found.any() else log
+    outlying = np.column_stack([outliers(column) for column in log.motion.T])
+    return replace(log, motion=np.where(outlying, np.nan, log.motion)) if outlying.any() else log

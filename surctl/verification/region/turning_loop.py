@@ -86,9 +86,8 @@ class Vertices:
 
     def _driven(self) -> Array:
         """Return n_i n_iᵀ/m_i + β n_j n_iᵀ (masses, headings, 2, 2, 2): what a force on each axis i accelerates."""
-        return np.einsum("mi,hijk->mhijk", self.masses[:, :2], self.bodies) + np.einsum(
-            "m,hijk->mhijk", self.masses[:, 2], self.crossed
-        )
+        own = np.einsum("mi,hijk->mhijk", self.masses[:, :2], self.bodies)
+        return np.asarray(own + np.einsum("m,hijk->mhijk", self.masses[:, 2], self.crossed))
 
     def matrices(self, P: Array, rate: float, growth: float, low: float) -> Array:
         """Return T (Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low)) Tᵀ (4, 4, n) of all vertices, where T P Tᵀ = I."""
