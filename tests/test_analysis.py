@@ -13,7 +13,7 @@ import pytest
 
 from surctl.vehicle import FITTED
 from tests.processes import run_python
-from tests.tools import need, need_compiler
+from tests.tools import need, need_compiler, need_module
 
 ANALYSIS = Path(__file__).parents[1] / "analysis"
 SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
@@ -77,6 +77,16 @@ def test_the_study_of_public_logs() -> None:
         "robot": "rows per s", "ship": "2", "fish": "10", "glider": "1"
     }  # fmt: skip
     assert "velocities of the world frame" in done.stdout and "| 20 s | " in done.stdout
+
+
+def test_the_study_of_the_independent_engine() -> None:
+    need_compiler()
+    need_module("mujoco")
+    done = run(ANALYSIS / "35_independent_engine" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Repeats: yes" in done.stdout and "within the limits: yes" in done.stdout
+    rows = {row[0]: row[2:6] for row in table(done.stdout) if len(row) == 7}
+    assert rows["tank-static"][0] == rows["tank-static"][1] == "53.90, 0.0533, 0.0094"
 
 
 def test_the_study_of_sums_of_squares() -> None:
