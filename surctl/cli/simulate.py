@@ -14,7 +14,7 @@ from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option, trust_option
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.priority_options import priority_options
-from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
+from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes
 from surctl.cli.single_run import activity_line, further_output, linear_part, run_line
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_simulate import simulate_system
@@ -40,6 +40,7 @@ __all__ = ["simulate"]
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
 @barrier_options
 @sensor_options
+@simulated_echoes
 @controller_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="First seed (default 0).")
 @click.option(
@@ -70,6 +71,7 @@ def simulate(
     chances: tuple[str, ...],
     beam: float | None,
     own_state: str | None,
+    echoes: str | None,
     controller: str | None,
     link_loss: float | None,
     link_delay: float | None,
@@ -94,7 +96,7 @@ def simulate(
     """Simulate scenarios, or a system of your own (surctl new system NAME).
 
     Exit status: 1 if a run collides, does not arrive or diverges. Sensor options override the scenario's tables. A
-    campaign (--monte-carlo, --random-worlds) saves its runs in DIR and resumes there.
+    campaign resumes in DIR.
 
     Examples: surctl simulate pool-static --sensing sonar; surctl simulate tank-static --runs 1000 --monte-carlo --out
     mc; surctl simulate my_system.py:build plant.mass=2 --seconds 5
@@ -128,7 +130,7 @@ def simulate(
         load_gains(gains, own=own)  # reports a mistake before anything is built
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(faults, refused=alone)
-    sensors = SensorOptions(faults, chances, beam, own_state)
+    sensors = SensorOptions(faults, chances, beam, own_state, echoes)
     sensors.check(law=law, sensing=sensing)
     if campaign.any:
         campaign_plans = campaign.plans(

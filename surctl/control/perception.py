@@ -177,7 +177,8 @@ class _Builder:
         pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
         column = (self.outputs.port("column"),) if "column" in self.outputs else ()
         uncertainty = Port("uncertainty", (1,), "m", "position uncertainty that the margin does not cover")
-        return Layout((*pose, uncertainty, self.outputs.port("placed"), *known, sonars, *column))
+        quality = (self.outputs.port(name) for name in ("placed", "noise"))
+        return Layout((*pose, uncertainty, *quality, *known, sonars, *column))
 
     def _split(self) -> Program:
         # three parts: small states, map cells, map corner
@@ -258,6 +259,7 @@ class _Builder:
             "nu": around.nu,
             "uncertainty": around.uncertainty,
             "placed": around.placed,
+            "noise": around.noise,
             "sonars": ca.vertcat(*sonars),
         }
         if self._movers:
@@ -293,7 +295,7 @@ class _Builder:
             rows = tracked.rows
             movers = ca.horzcat(rows[:, :2], rows[:, 2] + tracked.bound, rows[:, 3:])
         if self._own is None:
-            return Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
+            return Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers, ca.SX.zeros(2)), after
         own = self._own.update(
             x,
             fix=u["fix"],
@@ -306,7 +308,8 @@ class _Builder:
         )
         placed = own.position_sd < _PLACED_SD
         uncertainty = 3 * ca.fmax(ca.fmin(own.position_sd, _PLACED_SD) - _MARGIN_SD, 0)
-        return Around(own.eta, own.nu, uncertainty, placed, movers), {**after, **own.state}
+        noise = ca.vertcat(own.velocity_sd, self._own.rate_sd)
+        return Around(own.eta, own.nu, uncertainty, placed, movers, noise), {**after, **own.state}
 
     def _report(self) -> Block:
         local_map = self._map
@@ -340,6 +343,7 @@ class _Builder:
             "unknown": blank,
             "sonars": perceived["sonars"],
             "placed": perceived["placed"],
+            "noise": perceived["noise"],
         }
         if "column" in perceived:
             values["column"] = perceived["column"]

@@ -148,6 +148,7 @@ def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
                 "one sonar per row: range, range error bound, healthy (0 or 1), age, axis x and y in {E}",
             ),
             Port("placed", (1,), "1", "1 while the robot knows its position", 1.0),
+            Port("noise", (2,), "m/s, rad/s", "standard deviations of the estimated velocity and of the yaw rate"),
             *((_COLUMN,) if depths else ()),
         )
     )
