@@ -438,7 +438,7 @@ def test_the_sonar_loop_touches_nothing_and_its_senses_fit_a_microcontroller() -
     assert [line.endswith(": holds") for line in bars] == [True] * 4
     found = re.search(r"in float32: .* arrays ([\d.]+) kB, ([\d.]+) kB with the stack", bars[-1])
     assert found and 0 < float(found[1]) < float(found[2]) <= 32
-    flown = [row for row in table(done.stdout) if len(row) == 7 and row[0] != "sensors"]
+    flown = [row for row in table(done.stdout) if len(row) == 10 and row[0] != "sensors"]
     assert len(flown) == 2 and all(row[3] == "0" for row in flown)
 
 
