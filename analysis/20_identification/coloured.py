@@ -216,9 +216,10 @@ def main() -> int:
     """Print the tables; return 1 if a statement does not hold."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one log of two thirds of the length")
+    parser.add_argument("--logs", type=int, default=200, help="number of logs (default 200)")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     given = parser.parse_args()
-    count, compared = (1, 1) if given.quick else (200, 8)
+    count, compared = (1, 1) if given.quick else (given.logs, min(8, given.logs))
     share = 2 / 3 if given.quick else 1.0
     found: list[Trial] = []
     for one in trials([(k, k >= count - compared, share) for k in range(count)], given.workers):

@@ -125,9 +125,7 @@ def main() -> int:
         if not given.quick:
             sys.stderr.write(f"  {len(found)} of {count}: {[k for k, z in one.error.items() if abs(z) > 1]}\n")
     names = list(found[0].error)
-    print(
-        f"{count} log{'s' * (count > 1)} of {ROWS * PERIOD:g} s at {1 / PERIOD:g} Hz, coloured noise, roll and pitch measured\n"
-    )
+    print(f"Logs: {count}, each {ROWS * PERIOD:g} s at {1 / PERIOD:g} Hz; coloured noise; roll and pitch measured\n")
     print("| parameter | in its 95 % interval | width over scatter | half-interval, median | identified |")
     print("|---|---|---|---|---|")
     inside = {k: sum(abs(t.error[k]) <= 1 for t in found) for k in names}

@@ -141,14 +141,17 @@ def export(
         build_bundle,
         build_controller,
         check_builds,
+        check_folder,
         chosen_targets,
         closed_form,
         compare_runs,
+        evidence_of,
         gain_box,
         load_certificates,
         operating_envelope,
         origin_of,
         prove_bundle,
+        with_evidence,
         with_proof,
         write_bundle,
         write_fmu,
@@ -206,23 +209,20 @@ def export(
     if prove and not constant_gains:
         within = replace(within, gains=gain_box(built, numbers, {**tuned.ranges, **fed_ranges(mission)}))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
-    known = equipment if sensing == "sonar" else None
-    origin = origin_of(built, robot, load_certificates(certificates), equipment=known)
-    # written before the simulation, so that an invalid name or folder is reported at once
+    assumed = equipment if sensing == "sonar" else None
+    origin = origin_of(built, robot, load_certificates(certificates), equipment=assumed)
+    check_folder(out)  # an invalid name or folder is reported before the simulation
     bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin, mission=table)
     proof = None
     if prove:
         progress("proving")
         proof = prove_bundle(shipped, bundle, robot.thrust_bound)
         bundle = with_proof(bundle, proof)
-    files = write_bundle(bundle, out)
-    if target == "fmu":
-        progress("compiling the functional mock-up unit")
-        files.append(write_fmu(shipped, bundle, shipped.gains.pack(fixed), out))
     progress(f"simulating {mission.name}")
     run = simulate(mission, robot, gains=tuned, law=built, sensing=sensing, seed=seed)
     record, metrics = run.record, run.metrics
     progress("compiling and replaying")
+    binaries = {}
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         controller = build_controller(shipped, bundle, Path(scratch, bundle.name))
         records = as_records(
@@ -239,6 +239,22 @@ def export(
             if check
             else None
         )
+        if target == "fmu":
+            progress("compiling the functional mock-up unit")
+            unit = write_fmu(shipped, bundle, shipped.gains.pack(fixed), scratch)
+            binaries[unit.path.name] = unit.path.read_bytes()
+    flight = {
+        "scenario": mission.name,
+        "vehicle": robot.name,
+        "sensing": sensing,
+        "seed": seed,
+        "stopped_because": metrics.stopped_because,
+        "time_s": metrics.time_s,
+        "failure": failure(run),
+    }
+    evidence = evidence_of(run=flight, sil=sil, check=report, proof=proof)
+    # a bundle appears when it is complete and checked, at once
+    files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), out)
     result: dict[str, Any] = {
         "failure": failure(run),
         "name": bundle.name,

@@ -45,8 +45,8 @@ def activity_line(run: Run) -> str:
     )
     return (
         f"  {angles}thrust varies by {', '.join(f'{one:.2g}' for one in axes)} (N/s in surge, sway, heave, N m/s in "
-        f"yaw), {m.sign_changes_per_s:.2g} sign changes/s, saturated {m.saturated_share:.0%}; wasted "
-        f"{m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
+        f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
+        f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
     )
 
 

@@ -115,6 +115,7 @@ def render_files(
         f"{name}.py": "wrapper.py.j2",
         "library.properties": "library.properties.j2",
         "arduino_example.ino": "arduino_example.ino.j2",
+        "LICENSE": "LICENSE.j2",
         "README.md": "README.md.j2",
         **({file: f"{file}.j2" for file in MISSION_FILES} if is_fed(law) else {}),
         **({DATA: f"{DATA}.j2"} if mission is not None else {}),

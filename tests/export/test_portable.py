@@ -73,5 +73,5 @@ def test_merged_operations_are_reported(tmp_path: Path) -> None:
     need_compiler()
     if "fma" not in Path("/proc/cpuinfo").read_text(encoding="ascii"):
         pytest.skip("this processor has no operation that merges product and sum")
-    merged = self_test(exported("float64")[1], tmp_path, "-mfma", "-ffp-contract=fast")
+    merged = self_test(exported("float64")[1], tmp_path, "-O2", "-mfma", "-ffp-contract=fast")
     assert "not to the last bit" in merged

@@ -37,12 +37,15 @@ def test_motion_noise_and_resolution_are_no_outliers() -> None:
     rng = np.random.default_rng(1)
     t = 0.1 * np.arange(500)
     sharp = 0.3 * np.abs((t % 4.0) - 2.0)  # the corners of a speed
-    for values in (sharp + 0.003 * rng.normal(size=500), np.round(sharp, 2), np.round(sharp, 1), np.zeros(500)):
+    noisy = sharp + 0.003 * rng.normal(size=500)
+    rest = np.where(t < 40, 0.1 + 0.2, noisy)  # a sensor that stands still for most of the time
+    for values in (noisy, rest, np.round(sharp, 2), np.round(sharp, 1), np.zeros(500), np.repeat(noisy[::10], 10)):
         assert not outliers(values).any()
     assert not np.any([outliers(rng.normal(size=2000)) for _ in range(50)])
-    sharp[[100, 102, 300]] += 1.0
-    sharp[101] = np.nan
-    assert np.flatnonzero(outliers(sharp)).tolist() == [100, 102, 300]
+    for values in (noisy, np.round(noisy, 2)):
+        values[[100, 102, 300]] += 1.0
+        values[101] = np.nan
+        assert np.flatnonzero(outliers(values)).tolist() == [100, 102, 300]
 
 
 def test_coarse_resolution_is_noise() -> None:

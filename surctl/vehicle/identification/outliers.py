@@ -18,8 +18,8 @@ __all__ = ["outliers", "without_outliers"]
 _HALF = 3  # values before and after
 _FAR = 6.0  # standard deviations of the noise
 _STEEP = 6.0  # spreads of the middle three of seven values
-_MOST = 0.9  # share of the values, from which the noise follows
-_QUANTILE = 1.645  # of the absolute value of a normal variable, for this share
+_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
+_ROUNDING = 1e-9  # share of the range of the values below which a difference is rounding
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def outliers(values: Array) -> NDArray[np.bool_]:
         >>> import numpy as np
         >>> from surctl.vehicle.identification.outliers import outliers
         >>> values = np.sin(0.1 * np.arange(100)) + 0.01 * np.cos(40.0 * np.arange(100))
-        >>> values[[20, 60]] += 2.0, -0.4
+        >>> values[[20, 60]] += 3.0, -2.0
         >>> np.flatnonzero(outliers(values)).tolist()
         [20, 60]
     """
@@ -43,9 +43,12 @@ def outliers(values: Array) -> NDArray[np.bool_]:
     middle = np.pad(windows[:, _HALF], _HALF, mode="edge")
     spread = np.pad(windows[:, _HALF + 1] - windows[:, _HALF - 1], _HALF, mode="edge")
     far = np.abs(values[known] - middle)
-    steps = np.abs(np.diff(values[known]))
-    finest = float(steps[steps > 0].min(initial=np.inf))  # of a quantised signal, its resolution
-    noise = max(float(np.quantile(far, _MOST)) / _QUANTILE, finest)
+    # a signal at rest, or one with a coarse resolution, does not change at all in most rows
+    least = _ROUNDING * float(np.ptp(values[known]))
+    steps, apart = (x[x > least] for x in (np.abs(np.diff(values[known])), far))
+    if not len(apart):
+        return outlying
+    noise = max(float(np.median(apart)) / _MEDIAN, float(steps.min()))
     inner = slice(_HALF, len(known) - _HALF)  # the first and last values have neighbours on one side only
     outlying[known[inner]] = ((far > _FAR * noise) & (far > _STEEP * spread))[inner]
     return outlying
