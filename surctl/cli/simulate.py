@@ -103,9 +103,7 @@ def simulate(
     """Simulate scenarios, or a system of your own (surctl new system NAME).
 
     Exit status: 1 if a run collides or does not arrive; campaigns go on in DIR.
-
-    Examples: surctl simulate tank-static --runs 9 --monte-carlo; surctl simulate pool-static --plant mujoco; surctl
-    simulate my_system.py:build k=2 --seconds 5
+    Examples: surctl simulate tank-static --runs 9 --monte-carlo; surctl simulate pool-static --plant mujoco
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
         _check_save(save, None, out=out, campaign=False)
