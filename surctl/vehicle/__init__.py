@@ -18,15 +18,23 @@ from surctl.vehicle.dynamics import (
 from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, heading_velocity, swap_body, swap_pose
 from surctl.vehicle.gazebo import gazebo_vehicle
 from surctl.vehicle.geometry import sphere
+from surctl.vehicle.identification.consistency import velocity_notes
 from surctl.vehicle.identification.fitted import CONSTANT_FORCE, FITTED
 from surctl.vehicle.identification.identify import identify
-from surctl.vehicle.identification.prediction import HELD_OUT, Prediction, held_out, predict, predict_with
+from surctl.vehicle.identification.prediction import (
+    HELD_OUT,
+    Prediction,
+    held_out,
+    held_out_windows,
+    predict,
+    predict_with,
+)
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
 from surctl.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
-from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog, read_motion_log
+from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog, in_sequence, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
 from surctl.vehicle.thruster_file import axis_ends, axis_limits
@@ -75,7 +83,9 @@ __all__ = [
     "gazebo_vehicle",
     "heading_velocity",
     "held_out",
+    "held_out_windows",
     "identify",
+    "in_sequence",
     "jacobian",
     "linearise",
     "load_vehicle",
@@ -98,5 +108,6 @@ __all__ = [
     "swap_pose",
     "topic_lines",
     "trim_thrust",
+    "velocity_notes",
     "write_vehicle",
 ]

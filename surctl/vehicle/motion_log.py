@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from surctl.recorded import Recorded, read_recorded
 from surctl.units import in_unit
 from surctl.vehicle.frames import FRAME_TEXT, Frame, check_frame, swap_body, swap_pose
 
-__all__ = ["LOG_MOTION", "LOG_THRUST", "LOG_TILT", "MotionLog", "read_motion_log"]
+__all__ = ["LOG_MOTION", "LOG_THRUST", "LOG_TILT", "MotionLog", "in_sequence", "read_motion_log"]
 
 LOG_MOTION = ("x_m", "y_m", "z_m", "psi_rad", "u_m_per_s", "v_m_per_s", "w_m_per_s", "r_rad_per_s")
 """Columns of η and ν; a log may have only some of them, and cells may be empty."""
@@ -25,6 +25,7 @@ LOG_THRUST = ("Fu_N", "Fv_N", "Fw_N", "Fr_N_m")
 """Columns of the commanded thrust, which is constant from one row to the next."""
 
 _LEAST = 50  # rows
+_PAUSE = 10.0  # periods between two logs, twice the gap at which a fit splits a log
 _UNITS = dict(
     zip(
         ("t_s", *LOG_MOTION, *LOG_TILT, *LOG_THRUST),
@@ -129,6 +130,37 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     if written == "ned":
         motion, thrust = swapped(motion), swap_body(thrust)
     return MotionLog(time, motion, thrust, table.name)
+
+
+def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
+    """Return several logs of one vehicle as one log: one after the other, with a gap in between.
+
+    A fit gives each part between two gaps its own initial motion, so the runs need not have the same origin.
+
+    Args:
+        logs: the logs, in the order in which they are to follow each other.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import MotionLog, in_sequence
+        >>> run = MotionLog(0.1 * np.arange(60), np.zeros((60, 8)), np.zeros((60, 4)), "run.csv")
+        >>> both = in_sequence([run, run])
+        >>> len(both.time), round(float(both.time[60] - both.time[59]), 2), both.source
+        (120, 2.0, 'run.csv, run.csv')
+    """
+    if len(logs) == 1:
+        return logs[0]
+    pause = 2.0 * max(1.0, *(_PAUSE * float(np.median(np.diff(log.time))) for log in logs))
+    times: list[NDArray[np.float64]] = []
+    for log in logs:
+        begin = times[-1][-1] + pause if times else log.time[0]
+        times.append(log.time - log.time[0] + begin)
+    return MotionLog(
+        np.concatenate(times),
+        np.vstack([log.motion for log in logs]),
+        np.vstack([log.thrust for log in logs]),
+        ", ".join(log.source for log in logs),
+    )
 
 
 def swapped(motion: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,9 +13,19 @@ from surctl.control import build_law, law_source, load_gains
 from surctl.control.steering import turning_radius
 from surctl.errors import InputError
 from surctl.export import Records, software_in_the_loop
-from surctl.simulation import METRICS, Case, Scenario, held_share, simulate, simulate_batch, thruster_findings
+from surctl.simulation import (
+    METRICS,
+    Case,
+    Scenario,
+    held_share,
+    law_numbers,
+    simulate,
+    simulate_batch,
+    thruster_findings,
+)
 from surctl.simulation.scenario import Disturbance
 from surctl.simulation.thruster_faults import Thrusters
+from surctl.tuning import default_tuned
 from surctl.vehicle import LIBRARY, axis_limits, load_vehicle
 from tests.craft import mission
 from tests.tools import need_compiler
@@ -124,3 +134,12 @@ def test_a_mistake_in_a_fin_is_one_line_with_its_key(old: str, new: str, key: st
     with pytest.raises(InputError) as caught:
         load_vehicle(str(path))
     assert caught.value.key == f"thruster.1.{key}" and caught.value.remedy
+
+
+def test_numbers_that_follow_from_the_vehicle_are_no_gains() -> None:
+    assert "munk" in GAINS.own and "munk" not in GAINS.values and "munk" not in GAINS.specs
+    assert "sideslip" in default_tuned(GAINS) and not {"munk", "fin_share"} & set(default_tuned(GAINS))
+    law = build_law("steered")
+    p = law.gains.split(law_numbers(replace(turning(1.0), cruise=0.5), GAINS, REMUS))
+    assert p["munk"][0] == pytest.approx(65.98 - 31.41 - 10.57) and p["fin_share"][0] == 1.0
+    assert p["thrust_limit"][3] == pytest.approx(0.25 * REMUS["Fr_max"])

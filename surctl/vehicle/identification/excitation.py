@@ -24,6 +24,8 @@ _WHITE = 4.0  # correlation of neighbouring residuals over its standard deviatio
 _SLOW, _SLOW_SHARE = 2.0, 0.5  # [s] slow residuals: share of the variance that means over this time have
 _ROUNDING = 1e-6  # [m, rad, m/s, rad/s] residual standard deviation that is only rounding
 
+_POSE, _RATE = np.array([0, 1, 2, 3, 8, 9]), np.array([4, 5, 6, 7, 10, 11])  # columns of surge to yaw, roll, pitch
+
 Array = NDArray[np.float64]
 
 
@@ -31,16 +33,36 @@ def at_rest(model: Model, theta: Array, noise: Array) -> frozenset[str]:
     """Return the names of the masses on axes that did not move by more than the noise.
 
     If an axis is at rest, the fit interprets noise as motion, and the mass of this axis wrongly seems to be identified.
+    An axis has moved if its velocity exceeds the noise of the measured velocity, or its displacement in the sections
+    that of the measured position or heading. A body that oscillates, such as a fish with its tail, may have a
+    velocity that is mostly noise for the model, but a large displacement.
     """
-    # an axis without a measured velocity uses the position noise per second
     axes = len(model.masses)
-    pose, rate = np.array([0, 1, 2, 3, 8, 9])[:axes], np.array([4, 5, 6, 7, 10, 11])[:axes]
-    level = noise[pose]
+    present = np.atleast_1d(model.present.any(axis=0))
+    states = model.states(theta, model.sections)
+    velocities = [x[:, model.outputs[_RATE[:axes]]] for x in states]
+    fast = np.sqrt(np.mean(np.vstack(velocities) ** 2, axis=0)) > noise[_RATE[:axes]]
+    paths = [np.cumsum(v[1:] * s.dt[:, None], axis=0) for v, s in zip(velocities, model.sections, strict=True)]
+    displaced = np.sqrt(np.mean(np.vstack([(p - p.mean(axis=0)) ** 2 for p in paths]), axis=0))
+    level = noise[_POSE[:axes]]
     level[:2] = max(level[:2])
-    level = np.where(np.atleast_1d(model.present.any(axis=0))[rate], noise[rate], level)
-    velocities = np.vstack([states[:, model.outputs[rate]] for states in model.states(theta, model.sections)])
-    still = ~(np.sqrt(np.mean(velocities**2, axis=0)) > level)
+    far = (displaced > level) & _placed(present, axes)
+    still = ~((fast & present[_RATE[:axes]]) | far)
     return frozenset(np.array(model.masses)[still].tolist())
+
+
+def measured_axes(model: Model) -> NDArray[np.bool_]:
+    """Return which axes of the vehicle (4,) or (6,) have a measured pose or velocity."""
+    axes = len(model.masses)
+    present = np.atleast_1d(model.present.any(axis=0))
+    return np.asarray(present[_RATE[:axes]] | _placed(present, axes))
+
+
+def _placed(present: NDArray[np.bool_], axes: int) -> NDArray[np.bool_]:
+    # which axes have a measured pose; surge and sway need both x and y
+    placed = np.asarray(present[_POSE[:axes]])
+    placed[:2] = placed[:2].all()
+    return placed
 
 
 def few_thrusts(log: MotionLog, sections: tuple[Section, ...]) -> str:
@@ -63,8 +85,17 @@ def ill_excited(
 
     The combinations are the eigenvectors of the covariance of the relative changes with a large eigenvalue.
     """
-    texts = [f"{AXIS_OF[k]}: no motion above the noise, so {k} and its drag are unknown" for k in AXIS_OF if k in rest]
-    names = [k for k in model.names if not axes_of(k) & rest]
+    unmeasured = {k for k, measured in zip(model.masses, measured_axes(model), strict=True) if not measured}
+    force_of = dict(zip(model.masses, CONSTANT_FORCE, strict=False))
+    texts = [
+        f"{AXIS_OF[k]}: not measured, so {k}, its drag and {force_of.get(k, 'its moment')} are unknown"
+        if k in unmeasured
+        else f"{AXIS_OF[k]}: no motion above the noise, so {k} and its drag are unknown"
+        for k in AXIS_OF
+        if k in rest
+    ]
+    unknown = {force_of[k] for k in unmeasured if k in force_of}
+    names = [k for k in model.names if not axes_of(k) & rest and k not in unknown]
     places = [model.names.index(k) for k in names]
     scale = model.scale[places]
     size = np.array(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
+from surctl.vehicle.identification.consistency import velocity_notes
 from surctl.vehicle.identification.excitation import (
     at_rest,
     drift_note,
@@ -125,7 +126,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         zeroed,
         ill_excited(model, full.spread, estimates, rest),
         {c: float(full.noise[k]) for k, c in enumerate(model.columns) if present[:, k].any()},
-        (*notes, *notes_of(model, full.left)),
+        (*velocity_notes(log), *notes, *notes_of(model, full.left)),
         len(model.sections),
     )
 

@@ -24,7 +24,8 @@ __all__ = ["LONGEST", "LONGEST_DRIFT", "Model", "Section", "sections_of"]
 LONGEST, LONGEST_DRIFT = 60.0, 20.0
 """Longest section [s], and longest section if the constant force drifts."""
 
-_STEP = 0.05  # [s] longest integration step
+_STEP = 0.05  # [s] integration step
+_STEPS_PER_ROW, _LONGEST_STEP = 5, 0.2  # of a log with few rows per second, whose steps are longer; and their limit [s]
 _LEAST_LAG = 0.02  # [s] smallest thrust lag; a smaller one would need shorter integration steps
 _PRIOR = 2.0  # prior standard deviation of the relative change of a parameter
 _LOOSE = 1e3  # [m, rad, m/s, rad/s] prior standard deviation of the motion at the start of a section
@@ -95,7 +96,8 @@ def _runs(gap: NDArray[np.bool_], rows: int) -> list[tuple[int, int]]:
 
 def _section(log: MotionLog, start: int, stop: int) -> Section:
     step = np.diff(log.time[start:stop])
-    parts = np.maximum(np.ceil(step / _STEP - 1e-9).astype(int), 1)
+    longest = min(max(_STEP, float(np.median(step)) / _STEPS_PER_ROW), _LONGEST_STEP)
+    parts = np.maximum(np.ceil(step / longest - 1e-9).astype(int), 1)
     return Section(
         slice(start, stop),
         np.repeat(step / parts, parts),

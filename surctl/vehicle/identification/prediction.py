@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +17,13 @@ from surctl.vehicle.identification.outliers import without_outliers
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Vehicle
 
-__all__ = ["HELD_OUT", "Prediction", "held_out", "predict", "predict_with"]
+__all__ = ["HELD_OUT", "Prediction", "held_out", "held_out_windows", "predict", "predict_with"]
 
 HELD_OUT = 0.4
 """Share of a log, at its end, that is predicted by a fit to the rest."""
 
 _WINDOW = 5.0  # [s]
-_BEFORE = 1.0  # [s] motion before a window from which a velocity without measurement is computed
+_BEFORE, _BEFORE_ROWS = 1.0, 8  # [s] motion before a window for a velocity without measurement, at least these rows
 _LEAST_ROWS = 4  # rows of a window
 _LAGS = 5.0  # thrust lags after which the thrust no longer depends on its start
 
@@ -60,7 +61,8 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = _WINDOW) -> Pre
     """Predict the motion of a log over successive windows with the model of a vehicle.
 
     Each window starts with the measured motion of its first row. A velocity that the log does not contain follows from
-    the measured poses of the second before. The thrust has the lag of the vehicle.
+    the measured poses of the second before, or of eight rows if they take longer. The thrust has the lag of the
+    vehicle.
 
     Args:
         log: the log.
@@ -100,9 +102,8 @@ def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *,
     """
     lag = values.get("thrust_lag", 0.0)
     log = without_outliers(_columns(log, 12 if start.form.tilts else 8))
-    windows = [
-        w for section in sections_of(log) for w in _windows(log, section, window, after=min(_LAGS * lag, window))
-    ]
+    after = max(min(_LAGS * lag, window), _before(log))
+    windows = [w for section in sections_of(log) for w in _windows(log, section, window, after=after)]
     states = [(w, x) for w in windows if (x := _first_state(log, *w, lag=lag)) is not None]
     if not states:
         raise InputError(
@@ -147,16 +148,52 @@ def held_out(log: MotionLog, start: Vehicle, *, share: float = HELD_OUT, window:
         >>> held_out(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat) is None
         True
     """
+    predictions = held_out_windows(log, start, [window], share=share)
+    return predictions[0] if predictions else None
+
+
+def held_out_windows(
+    log: MotionLog, start: Vehicle, windows: Sequence[float], *, share: float = HELD_OUT
+) -> tuple[Prediction, ...]:
+    """Predict the last part of a log over windows of several lengths with one fit to the part before.
+
+    Lengths for which the log has no window are omitted.
+
+    Args:
+        log: the log.
+        start: vehicle with the initial values of the fit.
+        windows: lengths of the windows [s].
+        share: share of the time that is predicted.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import MotionLog, held_out_windows, load_vehicle
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
+        >>> held_out_windows(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat, [1.0, 5.0])
+        ()
+    """
     cut = int(np.searchsorted(log.time, log.time[0] + (1.0 - share) * (log.time[-1] - log.time[0])))
+    results = []
     try:
         parts = [
             MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
             for rows in (slice(0, cut), slice(cut, len(log.time)))
         ]
-        fit = identify(parts[0], start, name=start.name)
-        return predict(parts[1], fit.vehicle, window=window)
+        fitted = identify(parts[0], start, name=start.name).vehicle
     except InputError:  # one part is too short, or has no motion
-        return None
+        return ()
+    for window in windows:
+        with suppress(InputError):  # no part of the log is so long
+            results.append(predict(parts[1], fitted, window=window))
+    return tuple(results)
+
+
+def _before(log: MotionLog) -> float:
+    # [s] motion before a window from which velocities follow that the log does not contain
+    present = np.atleast_1d(np.isfinite(log.motion).any(axis=0))
+    if not (present[:4] & ~present[4:8]).any():
+        return 0.0
+    return max(_BEFORE, _BEFORE_ROWS * float(np.median(np.diff(log.time))))
 
 
 def _columns(log: MotionLog, count: int) -> MotionLog:
@@ -185,7 +222,8 @@ def _first_state(log: MotionLog, section: Section, part: Section, *, lag: float)
     if not np.isfinite(motion[measured]).all():
         return None
     pose, rate = (np.array(p)[: len(motion) // 2] for p in ((0, 1, 2, 3, 8, 9), (4, 5, 6, 7, 10, 11)))
-    before = slice(max(origin, int(np.searchsorted(log.time, log.time[row] - _BEFORE))), row + 1)
+    first = min(int(np.searchsorted(log.time, log.time[row] - _BEFORE)), row + 1 - _BEFORE_ROWS)
+    before = slice(max(origin, first), row + 1)
     poses, time = log.motion[before][:, pose], log.time[before]
     if np.isnan(motion[rate]).any() and len(time) > 1:
         speed = np.full(len(pose), np.nan)
