@@ -32,6 +32,7 @@ from surctl.vehicle import load_vehicle
 Vector = NDArray[np.float64]
 ABOUT = Path(__file__).with_name("about.md")
 MISSION = "pool-ahead"
+LATE = 8  # periods by which one late number may make an age too large
 
 
 def flown() -> tuple[Bundle, Envelope, Vector]:
@@ -90,23 +91,23 @@ def gain_failures(
     }
 
 
-def events(count: int, rng: np.random.Generator) -> tuple[Vector, Vector, Vector, NDArray[np.bool_]]:
+def events(count: int, rng: np.random.Generator) -> tuple[Vector, Vector, Vector, Vector]:
     """Return rows (T, 2) of sample number and message, true ages (T,) [s], the true gap (T,).
 
-    The last array is False where the counter lied since the last accepted step; there, an age may be larger than true.
+    The last array is the excess [s] that an age may have, without bound where the counter lied.
     The true age is that of the last message in an accepted step, at most `LONGEST`; NaN where the step must be refused.
     """
     rows: list[tuple[float, float]] = []
     truth: list[float] = []
     gaps: list[float] = []
-    honest: list[bool] = []
-    fair = True
+    allowed: list[float] = []
+    excess = 0.0  # [s] by which the next age may be too large: without bound where the counter lied
     last: int | None = None
     now, offset, message, accepted, older, rising = 1, 0, -(10**9), 0, 0, 0
 
     def call(value: float) -> None:
-        nonlocal message, accepted, last, older, rising, fair
-        honest.append(fair)
+        nonlocal message, accepted, last, older, rising, excess
+        allowed.append(excess)
         number = (now + offset) % 2**32
         rise, older = (number - older) % 2**32, number
         rows.append((float(number), value))
@@ -126,10 +127,10 @@ def events(count: int, rng: np.random.Generator) -> tuple[Vector, Vector, Vector
         message = now if value > 0.5 else message
         truth.append(min((now - message) * DT, LONGEST))
         gaps.append(float(since))
-        accepted, last, older, rising, fair = now, number, number, 0, True
+        accepted, last, older, rising, excess = now, number, number, 0, 0.0
 
     for _ in range(count):
-        kind, length = rng.integers(0, 7), int(np.ceil(10 ** rng.uniform(0, 3)))
+        kind, length = rng.integers(0, 8), int(np.ceil(10 ** rng.uniform(0, 3)))
         if kind <= 1:  # steps as they should be
             for _ in range(min(length, 20)):
                 call(float(rng.random() < 0.2))
@@ -148,17 +149,23 @@ def events(count: int, rng: np.random.Generator) -> tuple[Vector, Vector, Vector
                 call(0.0)
                 now += 1
         elif kind == 5:  # the board starts again, at 0 or later; the steps go on
-            offset, fair = int(rng.integers(0, 50)) - now, False
+            offset, excess = int(rng.integers(0, 50)) - now, np.inf
             for _ in range(RESTART + 5):
                 call(0.0)
                 now += 1
+        elif kind == 7:  # one number comes late, between two that rise
+            offset, excess = offset - 3, max(excess, LATE * DT)
+            call(0.0)
+            offset, now = offset + 3, now + 1
+            call(0.0)
+            now += 1
         else:  # the numbers pass 2^32
             if rng.random() < 0.2:
-                offset, fair = int(2**32 - rng.integers(0, 30)) - now, False
+                offset, excess = int(2**32 - rng.integers(0, 30)) - now, np.inf
             for _ in range(RESTART + 5):
                 call(0.0)
                 now += 1
-    return np.array(rows), np.array(truth), np.array(gaps), np.array(honest)
+    return np.array(rows), np.array(truth), np.array(gaps), np.array(allowed)
 
 
 def _until_message(rows: Vector, began: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -170,20 +177,20 @@ def _until_message(rows: Vector, began: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return out
 
 
-def time_failures(
-    bundle: Bundle, tried: tuple[Vector, Vector, Vector, NDArray[np.bool_]], folder: Path
-) -> dict[str, int]:
+def time_failures(bundle: Bundle, tried: tuple[Vector, Vector, Vector, Vector], folder: Path) -> dict[str, int]:
     """Return how many ages are smaller than the true age, refusals differ, and memories outlive a long gap."""
-    rows, truth, gaps, honest = tried
+    rows, truth, gaps, allowed = tried
     out = run_clock(bundle, folder, rows)
     accepted = out[:, 0] >= 0
     must = ~np.isnan(truth)
     both = accepted & must
     restarted = both & (out[:, 0].astype(int) >= 16384)
     small = both & (out[:, 1] < truth - 1e-6)
-    large = (
-        both & honest & ~restarted & (out[:, 1] > truth + 1e-6) & ~_until_message(rows, both & ~(honest & ~restarted))
-    )
+    inexact = both & (restarted | (allowed > 0.0))
+    since = _until_message(rows, inexact)
+    first = inexact & ~np.append(False, since[:-1]) & ~restarted  # an age before it was exact
+    above = out[:, 1] > truth + np.where(first, allowed, 0.0) + 1e-6
+    large = both & above & (first | ~since)
     return {
         "accepted": int(accepted.sum()),
         "restarts": int(restarted.sum()),

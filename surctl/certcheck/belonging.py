@@ -188,7 +188,19 @@ class _Comparison:
         vehicle, law = self.claim["vehicle"], self.claim["law"]
         self._hashes(terms=vehicle["terms"])
         self.excludes += [*self.claim["excludes"], _ROUNDING.format(self.manifest.real)]
-        for name in ("k_psi", "k_r", "crab_time", "sideslip", "lookahead", "cruise", "cap", "k_i"):
+        for name in (
+            "k_psi",
+            "k_r",
+            "crab_time",
+            "sideslip",
+            "lookahead",
+            "cruise",
+            "cap",
+            "k_i",
+            "munk",
+            "centripetal",
+            "fin_share",
+        ):
             self._gain(name, law[name])
         for at, axis in enumerate((0, 1, 3)):
             self._gain("mass", law["mass"][at], axis)

@@ -23,7 +23,8 @@ EXCLUDES = (
     "the path is one straight leg, on which the law commands a positive speed; guidance is los",
     "no obstacle is near, so that the law chooses the desired course and speed",
     "the surge loop is not covered: the surge speed may vary in any way within speed_m_per_s",
-    "measured position, heading and velocity are exact; there is no current, no wave and no thrust error",
+    "measured position, heading and velocity are exact; there is no current and no wave",
+    "the thrusters deliver every commanded yaw moment up to moment_nm, whatever the surge force",
     "the thrust has no lag; commands are not held, and the two filters of the law are continuous in time",
     "heave is 0, and roll and pitch are left out",
 )
@@ -45,6 +46,7 @@ class SteeringClaim:
         vehicle_linear: linear drag (sway, yaw) of the vehicle before its factor.
         terms: the vehicle's terms beside equation (3), by name.
         moment: largest yaw moment of the thrusters and of the law [N m].
+        munk, centripetal: the law's yaw moment by u v and its sway force by u r [kg].
         k_psi, k_r, crab_time, sideslip, lookahead: the law's gains of these names.
         cruise, cap: cruise speed and largest commanded speed.
         rate: decay rate a of V̇ ≤ −a V [1/s].
@@ -60,6 +62,8 @@ class SteeringClaim:
     vehicle_linear: Pair
     terms: Mapping[str, Fraction]
     moment: Fraction
+    munk: Fraction
+    centripetal: Fraction
     k_psi: Fraction
     k_r: Fraction
     crab_time: Fraction
@@ -98,10 +102,16 @@ def read_claim(claim: Any) -> SteeringClaim:
         "claim.vehicle",
     )
     gains = ("k_psi", "k_r", "crab_time", "sideslip", "lookahead", "cruise", "cap")
-    law = record(top["law"], ("mass", "linear_drag", "quadratic_drag", "k_i", *gains), "claim.law")
+    law = record(
+        top["law"],
+        ("mass", "linear_drag", "quadratic_drag", "k_i", "fin_share", "munk", "centripetal", *gains),
+        "claim.law",
+    )
     motion = record(top["motion"], ("rate_per_s", "offset_m"), "claim.motion")
     if number(law["k_i"], "claim.law.k_i"):
         raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
+    if number(law["fin_share"], "claim.law.fin_share"):
+        raise Rejected("claim.law.fin_share must be 0: the yaw moment of fins comes with a side force")
     terms = read_terms(vehicle["terms"])
     for name, value in terms.items():
         if value and (name in ("m12", "m14", "Y0", "N0") or (name[0] in "YN" and name[-1] == "u")):
@@ -119,6 +129,8 @@ def read_claim(claim: Any) -> SteeringClaim:
         vehicle_linear=(own[0], own[1]),
         terms=terms,
         moment=number(vehicle["moment_nm"], "claim.vehicle.moment_nm", above=True),
+        munk=number(law["munk"], "claim.law.munk", least=-(10**9)),
+        centripetal=number(law["centripetal"], "claim.law.centripetal", above=True),
         **{key: number(law[key], f"claim.law.{key}", above=True) for key in gains},
         rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
         offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),

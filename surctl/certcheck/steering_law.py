@@ -49,8 +49,8 @@ def true_rate(claim: SteeringClaim, craft: Mapping[str, Array], state: Array) ->
     limit = 1.7 * most / (nr + np.sqrt(nr * nr + 3.4 * nrr * most))
 
     def planned(speed: Array) -> Array:
-        drift = np.minimum(float(claim.sideslip) * speed, 0.5 * most / max(abs(m22 - m11) * 1.0, 1e-9) / speed)
-        return np.minimum((yv * drift + yvv * drift**2) / (m11 * speed), limit)
+        drift = np.minimum(float(claim.sideslip) * speed, 0.5 * most / max(abs(float(claim.munk)), 1e-9) / speed)
+        return np.asarray(np.minimum((yv * drift + yvv * drift**2) / (float(claim.centripetal) * speed), limit))
 
     ahead = max(float(claim.lookahead), cruise / float(planned(np.array([cruise]))[0]))
     desired = -np.arctan2(y, ahead) - crab
@@ -59,7 +59,9 @@ def true_rate(claim: SteeringClaim, craft: Mapping[str, Array], state: Array) ->
     largest = np.minimum(planned(np.maximum(u, cruise / 4)), swing)
     turn = np.clip(float(claim.k_psi) * error, -largest, largest)
     carried = s * float(claim.cap) / np.hypot(float(claim.cap), s)
-    moment = nr * turn + nrr * turn * np.abs(turn) + m44 * float(claim.k_r) * (turn - r) + (m22 - m11) * u * carried
+    moment = (
+        nr * turn + nrr * turn * np.abs(turn) + m44 * float(claim.k_r) * (turn - r) + float(claim.munk) * u * carried
+    )
     moment = np.clip(moment, -most, most)
     f, d = craft["mass"].T, craft["drag"].T
     t1, t2, t4 = m11 * f[0], m22 * f[1], m44 * f[2]
@@ -77,7 +79,10 @@ def true_rate(claim: SteeringClaim, craft: Mapping[str, Array], state: Array) ->
     size = t2 * t4 - t24 * t24
     rates = (t4 * loads[0] - t24 * loads[1]) / size, (t2 * loads[1] - t24 * loads[0]) / size
     slip = np.arctan2(v, np.maximum(u, cruise / 4))
-    filters = (slip - crab) / float(claim.crab_time), -m11 / m22 * u * r - (yv + yvv * np.abs(s)) * s / m22
+    filters = (
+        (slip - crab) / float(claim.crab_time),
+        -float(claim.centripetal) / m22 * u * r - (yv + yvv * np.abs(s)) * s / m22,
+    )
     return np.stack([u * np.sin(psi) + v * np.cos(psi), r, *rates, *filters], axis=1)
 
 

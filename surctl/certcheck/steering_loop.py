@@ -3,14 +3,15 @@
 ξ = (y_e, ψ, v, r, c, s): cross-track error, heading to the path, sway speed, yaw rate, crab filter and modelled sway
 speed. With surge speed u, e = −atan(y_e/Δ) − c − ψ and r_d = k_ψ e, law and vehicle are
 
-    ẏ_e = u sin ψ + v cos ψ,   ψ̇ = r,   ċ = (atan(v/u) − c)/T_c,   ṡ = −(m̂11/m̂22) u r − (Ŷ_v + Ŷ_vv |s|) s/m̂22,
-    N = (N̂_r + N̂_rr |r_d|) r_d + m̂44 k_r (r_d − r) + (m̂22 − m̂11) u k s,
+    ẏ_e = u sin ψ + v cos ψ,   ψ̇ = r,   ċ = (atan(v/u) − c)/T_c,   ṡ = −(m_c/m̂22) u r − (Ŷ_v + Ŷ_vv |s|) s/m̂22,
+    N = (N̂_r + N̂_rr |r_d|) r_d + m̂44 k_r (r_d − r) + μ u k s,
     [[m22, m24], [m24, m44]] (v̇, ṙ) = (−C_vv v − C_vr r, N − C_rv v − C_rr r).
 
 C_vv = Y_v + Y_vv |v| + Y_uv u + …, C_vr = m11 u + Y_r + …, C_rv = (m22 − m11) u + N_v + …, C_rr = m24 u + N_r + …
-contain all drag by v and r. k ≤ 1 is the share that the speed cap leaves of the modelled sway speed. Each secant slope
-(u sin ψ/ψ, cos ψ, atan(y_e/Δ)/y_e, atan(v/u)/v, |r_d|, |s|, …) lies in an interval for ξ in V ≤ 1, and A is affine in
-each of them: the matrices at the ends of all intervals enclose A. Intervals are exact fractions, rounded outward.
+contain all drag by v and r. μ and m_c are numbers of the law, and k ≤ 1 is the share that the speed cap leaves of the
+modelled sway speed. Each secant slope (u sin ψ/ψ, cos ψ, atan(y_e/Δ)/y_e, atan(v/u)/v, |r_d|, |s|, …) lies in an
+interval for ξ in V ≤ 1, and A is affine in each of them: the matrices at the ends of all intervals enclose A. Intervals
+are exact fractions, rounded outward.
 """
 
 from __future__ import annotations
@@ -67,11 +68,11 @@ def _yaw_limit(claim: SteeringClaim) -> Pair:
 
 def planned_rate(claim: SteeringClaim, speeds: Pair) -> Pair:
     """Return the range of the largest yaw rate that the law plans at surge speeds [m/s] in an interval."""
-    munk = abs(claim.mass[1] - claim.mass[0])
+    munk = abs(claim.munk)
     limit = _yaw_limit(claim)
 
     def sideways(drift: Fraction, u: Fraction) -> Fraction:
-        return (claim.linear[0] * drift + claim.quadratic[0] * drift * drift) / (claim.mass[0] * u)
+        return (claim.linear[0] * drift + claim.quadratic[0] * drift * drift) / (claim.centripetal * u)
 
     # the limit by the drift angle grows with u, and that by the Munk moment decreases
     rates = [
@@ -142,7 +143,7 @@ def parameters(claim: SteeringClaim, at: Extent) -> list[Pair]:
     c_rr = _plus(_times(m24, u), own[1], _drag(claim, "N", "r", sizes))
     feed = claim.linear[1], claim.linear[1] + claim.quadratic[1] * at.command
     kept = claim.cap / root_up(claim.cap**2 + at.model**2), one
-    cancelled = _times((exact[1] - exact[0],) * 2, u, kept)
+    cancelled = _times((claim.munk,) * 2, u, kept)
     peak = feed[1] * at.command + exact[2] * claim.k_r * (at.command + at.yaw_rate)
     if peak + max(map(abs, cancelled)) * at.model > claim.moment:
         raise Rejected("the yaw thrust reaches its limit in a part of the region")
@@ -167,7 +168,7 @@ def vertices(claim: SteeringClaim, theta: Sequence[Pair]) -> Array:
     A = np.zeros((len(u), 6, 6))
     A[:, 0, 1], A[:, 0, 2], A[:, 1, 3] = sine, cosine, 1.0
     A[:, 4, 2], A[:, 4, 4] = drift / float(claim.crab_time), -1 / float(claim.crab_time)
-    A[:, 5, 3], A[:, 5, 5] = -mass[0] / mass[1] * u, -damped
+    A[:, 5, 3], A[:, 5, 5] = -float(claim.centripetal) / mass[1] * u, -damped
     force, moment = np.zeros((2, len(u), 6))
     force[:, 2], force[:, 3] = -c_vv, -c_vr
     turn = -k_psi * (feed + mass[2] * k_r)

@@ -67,6 +67,8 @@ STRONGER: dict[str, Callable[[dict[str, Any]], Any]] = {
     "sideslip": lambda d: d["claim"]["law"].update(sideslip=0.001),
     "crab_time": lambda d: d["claim"]["law"].update(crab_time=0.01),
     "model": lambda d: d["claim"]["law"].update(mass=[60.2815, 137.5, 3.9]),
+    "fins": lambda d: d["claim"]["law"].update(fin_share=0.5),
+    "munk": lambda d: d["claim"]["law"].update(munk=-900.0),
     "integral": lambda d: d["claim"]["law"].update(k_i=0.1),
     "size of P": lambda d: d["proof"].update(P=[[e * 0.002 for e in row] for row in d["proof"]["P"]]),
     "sign of P": lambda d: put(d, ("proof", "P", 1, 1), -1.0),

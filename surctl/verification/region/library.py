@@ -136,7 +136,8 @@ def refused_regions(
 ) -> tuple[tuple[NotApplicable, tuple[str, ...]], ...]:
     """Return each reason why region claims cannot be proved for a vehicle, gains and speeds [m/s], and their names.
 
-    Nothing is searched: a claim that is left out may still have no proof.
+    Nothing is searched: a claim that is left out may still have no proof. The claims about craft without sway force are
+    left out for other vehicles.
 
     Example:
         >>> from surctl.control import load_gains
@@ -148,6 +149,8 @@ def refused_regions(
     """
     reasons: dict[tuple[str, str], tuple[NotApplicable, list[str]]] = {}
     for name, statement in REGION_CLAIMS.items():
+        if statement.loop == "steered" and vehicle["Fv_max"] > 0:
+            continue
         try:
             statement.claim(vehicle, gains, cruise=cruise, cap=cap)
         except NotApplicable as reason:

@@ -66,6 +66,9 @@ class SteeringClaim:
                 "mass": [craft["m11"], craft["m22"], craft["m44"]],
                 "linear_drag": [float(n) for n in craft.drag_at(self.cruise)[[1, 3]]],
                 "quadratic_drag": [craft["Yvv"], craft["Nrr"]],
+                "fin_share": craft.fin_share(self.cruise),
+                "munk": craft.munk(self.cruise),
+                "centripetal": craft.centripetal(self.cruise),
                 **{key: self.gains[key] for key in (*_GAINS, "k_i")},
                 "cruise": self.cruise,
                 "cap": self.cap,
@@ -117,6 +120,8 @@ def steering_claim(
     """
     if vehicle["Fv_max"] > 0:
         raise NotApplicable("it has a sway force, and the claim is about craft that are steered by their heading")
+    if vehicle.fin_share(cruise) > 0:
+        raise NotApplicable("it steers by fins, whose side force the claim does not cover")
     if vehicle.form.tilts:
         raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
     if vehicle.fin_share(cruise) > 0:
