@@ -124,13 +124,6 @@ def steering_claim(
         raise NotApplicable("it steers by fins, whose side force the claim does not cover")
     if vehicle.form.tilts:
         raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
-    if vehicle.fin_share(cruise) > 0:
-        raise NotApplicable("it steers by fins, and the claim assumes a yaw moment that does not depend on the speed")
-    plain = vehicle.munk(cruise) == vehicle["m22"] - vehicle["m11"] and vehicle.centripetal(cruise) == vehicle["m11"]
-    if not plain:
-        raise NotApplicable(
-            "it has Nuv, Nv, Yur or Yr, which the law counts with the Munk moment and the claim does not"
-        )
     if not rate > 0:
         raise InputError("must be greater than 0", key="rate", value=rate, remedy="correct it")
     check_no_integral(gains)
