@@ -142,8 +142,8 @@ def parameters(claim: SteeringClaim, at: Extent) -> list[Pair]:
     c_rv = _plus(_times(munk, u), _drag(claim, "N", "v", sizes))
     c_rr = _plus(_times(m24, u), own[1], _drag(claim, "N", "r", sizes))
     feed = claim.linear[1], claim.linear[1] + claim.quadratic[1] * at.command
-    kept = claim.cap / root_up(claim.cap**2 + at.model**2), one
-    cancelled = _times((claim.munk,) * 2, u, kept)
+    share = claim.cap / root_up(claim.cap**2 + at.model**2), one
+    cancelled = _times((claim.munk,) * 2, u, share)
     peak = feed[1] * at.command + exact[2] * claim.k_r * (at.command + at.yaw_rate)
     if peak + max(map(abs, cancelled)) * at.model > claim.moment:
         raise Rejected("the yaw thrust reaches its limit in a part of the region")

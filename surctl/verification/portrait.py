@@ -210,7 +210,7 @@ def _steering(document: Mapping[str, Any]) -> _Loop:
         shown=rates(1.0, 1.0, float(claim.cruise)),
         whose="nominal",
         tried=(rates(*one) for one in product(*ends)),
-        levels=(1.0,),
+        levels=(0.0, 1.0),
         lagged=False,
     )
 

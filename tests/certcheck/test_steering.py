@@ -20,8 +20,10 @@ from surctl.certcheck.steering_law import draw_crafts, true_rate
 from surctl.certcheck.steering_loop import lookahead, parameters, vertices
 from surctl.control import build_law, law_parameters, law_source, turning_radius
 from surctl.guidance import Path as Route
+from surctl.report import plot_region
 from surctl.tuning import derived_gains
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
+from surctl.verification.portrait import planes_of, portrait
 from tests.certcheck.altering import altered, put, sealed
 
 KEPT = Path(__file__).parent / "region-steered-20.json"
@@ -168,3 +170,11 @@ def test_the_checkers_loop_is_the_law_and_the_vehicle_of_the_toolkit() -> None:
         moved = state[k : k + 1].copy()
         moved[0, 4:] = np.ravel(after["crab"])[0], np.ravel(after["sway"])[0]
         assert np.allclose(true_rate(replace(claim, cap=Fraction(10**6)), near, moved)[0, 2:4], rate[[5, 7]], atol=2e-3)
+
+
+def test_a_certificate_without_a_floor_is_drawn_in_its_planes() -> None:
+    whole = document()
+    for plane in planes_of(whole):
+        drawn = portrait(whole, plane, points=9)
+        assert drawn.levels == (0.0, 1.0) and np.max(drawn.excess[(drawn.level < 1) & (drawn.level > 1e-9)]) < 0
+    assert len(plot_region(whole).axes) >= 2

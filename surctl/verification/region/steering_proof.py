@@ -42,11 +42,11 @@ def prove_steering(claim: SteeringClaim) -> RegionProof:
     ahead = float(lookahead(stated)[1])
     target, factor, P = _FIRST * ahead, _GROWTH, None
     for _ in range(_STEPS):
-        found = _region(claim, stated, target, P)
-        document = {} if found is None else _certificate(claim, found)
+        candidate = _region(claim, stated, target, P)
+        document = {} if candidate is None else _certificate(claim, candidate)
         checked = check_document(document) if document else None
         if checked is not None and checked.accepted:
-            proved, P = (document, checked), found
+            proved, P = (document, checked), candidate
             target *= factor
         else:
             reason = reason if checked is None else f"{_NOT} {checked.reason}"
