@@ -107,7 +107,7 @@ def _(cases, gains):
     )
     runs = conditions(cases, seeds=range(2))
     request = Request(goals, runs, gains, gain_ranges(gains, ["k_v", "k_r", "lookahead", "kappa"]))
-    tuning = tune(request, trials=64, rounds=1, runs=50)
+    tuning = tune(request, trials=64, rounds=1, runs=10)
     print("\n".join(summary(tuning)))
     print(f"all hard goals met: {tuning.result.feasible}")
     plot_goal_bars(goal_bars(tuning))

@@ -179,7 +179,7 @@ def _(basin, margins, rov, start):
     _cases = build_cases([basin], [rov], gains=start)
     _ranges = gain_ranges(start, dict.fromkeys(TUNED))
     _request = Request(load_goals("default"), conditions(_cases, seeds=range(2)), start, _ranges)
-    tuning = tune(_request, trials=32, rounds=2, runs=100)
+    tuning = tune(_request, trials=32, rounds=2, runs=20)
     gains = tuned_gains(tuning)
     print("\n".join(summary(tuning)))
     _delay, _disk, _stable = margins(gains.values)

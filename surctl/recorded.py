@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.recorded_arrays import ARRAY_FILES, read_arrays
 
-__all__ = ["Recorded", "read_recorded", "shown", "xml_root"]
+__all__ = ["Recorded", "read_recorded", "read_unnamed", "shown", "xml_root"]
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _MISSING = {"", "na", "n/a", "null", "none"}  # cells that mean "no number", in addition to nan
@@ -182,7 +182,49 @@ def read_recorded(path: Path) -> Recorded:
     return Recorded(path=path, columns=columns, lines=np.array(lines), about=about)
 
 
-def _text(path: Path) -> str:
+def read_unnamed(path: Path, columns: Sequence[str], *, skip: int = 0) -> Recorded:
+    """Read a text file of numbers without a header, such as the files of towing tanks, with names for its columns.
+
+    Cells are separated by blanks, tabs, semicolons or commas. Blank lines, and lines that begin with # or %, are
+    skipped.
+
+    Args:
+        path: the file, in UTF-8 or, for the skipped lines, any other encoding.
+        columns: names of the columns, from the left; all columns need a name.
+        skip: lines above the numbers, such as a title.
+
+    Raises:
+        InputError: the file does not exist, has no rows, or a row has another number of cells than `columns`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.recorded import read_unnamed
+        >>> _ = Path("run.dat").write_text("zigzag 20/20\\n 0.00 1.5\\n 0.05\\t1.6\\n")
+        >>> read_unnamed(Path("run.dat"), ["t", "x"], skip=1).columns
+        {'t': ['0.00', '0.05'], 'x': ['1.5', '1.6']}
+    """
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    for number, line in enumerate(_text(path, strict=False).split("\n"), start=1):
+        plain = line.strip()
+        if number <= skip or not plain or plain[0] in "#%":
+            continue
+        cells = [cell.strip() for cell in re.split(r"\s*[;,]\s*|\s+", plain)]
+        if len(cells) != len(columns):
+            raise InputError(
+                f"has {len(cells)} cells where columns names {len(columns)}",
+                file=f"{shown(path)}:{number}",
+                remedy="name every column of the file, and skip the lines above the numbers with skip_lines",
+            )
+        rows.append(cells)
+        lines.append(number)
+    if not rows:
+        raise InputError("has no rows", file=shown(path), remedy="check the file and skip_lines")
+    named = dict(zip(columns, (list(cells) for cells in zip(*rows, strict=True)), strict=True))
+    return Recorded(path=path, columns=named, lines=np.array(lines))
+
+
+def _text(path: Path, *, strict: bool = True) -> str:
     try:
         raw = path.read_bytes()
     except FileNotFoundError:
@@ -193,7 +235,7 @@ def _text(path: Path) -> str:
             f"cannot be read ({reason})", file=shown(path), remedy="check the path and its permissions"
         ) from None
     try:
-        text = raw.decode("utf-8-sig")
+        text = raw.decode("utf-8-sig", "strict" if strict else "replace")
     except UnicodeDecodeError as error:
         line = len(re.findall(rb"\r\n|\r|\n", raw[: error.start])) + 1
         raise InputError("is not text (UTF-8)", file=f"{shown(path)}:{line}", remedy="save it as UTF-8") from None

@@ -27,11 +27,13 @@ SPENT = "processor time [s]"
 MANY_RUNS = ("cli/test_tune.py", "simulation/test_closed_loop.py", "simulation/test_depth_escape.py", "tuning")
 
 LONG = (
-    *("test_guides.py", "test_analysis.py", "simulation/test_closed_loop.py", "cli/test_commands.py"),
-    *("export/test_check.py", "export/test_sensing_law.py", "export/test_prove.py", "study/test_study.py"),
-    *("simulation/test_record_file.py", "test_notebooks.py", "cli/test_sensor_options.py", "test_examples.py"),
-    *("cli/test_regions.py", "reproduction/test_reproduction.py", "simulation/test_depth_escape.py"),
-    *("verification/linear/test_sampled.py", "control/test_baselines.py", "simulation/test_batch.py"),
+    *("test_analysis.py", "test_guides.py", "test_architecture.py", "cli/test_commands.py", "test_examples.py"),
+    *("study/test_study.py", "simulation/test_closed_loop.py", "test_notebooks.py"),
+    *("reproduction/test_reproduction.py", "sensing/test_local_map.py", "cli/test_regions.py"),
+    *("export/test_sensing_law.py", "simulation/test_batch.py"),
+    *("sensing/test_calibration.py", "lyapunov/test_search.py", "export/test_check.py", "certcheck/test_region.py"),
+    *("simulation/test_depth_escape.py", "export/test_prove.py", "cli/test_campaign.py", "control/test_baselines.py"),
+    *("sensing/test_simulated_table2.py", "sensing/test_echo.py", "cli/test_sensor_options.py"),
 )
 
 
@@ -41,6 +43,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     missing = [str(path) for path in first if not path.is_file()]
     assert not missing, f"LONG names files that are not there: {missing}"
     items.sort(key=lambda item: first.get(item.path, len(first)))
+
+
+def pytest_collection_finish() -> None:
+    """The modules of the tests are loaded."""
+    processes.collect_seldom()
 
 
 def _processor_time() -> float:

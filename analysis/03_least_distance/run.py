@@ -49,8 +49,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-race", action="store_true", help="skip the timing")
     options = parser.parse_args(arguments)
-    count = options.n if options.n is not None else 2_000 if options.quick else 100_000
-    checked = options.referee if options.referee is not None else 100 if options.quick else 500
+    count = options.n if options.n is not None else 800 if options.quick else 100_000
+    checked = options.referee if options.referee is not None else 40 if options.quick else 500
     if count < 1 or options.seed < 0 or checked < 0:
         parser.error("--n is at least 1, --seed and --referee at least 0")
     try:

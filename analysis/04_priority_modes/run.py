@@ -66,16 +66,16 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--n", type=int, help="random problems; 10,000 if not given")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    count = options.n if options.n is not None else 50 if options.quick else 10_000
+    count = options.n if options.n is not None else 30 if options.quick else 10_000
     if count < 1 or options.seed < 0:
         parser.error("--n is at least 1, --seed at least 0")
     good = [
         without_limits(count, options.seed),
         with_limits(count, options.seed),
         strict_with_limits(count, options.seed),
-        continuous(*(100, 800) if options.quick else (2000, 2000)),
+        continuous(*(100, 300) if options.quick else (2000, 2000)),
     ]
-    prices(40 if options.quick else 500, options.seed)
+    prices(20 if options.quick else 500, options.seed)
     return 0 if all(good) else 1
 
 

@@ -1,7 +1,7 @@
 """Study 21: the time of `import surctl` and `surctl --help`, compared with `import numpy`.
 
     python analysis/21_import_time/run.py            # some seconds
-    python analysis/21_import_time/run.py --quick    # 3 processes of each
+    python analysis/21_import_time/run.py --quick    # one process of each
 
 Prints Markdown. Processor time of whole processes, less that of a bare interpreter, taken in turns. Ends with 0 when
 every bar is met, else with 1.
@@ -16,7 +16,7 @@ import statistics
 import subprocess
 import sys
 
-RUNS, QUICK = 21, 3
+RUNS, QUICK = 21, 1
 MOST = 4.0  # times `import numpy`
 SECONDS = 0.5
 HEAVY = ("casadi", "scipy", "matplotlib", "control", "pandas", "xarray", "qpsolvers", "osqp", "marimo")
@@ -51,7 +51,7 @@ def heavy(words: list[str]) -> list[str]:
 def main() -> int:
     """Print the tables; return 1 if a limit is missed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} processes of each instead of {RUNS}")
+    parser.add_argument("--quick", action="store_true", help=f"one process of each instead of {RUNS}")
     given = parser.parse_args()
     runs = QUICK if given.quick else RUNS
     taken: dict[str, list[float]] = {name: [] for name in WORDS}

@@ -16,11 +16,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scaling import disturbed, scaled, size_of, straight, two_legs
 
 from surctl.control import Gains, build_law, default_law, law_source
 from surctl.errors import InputError
-from surctl.simulation import Case, Metrics, load_scenario, simulate, simulate_batch
+from surctl.simulation import (
+    Case,
+    Metrics,
+    disturbed,
+    load_scenario,
+    mission_size,
+    scaled_scenario,
+    simulate,
+    simulate_batch,
+    straight_mission,
+    two_leg_mission,
+)
 from surctl.tuning import DERIVED_MARGIN, default_cruise, gains_for
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import law_loop
@@ -96,8 +106,11 @@ def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
     held = shown_margin(vehicle, gains, speed)
     defects = [] if held >= DERIVED_MARGIN else [f"disk margin {held:.2f} at {speed:g} m/s"]
     runs = []
-    size = size_of(vehicle, gains, cruise=speed)
-    for mission in (straight(vehicle, cruise=speed, size=size), two_legs(vehicle, cruise=speed, size=size)):
+    size = mission_size(vehicle, gains, cruise=speed)
+    for mission in (
+        straight_mission(vehicle, cruise=speed, size=size),
+        two_leg_mission(vehicle, cruise=speed, size=size),
+    ):
         scenario = disturbed(mission, vehicle, share=SHARE)  # without a push, a loop that crabs stays on its path
         m = simulate(scenario, vehicle, gains=gains).metrics
         runs.append(m)
@@ -127,8 +140,7 @@ def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
 def in_tank(vehicle: Vehicle, gains: Gains, cruise: float, size: float, seeds: int) -> tuple[list[str], list[str]]:
     """Return defects and cells of the scaled tank with true positions."""
     template = load_scenario("tank-static")
-    length = size / load_vehicle(template.vehicle)["radius"]
-    tank = disturbed(scaled(template, vehicle, cruise=cruise, length=length), vehicle, share=SHARE)
+    tank = disturbed(scaled_scenario(template, vehicle, cruise=cruise, size=size), vehicle, share=SHARE)
     runs = simulate_batch(Case(tank, vehicle, gains, default_law(vehicle)), seeds=np.arange(seeds), threads=2)
     reached, collided = (int(runs.column(name).sum()) for name in ("reached", "collided"))
     least = float(runs.column("min_clearance_m").min())

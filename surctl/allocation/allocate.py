@@ -61,7 +61,7 @@ class Allocation:
         return " ".join(lines) or "Every level is reached."
 
 
-def allocate(actuators: Actuators, wrench: ArrayLike, *, failed: Sequence[str] = ()) -> Allocation:
+def allocate(actuators: Actuators, wrench: ArrayLike, *, failed: Sequence[str] = (), speed: float = 1.0) -> Allocation:
     """Return the thruster forces for a desired force and yaw moment, by strict priorities within all limits.
 
     Each level of `actuators.order` is met as well as the limits and the higher levels allow; the last level, `effort`,
@@ -72,6 +72,7 @@ def allocate(actuators: Actuators, wrench: ArrayLike, *, failed: Sequence[str] =
         actuators: the thrusters of a vehicle, `vehicle.actuators`.
         wrench: (4,) F_u, F_v, F_w [N] and F_r [N m] in {B}.
         failed: names of thrusters that give no force.
+        speed: forward speed [m/s] through the water, on which the limits of fins depend.
 
     Raises:
         InputError: the wrench is not four finite numbers, or a name is unknown.
@@ -86,7 +87,7 @@ def allocate(actuators: Actuators, wrench: ArrayLike, *, failed: Sequence[str] =
         `force` gave up 34.34 N because `T1` and `T4` bind.
     """
     desired = _four(wrench)
-    working = working_flags(actuators, failed)
+    working = working_flags(actuators, failed, speed=speed)
     achieved, components, commands, *angles = _runner(actuators)(desired, working)
     roll, pitch = actuators.moments(components)
     gave_up, binding = _lacks(actuators, desired, achieved, components, working)
@@ -105,8 +106,10 @@ def allocate(actuators: Actuators, wrench: ArrayLike, *, failed: Sequence[str] =
     )
 
 
-def working_flags(actuators: Actuators, failed: Sequence[str] = ()) -> Array:
+def working_flags(actuators: Actuators, failed: Sequence[str] = (), *, speed: float = 1.0) -> Array:
     """Return (n,): 1 for each thruster that works, 0 for the failed ones; InputError for an unknown name.
+
+    The number of a fin is the share of its limits at 1 m/s that it has at a forward speed [m/s].
 
     Example:
         >>> from surctl.allocation import working_flags
@@ -114,7 +117,7 @@ def working_flags(actuators: Actuators, failed: Sequence[str] = ()) -> Array:
         >>> working_flags(load_vehicle("bluerov2-thrusters").actuators, ["T2"]).tolist()
         [1.0, 0.0, 1.0, 1.0, 1.0, 1.0]
     """
-    flags = np.ones(len(actuators.thrusters))
+    flags = actuators.shares(speed)
     for name in failed:
         flags[actuators.index(name)] = 0.0
     return flags

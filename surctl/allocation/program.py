@@ -31,9 +31,10 @@ _PARALLEL = 1e-9
 def allocation_block(actuators: Actuators, real: Real = "float64") -> Block:
     """Return the block that allocates (F_u, F_v, F_w, F_r) to the thrusters, with the tolerances of a number type.
 
-    Inputs: wrench (4,) [N, N m]; working (n,), 1 for each thruster that works. Outputs: achieved (4,), the force and
-    yaw moment that the thrusters produce; components (N,) [N], the force components of all thrusters; commands (n,) in
-    [−1, 1]; angles (k,) [rad] of the swivelling thrusters, absent without any.
+    Inputs: wrench (4,) [N, N m]; working (n,), the share of its limits that each thruster has: 1 if it works, 0 if it
+    has failed, and for a working fin the square of the forward speed in m/s (`Actuators.shares`). Outputs: achieved
+    (4,), the force and yaw moment that the thrusters produce; components (N,) [N], the force components of all
+    thrusters; commands (n,) in [−1, 1]; angles (k,) [rad] of the swivelling thrusters, absent without any.
 
     Example:
         >>> from surctl.allocation import allocation_block
@@ -74,17 +75,26 @@ class _Builder:
         t = _times(d.inverse, w)
         good = ca.SX(1)
         for k in range(self.count):
-            good = ca.logic_and(good, ca.eq(working[k], 1))
+            if k not in d.actuators.fins:
+                good = ca.logic_and(good, ca.eq(working[k], 1))
         value = _times(d.limits.normals, t)
+        above, below = (self._least(bounds, working) for bounds in (d.limits.above, d.limits.below))
         for k in range(len(d.limits.normals)):
-            good = ca.logic_and(good, value[k] <= float(d.limits.above[k].sum()))
+            good = ca.logic_and(good, value[k] <= above[k])
             if not d.limits.absent[k]:
-                good = ca.logic_and(good, -float(d.limits.below[k].sum()) <= value[k])
+                good = ca.logic_and(good, -below[k] <= value[k])
         if not d.full:
             missed = w - _times(d.matrix, t)
             for k in range(4):
                 good = ca.logic_and(good, ca.fabs(missed[k]) <= self.precision.priced)
         return _program("allocate_fast", {"wrench": wrench, "working": working}, {"w": w, "t": t, "done": good})
+
+    def _least(self, bounds: Array, working: ca.SX) -> list[ca.SX | float]:
+        # bounds of single thrusters; only those of fins change
+        owners = np.argmax(bounds, axis=1).tolist()
+        sums = bounds.sum(axis=1).tolist()
+        fins = self.design.actuators.fins
+        return [most * working[k] if k in fins else most for k, most in zip(owners, sums, strict=True)]
 
     def _slow(self) -> Routine:
         steps, at = list[Step](), "w"
@@ -183,7 +193,7 @@ class _Builder:
                 most, least = working[k] * thruster.forward, -working[k] * thruster.reverse
                 limited = self._without_noise(ca.fmin(ca.fmax(force, least), most))
                 components.append(limited)
-                commands.append(_command(thruster, limited))
+                commands.append(_command(thruster, limited) if thruster.fin is None else _deflection(limited, most))
                 continue
             length = ca.sqrt(ca.sumsqr(force))
             most = working[k] * thruster.forward
@@ -224,6 +234,12 @@ def _command(thruster: Thruster, force: ca.SX) -> ca.SX:
             value = ca.if_else(size < f1, c0 + (size - f0) * ((c1 - c0) / (f1 - f0)), value)
         command = ca.if_else(size > 0, sign * value, command)
     return command
+
+
+def _deflection(force: ca.SX, most: ca.SX) -> ca.SX:
+    # without flow, no deflection gives the force
+    flow = most > 0
+    return ca.if_else(flow, force / ca.if_else(flow, most, 1), 0)
 
 
 def _interval(normal: Array, lower_: ca.SX, upper: ca.SX, desired: ca.SX, precision: Precision) -> ca.SX:

@@ -17,6 +17,7 @@ from typing import Any
 from surctl.certcheck.braking_claim import read_claim as read_braking
 from surctl.certcheck.bundle import Manifest, stated_sha256
 from surctl.certcheck.region_claim import read_claim as read_region
+from surctl.certcheck.steering_claim import read_claim as read_steering
 from surctl.certcheck.turning_claim import read_claim as read_turning
 
 __all__ = ["Belonging", "compare"]
@@ -43,6 +44,7 @@ _GUARDED = (
 )  # fmt: skip
 _STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
 _LIMITS = ("Fu_max", "Fv_max")
+_NO_TERMS: Mapping[str, float] = {}
 _EQUATION_3 = {
     "radius", "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "Fu_max", "Fv_max",
     "Fw_max", "Fr_max", "thrust_lag",
@@ -82,7 +84,8 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
     comparison = _Comparison(document["claim"], manifest)
     kinds = {
         "region": comparison.region, "braking": comparison.braking, "heading": comparison.heading,
-        "turning": comparison.turning, "lyapunov": comparison.motion, "barrier": comparison.motion,
+        "turning": comparison.turning, "steering": comparison.steering, "lyapunov": comparison.motion,
+        "barrier": comparison.motion,
     }  # fmt: skip
     kinds.get(document["kind"], comparison.inequality)()
     return Belonging(tuple(comparison.differs), tuple(comparison.excludes))
@@ -157,7 +160,7 @@ class _Comparison:
     def turning(self) -> None:
         read_turning(self.claim)
         vehicle, law = self.claim["vehicle"], self.claim["law"]
-        self._hashes()
+        self._hashes(terms=vehicle["terms"])
         self.excludes += [*self.claim["excludes"], _ROUNDING.format(self.manifest.real)]
         for name in ("k1", "lookahead", "k_v", "wait", "cruise", "cap"):
             self._gain(name, law[name])
@@ -171,13 +174,32 @@ class _Comparison:
         for row in _ALIKE[1:]:  # the linear and the quadratic coefficients have their own factors
             self._factors("drag", vehicle["drag_asymmetry"], (row,))
         for axis, name in enumerate(_LIMITS):
-            have = [*self._gains("thrust_limit")[axis : axis + 1], *self._numbers(name)]
+            limits = name, name.replace("max", "reverse")
+            have = [*self._gains("thrust_limit")[axis : axis + 1], *self._numbers(*limits)]
             self._at_least(f"thrust_limit of {name}", vehicle["thrust_n"][axis], "N", have)
             self._lower_ends("thrust", vehicle["thrust_n"][axis], "N")
         self._at_most("yaw rate", vehicle["yaw_rate_rad_per_s"], "rad/s", self._gains("spin"))
-        yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max")]
+        yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max", "Fr_reverse")]
         self._at_least("thrust_limit of yaw", vehicle["munk_moment_nm"], "N m", yaw)
         self._perception()
+
+    def steering(self) -> None:
+        read_steering(self.claim)
+        vehicle, law = self.claim["vehicle"], self.claim["law"]
+        self._hashes(terms=vehicle["terms"])
+        self.excludes += [*self.claim["excludes"], _ROUNDING.format(self.manifest.real)]
+        for name in ("k_psi", "k_r", "crab_time", "sideslip", "lookahead", "cruise", "cap", "k_i"):
+            self._gain(name, law[name])
+        for at, axis in enumerate((0, 1, 3)):
+            self._gain("mass", law["mass"][at], axis)
+            self._within("mass", [law["mass"][at] * end for end in vehicle["mass_factor"]], (f"m{axis + 1}{axis + 1}",))
+        for at, (axis, names) in enumerate(((1, ("Yv", "Yvv")), (3, ("Nr", "Nrr")))):
+            own = vehicle["linear_drag"][at], law["quadratic_drag"][at]
+            for key, value, name in zip(("linear_drag", "quadratic_drag"), own, names, strict=True):
+                self._gain(key, law[key][at], axis)
+                self._within("drag", [value * end for end in vehicle["drag_factor"]], (name,))
+        yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max", "Fr_reverse")]
+        self._at_least("thrust_limit of yaw", vehicle["moment_nm"], "N m", yaw)
 
     def braking(self) -> None:
         read_braking(self.claim)
@@ -277,7 +299,7 @@ class _Comparison:
 
     # ---- helpers of all comparisons
 
-    def _hashes(self, *, lawless: bool = False) -> None:
+    def _hashes(self, *, lawless: bool = False, terms: Mapping[str, float] = _NO_TERMS) -> None:
         laws, vehicle = self.manifest.laws, self.manifest.vehicle
         if not lawless and self.claim["sha256_law"] not in laws:
             self.differs.append(f"law: SHA-256 {self.claim['sha256_law'][:12]} certified, {laws[0][:12]} exported")
@@ -288,11 +310,18 @@ class _Comparison:
             self.differs.append(f"vehicle: SHA-256 {certified} certified, {vehicle[:12]} exported")
         if self.manifest.ranges is None:
             self._unknown("ranges of the vehicle")
-        self._terms()
+        self._terms(terms)
 
-    def _terms(self) -> None:
-        if terms := sorted(set(self.manifest.values) - _EQUATION_3):
+    def _terms(self, certified: Mapping[str, float] = _NO_TERMS) -> None:
+        """Compare the vehicle's terms beside equation (3) with the certified ones."""
+        have = {name: value for name, value in self.manifest.values.items() if name not in _EQUATION_3}
+        if terms := sorted(set(have) - set(certified)):
             self.differs.append(f"vehicle: it has {', '.join(terms)}, which the certificate does not cover")
+        for name, value in certified.items():
+            if name not in have:
+                self.differs.append(f"vehicle: it does not have {name}, which is certified")
+            elif have[name] != value:
+                self.differs.append(f"{name}: {value!r} certified, {have[name]!r} exported")
 
     def _vehicle(self, vehicle: Mapping[str, Any]) -> None:
         for what, key, names in _ALIKE:

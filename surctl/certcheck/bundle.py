@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +43,7 @@ class Manifest:
         values: values of the vehicle's parameters by name.
         ranges: (least, largest) value, by name, of each vehicle parameter for which the vehicle file gives a range;
             None if the manifest states no ranges.
+        gains_id: id of law and gains, which the C function `gains_id` returns for the gains that the robot uses.
     """
 
     id: str
@@ -53,6 +56,7 @@ class Manifest:
     wrong: tuple[str, ...]
     values: Mapping[str, float]
     ranges: Mapping[str, tuple[float, float]] | None
+    gains_id: str = ""
 
 
 def numbers_sha256(numbers: Sequence[float]) -> str:
@@ -107,12 +111,16 @@ def read_manifest(document: Any, folder: Path | None = None) -> Manifest:
             (),
             values,
             _ranges(vehicle.get("ranges")),
+            str(document["gains"]["id"]),
         )
-        flat = numbers_sha256([v for row in gains.values() for v in row])
+        numbers = [v for row in gains.values() for v in row]
+        flat = numbers_sha256(numbers)
         parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, str(law["initial_state_sha256"]))
         wrong = [] if document["gains"]["sha256"] == flat else ["the stated hash of the gains is wrong"]
         if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values):
             wrong.append("the stated hash of the vehicle is wrong")
+        if manifest.gains_id != _gains_id(parts, numbers, manifest.real):
+            wrong.append("the stated id of law and gains is wrong")
         if manifest.id != hashlib.sha256("\n".join(parts).encode()).hexdigest():
             wrong.append("the id does not match law, period, precision, gains and initial state")
         if folder is not None:
@@ -137,6 +145,16 @@ def _ranges(ranges: Any) -> dict[str, tuple[float, float]] | None:
 
 def _vehicle_sha256(values: Mapping[str, float]) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def _gains_id(parts: Sequence[str], numbers: Sequence[float], real: str) -> str:
+    """Return the id that the C function `gains_id` computes: the CRC-32 of the gains as `gains_save` stores them."""
+    key = hashlib.sha256("\n".join((*parts[:3], parts[4])).encode()).digest()[:8]
+    letter, width = {"float64": ("d", 8), "float32": ("f", 4)}[real]
+    stored = (
+        b"SURG" + struct.pack("<HHI", 1, width, len(numbers)) + key + struct.pack(f"<{len(numbers)}{letter}", *numbers)
+    )
+    return f"{zlib.crc32(stored):08x}"
 
 
 def _files(folder: Path, files: Mapping[str, str], source: str, identity: str) -> list[str]:

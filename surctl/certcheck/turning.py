@@ -2,10 +2,10 @@
 
 The claim states that, for all constant true parameters in their ranges, there is a steady cruise ξ* with the offset
 x_e* = −ω/k1 along the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ = (x_e, y_e, U_x, U_y), every motion that starts in V ≤
-1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0, however the heading moves with |r| ≤ yaw_rate_rad_per_s. The
-levels floor = ℓ_0 < ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and
-every cell of headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational
-arithmetic.
+1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0, however the heading moves with |r| ≤ yaw_rate_rad_per_s and
+on any curve with |curvature| ≤ curvature_per_m. The levels floor = ℓ_0 < ℓ_1 < … < 1 divide the region into shells, and
+`turning_cells` proves the decay in every shell and every cell of headings. P > 0, the offsets, the ultimate bound and
+the Munk moment are checked in exact rational arithmetic.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from surctl.certcheck.region_exact import (
 from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, steady
 from surctl.certcheck.turning_claim import TurningClaim, factors, read_claim
 from surctl.certcheck.turning_law import check_samples
+from surctl.certcheck.turning_terms import other_forces, other_moment
 
 __all__ = ["check"]
 
@@ -60,10 +61,12 @@ def check(document: Mapping[str, Any]) -> None:
     covariance = inverse(p)
     _check_starts(claim, p, trim)
     _check_ultimate_bound(claim, covariance, trim, levels[0])
-    _check_munk_moment(claim, covariance)
+    fastest = claim.cruise + root_up(largest_eigenvalue([row[2:] for row in covariance[2:]]))
+    _check_munk_moment(claim, fastest)
+    forces = other_forces(claim, fastest)
     divided = heading_cells(claim, trim, cells)
     for (low, high), growth in zip(pairwise(levels), growths, strict=True):
-        check_shell(claim, trim, divided, p, low, high, growth)
+        check_shell(claim, trim, divided, p, low, high, growth, forces)
     check_samples(claim, trim, np.array([[float(entry) for entry in row] for row in p]), float(levels[0]))
 
 
@@ -119,12 +122,11 @@ def _check_ultimate_bound(claim: TurningClaim, covariance: Matrix, trim: Trim, f
                        "beyond the claimed ultimate bound")  # fmt: skip
 
 
-def _check_munk_moment(claim: TurningClaim, covariance: Matrix) -> None:
-    """Check the claimed bound on |m11 − m22| |u v|: |u v| ≤ |U|²/2, |U| is at most the cruise speed plus |δU|."""
-    fastest = claim.cruise + root_up(largest_eigenvalue([row[2:] for row in covariance[2:]]))
+def _check_munk_moment(claim: TurningClaim, fastest: Fraction) -> None:
+    """Check the claimed bound on the yaw moment of the Coriolis forces: |u v| ≤ |U|²/2, and |U| ≤ `fastest` [m/s]."""
     apart = max(
         abs(f * claim.mass[0] - g * claim.mass[1]) for f, g in factors(claim.mass_factor, claim.mass_asymmetry, 2)
     )
-    if not (moment := apart * fastest * fastest / 2) <= claim.munk_moment:
+    if not (moment := apart * fastest * fastest / 2 + other_moment(claim, fastest)) <= claim.munk_moment:
         stated = math.ceil(1e6 * float(moment)) / 1e6
         raise Rejected(f"the Munk moment reaches up to {stated:g} N m in the region, above the claimed bound")

@@ -9,11 +9,19 @@ r, M ν̇ = τ − D − C(ν)ν gives U̇ = R M⁻¹ (τ − D) − r R [[0, e1
 
 δW = −(κ x, s y/Δ) is the deviation of the commanded velocity, g_i = m_i k_v the velocity gain, h_i and t_i are secant
 slopes of the feedforward and of the true drag, φ_i is the share of the deviation that the thrust limit leaves, and l_i
-is the error of the trim force. So ξ̇ = A ξ + B w, where B selects the velocities. A is affine in each of φ, h, t, κ, s,
-1/m_i and (r e1, r e2). The disturbance w consists of the l_i/m_i along n_i and of −r R [[0, e1], [e2, 0]] Rᵀ U*. For
-V ≥ low and a growth η > 0, 2 ξᵀ P B w ≤ ξᵀ P B w wᵀ Bᵀ P ξ/(η low) + η V. So V̇ < −a V follows from
+is the error of the trim force and of the forces in `turning_terms`. So ξ̇ = A ξ + B w, where B selects the velocities.
+A is affine in each of φ, h, t, κ, s, 1/m_i and (r e1, r e2). The disturbance w consists of the l_i/m_i along n_i and of
+−r R [[0, e1], [e2, 0]] Rᵀ U*. For V ≥ low and a growth η > 0, 2 ξᵀ P B w ≤ ξᵀ P B w wᵀ Bᵀ P ξ/(η low) + η V. So V̇ < −a
+V follows from
 
     Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low) < 0,    Q ⪰ w wᵀ.
+
+On a curve, the path frame turns at σ, |σ| ≤ curvature · v. That adds −σ S to both diagonal blocks of A and −σ S U* to
+w, with the quarter turn S. With a coupling c = m12 and ρ² = c²/(m11 m22), M⁻¹ has the diagonal 1/(m_i (1 − ρ²)), as
+that of masses smaller by the factor 1 − ρ², and the other entries β = −c/(m11 m22 (1 − ρ²)): a force on axis i also
+accelerates the other axis j, so n_i n_iᵀ/m_i becomes n_i n_iᵀ/m_i + β n_j n_iᵀ, which is affine in the same numbers and
+in β. In the Coriolis term, e1 and e2 change by less than ρ²/(1 − ρ²) (1 + max(m11/m22, m22/m11)), and the diagonal gets
+±r c (1/m11 + 1/m22)/(1 − ρ²): together a matrix of norm ≤ `loose`, whose effect is subtracted as a bound.
 
 n_i n_iᵀ and R [[0, e1], [e2, 0]] Rᵀ are affine in z = (cos 2ψ, sin 2ψ), so the left side is convex in z. An arc of z
 lies in the triangle of its ends and of the intersection of the tangents there, so the triangle's corners decide. By
@@ -33,13 +41,13 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, inverse, root_up
-from surctl.certcheck.turning_claim import TurningClaim, drag_factors, factors
+from surctl.certcheck.turning_claim import TurningClaim, drag_factors
+from surctl.certcheck.turning_masses import UP, coupling_of, inverse_masses, turn_points
 
 __all__ = ["Cells", "Trim", "check_shell", "heading_cells", "steady"]
 
 Array = NDArray[np.float64]
 
-_UP = 1 + 1e-9  # factor that covers the rounding of a bound
 _ROUNDING = 1e-11  # relative rounding error of a matrix and of its factorisation
 _WORST = 1e4  # largest condition of the scaled matrix of V
 _FIRST = 2 * (np.sqrt(2) - 1)  # least secant slope of |u| u from v, divided by v
@@ -121,8 +129,8 @@ def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
                 error = np.where(
                     (low - 1e-9 < top) & (top < high + 1e-9), np.maximum(error, abs(slope * top / 2)), error
                 )
-            lack[:, axis] = np.maximum(lack[:, axis], error * _UP + 1e-12 * (abs(slope) + abs(bend)))
-        lack[:, axis] += float(square * most**2) * high**2 * _UP
+            lack[:, axis] = np.maximum(lack[:, axis], error * UP + 1e-12 * (abs(slope) + abs(bend)))
+        lack[:, axis] += float(square * most**2) * high**2 * UP
     return np.asarray(np.where(lack > 0, lack, 0.0))
 
 
@@ -142,7 +150,7 @@ class _Form:
         """Return a bound on |n · rows ξ| over V ≤ high and unit vectors n with n nᵀ in the hull of `axes` (k, 2, 2)."""
         gram, size = rows @ self.covariance @ rows.T, np.abs(rows) @ np.abs(self.covariance) @ np.abs(rows).T
         at = np.einsum("kij,ij->k", axes, gram) + 1e-12 * np.einsum("kij,ij->k", np.abs(axes), size)
-        return float(np.sqrt(max(at.max(), 0.0) * high) * _UP + 1e-12)
+        return float(np.sqrt(max(at.max(), 0.0) * high) * UP + 1e-12)
 
 
 def _commanded(claim: TurningClaim, trim: Trim, form: _Form, high: Fraction) -> tuple[list[float], list[float]]:
@@ -158,13 +166,20 @@ def _commanded(claim: TurningClaim, trim: Trim, form: _Form, high: Fraction) -> 
         raise Rejected("the region contains points where the path's target waits")
     steer = (trim.command[0] - k1 * x, min(trim.command[1] + k1 * x, claim.cap))
     catch = (min(k1, (most - trim.command[1]) / x), k1)
-    return [float(steer[0]) / _UP, float(steer[1]) * _UP], [float(catch[0]) / _UP, float(catch[1]) * _UP]
+    return [float(steer[0]) / UP, float(steer[1]) * UP], [float(catch[0]) / UP, float(catch[1]) * UP]
 
 
 def check_shell(
-    claim: TurningClaim, trim: Trim, cells: Cells, p: Matrix, low: Fraction, high: Fraction, growth: Fraction
+    claim: TurningClaim,
+    trim: Trim,
+    cells: Cells,
+    p: Matrix,
+    low: Fraction,
+    high: Fraction,
+    growth: Fraction,
+    forces: tuple[Fraction, Fraction],
 ) -> None:
-    """Prove V̇ < −a V for low ≤ V ≤ high at every heading.
+    """Prove V̇ < −a V for low ≤ V ≤ high at every heading; `forces` bounds the body forces beside equation (3) [N].
 
     Raises:
         Rejected: the proof fails in a cell, the law has another form in a part of the region, or the steady cruise
@@ -173,15 +188,17 @@ def check_shell(
     form = _Form(p)
     steer, catch = _commanded(claim, trim, form, high)
     plans = [np.diag([k, s / float(claim.lookahead)]) for k in sorted(set(catch)) for s in steer]
-    turns = _turns(claim)
-    per_mass = [tuple(float(1 / (f * m)) for f, m in zip(pair, claim.mass, strict=True)) for pair in _masses(claim)]
-    floor = float(growth * low) / _UP
+    turns = turn_points(claim)
+    coupling = coupling_of(claim)
+    per_mass, loose = inverse_masses(claim, coupling), float(coupling.loose) * UP
+    lack = (cells.lack + np.array([float(force) for force in forces])) * UP
+    floor = float(growth * low) / UP
     for k in range(len(cells.corners)):
         go_on()
         z = cells.corners[k]
         axes = _axes(z)
         loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, float(high)) for i in (0, 1)]
-        if not _decays(claim, form, axes, z, loops, plans, turns, per_mass, cells.lack[k], float(growth), floor):
+        if not _decays(claim, form, axes, z, loops, plans, turns, per_mass, lack[k], float(growth), floor, loose):
             degrees = 90 * (k + 0.5) / len(cells.corners)
             raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and {float(high):g} "
                            f"near a heading of {degrees:.3g} degrees to the path")  # fmt: skip
@@ -193,29 +210,6 @@ def _axes(z: Array) -> tuple[Array, Array]:
     return (np.eye(2) + turned) / 2, (np.eye(2) - turned) / 2
 
 
-def _masses(claim: TurningClaim) -> list[tuple[Fraction, ...]]:
-    """Return the vertices of the factors of both masses.
-
-    Two equal factors g with f < g < h are left out: the point (1/g, 1/g) lies between (1/f, 1/f) and (1/h, 1/h).
-    """
-    pairs = factors(claim.mass_factor, claim.mass_asymmetry, 2)
-    return [pair for pair in pairs if pair[0] != pair[1] or pair[0] in claim.mass_factor]
-
-
-def _turns(claim: TurningClaim) -> list[tuple[float, float]]:
-    """Return points whose hull contains (r e1, r e2) for all masses and |r| ≤ r_max.
-
-    With q = m11/m22, (1 − e1)(1 + e2) = 1/q · q = 1 is a hyperbola, which lies in the triangle of its ends and of the
-    intersection of the tangents there.
-    """
-    ratio = (2 + claim.mass_asymmetry) / (2 - claim.mass_asymmetry)
-    ratio = min(ratio, claim.mass_factor[1] / claim.mass_factor[0])
-    low, high = claim.mass[0] / claim.mass[1] / ratio, claim.mass[0] / claim.mass[1] * ratio
-    points = {(1 - 1 / q, q - 1) for q in (low, high)} | {(1 - 2 / (low + high), 2 * low * high / (low + high) - 1)}
-    ends = {(sign * claim.yaw_rate * a, sign * claim.yaw_rate * b) for a, b in points for sign in (1, -1)}
-    return [(float(a) * _UP, float(b) * _UP) for a, b in sorted(ends)]
-
-
 def _axis(
     claim: TurningClaim, trim: Trim, form: _Form, i: int, axes: Array, share: Array, plans: list[Array], high: float
 ) -> Array:
@@ -225,12 +219,12 @@ def _axis(
     v, (slow, fast), cap = float(claim.cruise), (float(w) for w in trim.command), float(claim.cap)
     moved = form.largest(still, axes, high)
     led = max(form.largest(plan @ position, axes, high) for plan in plans)
-    least, most = share[0] / _UP, share[1] * _UP
+    least, most = share[0] / UP, share[1] * UP
 
     def secant(a: float, b: float, speed: tuple[float, float], change: float, limit: float) -> tuple[float, float]:
         # |u| u from `speed` on has slopes from max(0.828 speed, 2 speed − change) to 2 speed + change
         steep = b * (speed[1] + min(limit, speed[1] + change))
-        return a + b * max(_FIRST * speed[0], 2 * speed[0] - change) / _UP, (a + steep) * _UP
+        return a + b * max(_FIRST * speed[0], 2 * speed[0] - change) / UP, (a + steep) * UP
 
     h = secant(linear, square, (slow * least, fast * most), led, cap)
     low = secant(float(claim.drag_factor[0]) * linear, float(claim.drag_factor[0]) * square,
@@ -241,14 +235,14 @@ def _axis(
             for w in (slow, fast) for j in (0, 1)]  # fmt: skip
     # the trim force increases with w; in the direction cosine n it is a n + b n² with b ≥ 0, so its ends bound it
     # above, and below it is at least a n
-    trimmed = max(*map(abs, ends), -((gain + linear) * slow - gain * v) * share[1]) * _UP
+    trimmed = max(*map(abs, ends), -((gain + linear) * slow - gain * v) * share[1]) * UP
     left = float(claim.thrust[i]) - trimmed
     if not left > 0:
         raise Rejected("the steady cruise needs all the thrust of an axis")
     most_force = max(
         form.largest(np.hstack([(gain + slope) * plan, gain * np.eye(2)]), axes, high) for plan in plans for slope in h
     )
-    part = min(1.0, left / most_force / _UP)
+    part = min(1.0, left / most_force / UP)
     if part == 1:
         return np.array([(gain + slope, gain + t) for slope in h for t in (low, top)])
     # φ moves the rectangle of (h, t): its inner corners for the two ends of φ lie in the hull of the other six
@@ -263,34 +257,39 @@ def _decays(
     z: Array,
     loops: list[Array],
     plans: list[Array],
-    turns: list[tuple[float, float]],
-    per_mass: list[tuple[float, ...]],
+    turns: list[tuple[float, float, float]],
+    per_mass: list[tuple[float, float, float]],
     lack: Array,
     growth: float,
     floor: float,
+    loose: float,
 ) -> bool:
     """Return whether V̇ < −a V holds in one cell; the arrays have the axes (1/m, turn, z, loop 1, loop 2, plan)."""
     t, side, v = form.change, form.side, float(claim.cruise)
-    decay = (float(claim.rate) + growth) * _UP
+    decay = (float(claim.rate) + growth) * UP
     kinematic = t @ form.p[:, :2] @ t[:, 2:].T
     fixed = -(kinematic + kinematic.T) - decay * (t @ form.p @ t.T)
     heavy = np.array(per_mass)
-    parts = []
-    for i in (0, 1):
-        led = np.array([[side @ n @ plan @ t[:, :2].T for plan in plans] for n in axes[i]])  # (z, plan, 4, 4)
-        slowed = np.array([side @ n @ t[:, 2:].T for n in axes[i]])  # (z, 4, 4)
-        led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
-        whole = np.einsum("m,a,zpij->mzapij", heavy[:, i], loops[i][:, 0], led)
-        parts.append(whole + np.einsum("m,a,zij->mzaij", heavy[:, i], loops[i][:, 1], slowed)[:, :, :, None])
-    # Coriolis: r (A X + B J), X = R [[0, 1], [1, 0]] Rᵀ, J = [[0, 1], [−1, 0]]
+    # X = R [[0, 1], [1, 0]] Rᵀ = n_1 n_2ᵀ + n_2 n_1ᵀ, J = n_1 n_2ᵀ − n_2 n_1ᵀ = [[0, 1], [−1, 0]]
     mirror = np.array([[[-b, a], [a, b]] for a, b in z])
     twist = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    crossed = (mirror - twist) / 2, (mirror + twist) / 2  # n_j n_iᵀ: a force on axis i that accelerates axis j
+    parts = []
+    for i in (0, 1):
+        hull = np.einsum("mk,kzij->mzij", heavy[:, [i, 2]], np.array([axes[i], crossed[i]]))
+        led = side @ (hull[:, :, None] @ np.array(plans)) @ t[:, :2].T  # (m, z, plan, 4, 4)
+        slowed = side @ hull @ t[:, 2:].T  # (m, z, 4, 4)
+        led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
+        whole = np.einsum("a,mzpij->mzapij", loops[i][:, 0], led)
+        parts.append(whole + np.einsum("a,mzij->mzaij", loops[i][:, 1], slowed)[:, :, :, None])
+    # Coriolis term r (e1 n_1 n_2ᵀ + e2 n_2 n_1ᵀ), and the turning path frame: −σ S = σ J
+    curved = t @ form.p @ np.kron(np.eye(2), -twist) @ t.T
     rests, sizes = [], []
-    for a, b in turns:
+    for a, b, bend in turns:
         for k in range(len(z)):
             c = (a + b) / 2 * mirror[k] + (a - b) / 2 * twist
-            own = side @ c @ t[:, 2:].T
-            effect = side @ c[:, 0] * v
+            own = side @ c @ t[:, 2:].T + bend * curved
+            effect = side @ (c[:, 0] + [0, bend]) * v
             rests.append((own + own.T, effect))
             sizes.append(float(np.linalg.norm(effect)))
     turned = np.array([r[0] for r in rests]).reshape(len(turns), len(z), 4, 4)
@@ -299,24 +298,35 @@ def _decays(
     for i in (0, 1):
         most = max(float(np.trace(side @ n @ side.T)) for n in axes[i])
         weights.append(lack[i] * heavy[:, i].max() * np.sqrt(max(most, 0.0)))
+    spread = float(np.linalg.norm(side)) * UP
+    weights.append(loose * v * spread)
     total = sum(weights)
     forced, force = np.zeros((len(heavy), len(turns), len(z), 4, 4)), 0.0
     if total > 0:
-        if not (floor > 0 and all(weight > 0 for weight, size in zip(weights[1:], lack, strict=True) if size > 0)):
+        if not (floor > 0 and all(weight > 0 for weight, size in zip(weights[1:3], lack, strict=True) if size > 0)):
             return False
         size = float((np.abs(t) @ np.abs(form.p[:, 2:])).sum())
         if weights[0] > 0:
             scale = total / weights[0] / floor
             forced += np.einsum("tzi,tzj->tzij", effects, effects) * scale
-            force += (size * 2.2 * v * float(np.abs(turns).max())) ** 2 * scale
+            force += (size * 3.3 * v * float(np.abs(turns).max())) ** 2 * scale
         for i in (0, 1):
             if lack[i] > 0:
-                along = np.array([side @ n @ side.T for n in axes[i]])
-                scales = (lack[i] * heavy[:, i]) ** 2 * (total / weights[1 + i] / floor)
-                forced += (scales[:, None, None, None] * along)[:, None]
-                force += 1.1 * size**2 * float(scales.max())
-    base = fixed + turned[None] - forced * _UP  # (m, turn, z, 4, 4)
+                # w = l_i (n_i/m_i + β n_j) on axis i
+                share, other = heavy[:, i], heavy[:, 2]
+                mixed = np.stack([share**2, other**2, share * other], 1)
+                outer = np.array([axes[i], axes[1 - i], mirror])
+                along = side @ np.einsum("mk,kzij->mzij", mixed, outer) @ side.T
+                scale = lack[i] ** 2 * (total / weights[1 + i] / floor)
+                forced += (scale * along)[:, None]
+                force += 1.1 * size**2 * float(scale * np.square(share + np.abs(other)).max())
+        if loose > 0:
+            scale = (loose * v) ** 2 * (total / weights[3] / floor)
+            forced += scale * (side @ side.T)
+            force += size**2 * scale
+    base = fixed + turned[None] - forced * UP  # (m, turn, z, 4, 4)
     error = _error(form, decay, heavy, loops, plans, turns) + _ROUNDING * force
+    error += 2 * loose * spread * float(np.linalg.norm(t[:, 2:])) * UP
     entries = {}
     for i, j in _PAIRS:
         one, two = parts[0][..., i, j], parts[1][..., i, j]
@@ -332,7 +342,7 @@ def _error(
     heavy: Array,
     loops: list[Array],
     plans: list[Array],
-    turns: list[tuple[float, float]],
+    turns: list[tuple[float, float, float]],
 ) -> float:
     """Return a bound on the rounding errors of the terms of a matrix in `_decays` without disturbance."""
     t, p = np.abs(form.change), np.abs(form.p)
@@ -341,10 +351,11 @@ def _error(
     inner = np.zeros((4, 4))
     inner[:2, 2:] = np.eye(2)
     for i in (0, 1):
-        stiff, damped = np.abs(loops[i]).max(axis=0) * heavy[:, i].max()
+        stiff, damped = np.abs(loops[i]).max(axis=0) * (heavy[:, i] + np.abs(heavy[:, 2])).max()
         inner[2:, :2] += stiff * block @ plan
         inner[2:, 2:] += damped * block
     inner[2:, 2:] += 2 * np.max(np.abs(turns)) * block
+    inner += np.max(np.abs(turns)) * np.kron(np.eye(2), block)
     size = 2 * t @ p @ inner @ t.T + decay * t @ p @ t.T
     return float(_ROUNDING * size.sum())
 

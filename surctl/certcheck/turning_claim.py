@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
@@ -9,18 +10,21 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import number, read_top, record
+from surctl.certcheck.turning_terms import read_terms
 
 __all__ = ["EXCLUDES", "Pair", "TurningClaim", "drag_factors", "factors", "read_claim"]
 
 Pair = tuple[Fraction, Fraction]
 
 EXCLUDES = (
-    "the path is one straight leg, and its target moves along it at the cruise speed",
+    "the path is a smooth curve with a curvature of at most curvature_per_m (0: one straight leg), and its target "
+    "moves along it at the cruise speed; a path of short straight legs is not such a curve",
     "no obstacle, wall or unknown area bounds the velocity; no inequality constraint of the priority problem is active",
     "measured position, velocity and heading are exact; there is no current, no wave and no thrust error",
     "the thrust has no lag, and commands are not held between control instants",
-    "the depth and heading loops are not covered: the heading may turn in any way up to yaw_rate_rad_per_s; the "
-    "heading loop must hold this limit against a Munk moment of up to munk_moment_nm",
+    "the depth and heading loops are not covered: the heading may turn in any way up to yaw_rate_rad_per_s, with a yaw "
+    "acceleration of at most yaw_rad_per_s2 and a heave of at most heave_m_per_s and heave_m_per_s2; the heading loop "
+    "must hold its limits against a Munk moment of up to munk_moment_nm",
 )
 """Restrictions of the claim; a certificate repeats the restrictions word for word."""
 
@@ -38,7 +42,10 @@ class TurningClaim:
         mass_asymmetry, drag_asymmetry: largest asymmetry of the factors.
         thrust: least thrust limit of the vehicle and of the law [N].
         yaw_rate: largest yaw rate |r| [rad/s].
-        munk_moment: largest yaw moment |m11 − m22| |u v| in the region [N m].
+        munk_moment: largest yaw moment of the Coriolis forces in the region [N m].
+        terms: the vehicle's terms beside equation (3), by name.
+        heave, heave_rate: largest heave velocity [m/s] and heave acceleration [m/s²].
+        turn_rate: largest yaw acceleration [rad/s²].
         mass, linear, quadratic: mass [kg] and drag [N s/m, N s²/m²] in the law's model.
         k1, lookahead, k_v, wait: the law's gains of these names [1/s, m, 1/s, m].
         cruise, cap: speed of the path's target and largest commanded speed [m/s].
@@ -47,6 +54,7 @@ class TurningClaim:
         rest_offset: the region contains the points with x_e = 0, |y_e| = rest_offset [m] and a vehicle at rest; None if
             the claim states no such points.
         ultimate_bound: largest |x_e| and |y_e| [m] in the set that every motion reaches and then does not leave.
+        curvature: largest curvature of the path [1/m].
     """
 
     mass_factor: Pair
@@ -56,6 +64,10 @@ class TurningClaim:
     thrust: Pair
     yaw_rate: Fraction
     munk_moment: Fraction
+    terms: Mapping[str, Fraction]
+    heave: Fraction
+    heave_rate: Fraction
+    turn_rate: Fraction
     mass: Pair
     linear: Pair
     quadratic: Pair
@@ -69,6 +81,7 @@ class TurningClaim:
     offset: Fraction
     rest_offset: Fraction | None
     ultimate_bound: Pair
+    curvature: Fraction
 
 
 def factors(ends: Pair, asymmetry: Fraction, count: int) -> list[tuple[Fraction, ...]]:
@@ -113,7 +126,7 @@ def read_claim(claim: Any) -> TurningClaim:
     vehicle = record(
         top["vehicle"],
         ("mass_factor", "drag_factor", "mass_asymmetry", "drag_asymmetry", "thrust_n",
-         "yaw_rate_rad_per_s", "munk_moment_nm"),
+         "yaw_rate_rad_per_s", "munk_moment_nm", "terms", "heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2"),
         "claim.vehicle",
     )  # fmt: skip
     law = record(
@@ -121,7 +134,10 @@ def read_claim(claim: Any) -> TurningClaim:
         ("mass_kg", "linear_drag", "quadratic_drag", "k1", "lookahead", "k_v", "k_i", "wait", "cruise", "cap"),
         "claim.law",
     )
-    motion = record(top["motion"], ("rate_per_s", "offset_m", "rest_offset_m", "ultimate_bound_m"), "claim.motion")
+    motion = record(
+        top["motion"], ("rate_per_s", "offset_m", "rest_offset_m", "ultimate_bound_m", "curvature_per_m"),
+        "claim.motion",
+    )  # fmt: skip
     if number(law["k_i"], "claim.law.k_i"):
         raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
     asymmetries = {key: number(vehicle[key], f"claim.vehicle.{key}") for key in ("mass_asymmetry", "drag_asymmetry")}
@@ -139,6 +155,10 @@ def read_claim(claim: Any) -> TurningClaim:
         thrust=_two(vehicle["thrust_n"], "claim.vehicle.thrust_n", above=True),
         yaw_rate=number(vehicle["yaw_rate_rad_per_s"], "claim.vehicle.yaw_rate_rad_per_s"),
         munk_moment=number(vehicle["munk_moment_nm"], "claim.vehicle.munk_moment_nm"),
+        terms=read_terms(vehicle["terms"]),
+        heave=number(vehicle["heave_m_per_s"], "claim.vehicle.heave_m_per_s"),
+        heave_rate=number(vehicle["heave_m_per_s2"], "claim.vehicle.heave_m_per_s2"),
+        turn_rate=number(vehicle["yaw_rad_per_s2"], "claim.vehicle.yaw_rad_per_s2"),
         mass=_two(law["mass_kg"], "claim.law.mass_kg", above=True),
         linear=_two(law["linear_drag"], "claim.law.linear_drag"),
         quadratic=_two(law["quadratic_drag"], "claim.law.quadratic_drag"),
@@ -147,4 +167,5 @@ def read_claim(claim: Any) -> TurningClaim:
         offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),
         rest_offset=None if rest is None else number(rest, "claim.motion.rest_offset_m"),
         ultimate_bound=_two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
+        curvature=number(motion["curvature_per_m"], "claim.motion.curvature_per_m"),
     )

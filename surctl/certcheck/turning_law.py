@@ -14,7 +14,7 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.turning_cells import Trim
 from surctl.certcheck.turning_claim import TurningClaim, drag_factors, factors
 
-__all__ = ["check_samples", "draw_vehicles", "true_rate"]
+__all__ = ["check_samples", "draw_motions", "draw_vehicles", "true_rate"]
 
 Array = NDArray[np.float64]
 
@@ -22,17 +22,32 @@ _SAMPLES = 4_000
 
 
 def draw_vehicles(claim: TurningClaim, count: int, rng: np.random.Generator) -> Mapping[str, Array]:
-    """Return the factors (count, 2) of `mass`, `linear` and `quadratic` of random vehicles within the claim."""
+    """Return the factors (count, 2) of `mass`, `linear` and `quadratic` of random vehicles within the claim.
+
+    `term_mass` and `term` hold the factors (count,) of the terms beside equation (3): of inertia, and of all others.
+    """
     values = []
     for corners in (factors(claim.mass_factor, claim.mass_asymmetry, 2), drag_factors(claim)):
         vertices = np.array([[float(n) for n in one] for one in corners])
         weights = rng.dirichlet(np.ones(len(vertices)), size=count)
         weights = np.where(rng.uniform(size=(count, 1)) < 0.6, np.eye(len(vertices))[weights.argmax(axis=1)], weights)
         values.append(weights @ vertices)
-    return {"mass": values[0], "linear": values[1][:, :2], "quadratic": values[1][:, 2:]}
+    shared = {
+        key: rng.choice([float(low), float(top), 1.0], size=count)
+        for key, (low, top) in (("term_mass", claim.mass_factor), ("term", claim.drag_factor))
+    }
+    return {"mass": values[0], "linear": values[1][:, :2], "quadratic": values[1][:, 2:], **shared}
 
 
-def true_rate(claim: TurningClaim, boat: Mapping[str, Array], state: Array, psi: Array, r: Array) -> Array:
+def draw_motions(claim: TurningClaim, count: int, rng: np.random.Generator) -> Array:
+    """Return heave velocity and acceleration, yaw acceleration and turn rate of the path (count, 4) at their bounds."""
+    most = claim.heave, claim.heave_rate, claim.turn_rate, claim.curvature * claim.cruise
+    return np.asarray(rng.choice([-1.0, 1.0], size=(count, 4)) * np.array([float(bound) for bound in most]))
+
+
+def true_rate(
+    claim: TurningClaim, boat: Mapping[str, Array], state: Array, psi: Array, r: Array, other: Array | None = None
+) -> Array:
     """Return d/dt of (x_e, y_e, U_x, U_y) (n, 4) by equations (2), (3) of the paper and the law.
 
     Args:
@@ -41,7 +56,9 @@ def true_rate(claim: TurningClaim, boat: Mapping[str, Array], state: Array, psi:
         state: (x_e, y_e, U_x, U_y) (n, 4), with the velocity U in the path frame.
         psi: angle (n,) from the path to the heading.
         r: yaw rate (n,).
+        other: heave velocity, heave acceleration, yaw acceleration, and turn rate of the path frame (n, 4); None for 0.
     """
+    w, w_rate, r_rate, bend = np.zeros((4, len(r))) if other is None else other.T
     v, k_v = float(claim.cruise), float(claim.k_v)
     x_e, y_e, along, across = state.T
     slant = np.sqrt(1 + (y_e / float(claim.lookahead)) ** 2)
@@ -57,11 +74,25 @@ def true_rate(claim: TurningClaim, boat: Mapping[str, Array], state: Array, psi:
         drag = boat["linear"][:, i] * a * nu[i] + boat["quadratic"][:, i] * b * nu[i] * np.abs(nu[i])
         pull.append(np.clip(thrust, -limit, limit) - drag)
         mass.append(boat["mass"][:, i] * m)
-    u_rate = (pull[0] + mass[1] * nu[1] * r) / mass[0]
-    v_rate = (pull[1] - mass[0] * nu[0] * r) / mass[1]
-    # U = R ν: U̇ = R (ν̇ + r S ν), S the quarter turn
+    terms, heavy, rough = {name: float(value) for name, value in claim.terms.items()}, boat["term_mass"], boat["term"]
+    m12, carried, forces = heavy * terms.get("m12", 0.0), [], []
+    for i in (0, 1):
+        m3, m4 = heavy * terms.get(f"m{i + 1}3", 0.0), heavy * terms.get(f"m{i + 1}4", 0.0)
+        carried.append(m3 * w + m4 * r)
+        force = rough * terms.get(f"{'XY'[i]}0", 0.0) - m3 * w_rate - m4 * r_rate
+        for name, value in terms.items():
+            if name[0] == "XY"[i] and name[1] in "uvwr":
+                speeds = [{"u": nu[0], "v": nu[1], "w": w, "r": r}[letter] for letter in name[1:]]
+                force = force - rough * value * (speeds[0] if len(speeds) == 1 else np.abs(speeds[0]) * speeds[1])
+        forces.append(force)
+    momentum = mass[0] * nu[0] + m12 * nu[1] + carried[0], mass[1] * nu[1] + m12 * nu[0] + carried[1]
+    load = pull[0] + forces[0] + r * momentum[1], pull[1] + forces[1] - r * momentum[0]
+    size = mass[0] * mass[1] - m12 * m12
+    u_rate, v_rate = (mass[1] * load[0] - m12 * load[1]) / size, (mass[0] * load[1] - m12 * load[0]) / size
+    # U = R ν: U̇ = R (ν̇ + r S ν), S the quarter turn; the path frame itself turns at `bend`
     first, second = u_rate - r * nu[1], v_rate + r * nu[0]
-    return np.stack([along - v, across, c * first - s * second, s * first + c * second], axis=1)
+    turned = c * first - s * second + bend * across, s * first + c * second - bend * along
+    return np.stack([along - v + bend * y_e, across - bend * x_e, *turned], axis=1)
 
 
 def check_samples(claim: TurningClaim, trim: Trim, p: Array, floor: float) -> None:
@@ -80,7 +111,8 @@ def check_samples(claim: TurningClaim, trim: Trim, p: Array, floor: float) -> No
     xi *= np.sqrt(level / np.einsum("ni,ij,nj->n", xi, p, xi))[:, None]
     state = xi + np.stack([-omega / float(claim.k1), 0 * xi[:, 0], 0 * xi[:, 0] + float(claim.cruise), 0 * xi[:, 0]], 1)
     r = float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=_SAMPLES)
-    rate = true_rate(claim, boat, state, rng.uniform(0, 2 * np.pi, size=_SAMPLES), r)
+    psi = rng.uniform(0, 2 * np.pi, size=_SAMPLES)
+    rate = true_rate(claim, boat, state, psi, r, draw_motions(claim, _SAMPLES, rng))
     change = 2 * np.einsum("ni,ij,nj->n", xi, p, rate)
     if not np.all(change <= -float(claim.rate) * level * (1 - 1e-9) + 1e-12):
         raise Rejected("V decays more slowly than claimed at a sampled point of the true loop")

@@ -27,12 +27,10 @@ MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the outp
 campaign_options = together(
     click.option("--monte-carlo", is_flag=True, help="Draw vehicle and obstacles of each run at random."),
     click.option(
-        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N random worlds."
+        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N worlds."
     ),
-    click.option(
-        "--worst", type=click.IntRange(0, 1000), metavar="N", help="Number of worst runs to save (default 5)."
-    ),
-    click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Threads of a campaign (default 2)."),
+    click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
+    click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Threads or processes (default 2, 1)."),
     click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
     click.option(
         "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Repeat a run saved in DIR/worst."

@@ -20,6 +20,11 @@ __all__ = ["check"]
     "--bundle", type=click.Path(path_type=Path), metavar="DIR", help="Compare with the exported controller in DIR."
 )
 @click.option(
+    "--gains-id",
+    metavar="HEX",
+    help="Id of law and gains that the robot reports; it must be that of the bundle (NAME_gains_id in C).",
+)
+@click.option(
     "--time-limit",
     type=click.FloatRange(min=0, min_open=True),
     default=None,
@@ -27,7 +32,9 @@ __all__ = ["check"]
     help="Largest processor time [s] of the check (default 8); then the certificate is rejected.",
 )
 @as_json
-def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_json: bool) -> None:
+def check(
+    certificate: Path, bundle: Path | None, gains_id: str | None, time_limit: float | None, as_json: bool
+) -> None:
     """Check a certificate without trusting the prover that wrote it.
 
     --bundle also checks whether the certificate applies to an exported controller: every number that it assumes is
@@ -48,6 +55,8 @@ def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_j
     lines = [f"{word} ({outcome.kind or 'unknown kind'}, {outcome.seconds:.2f} s)"]
     if outcome.accepted:
         lines += ([f"  proves: {outcome.proves}"] if outcome.proves else []) + _shown(outcome.claim)
+    if gains_id is not None and bundle is None:
+        raise click.UsageError("--gains-id needs --bundle")
     if bundle is None:
         finish(outcome.to_dict(), printable(lines), as_json=as_json, passed=outcome.accepted)
         return
@@ -55,12 +64,14 @@ def check(certificate: Path, bundle: Path | None, time_limit: float | None, as_j
     result = {**outcome.to_dict(), "bundle": {"id": manifest.id, "belongs": False, "differs": [], "excludes": []}}
     if outcome.accepted:
         comparison = compare(read(certificate), manifest)
-        result["bundle"] = {"id": manifest.id, **comparison.to_dict()}
-        word = "belongs to" if comparison.belongs else "DOES NOT belong to"
+        differs, belongs = list(comparison.differs), comparison.belongs
+        if gains_id is not None and gains_id.lower().removeprefix("0x").zfill(8) != manifest.gains_id:
+            differs.append(f"gains: the robot reports id {gains_id}, the bundle's is {manifest.gains_id}")
+            belongs = False
+        result["bundle"] = {"id": manifest.id, **comparison.to_dict(), "belongs": belongs, "differs": differs}
+        word = "belongs to" if belongs else "DOES NOT belong to"
         lines.append(f"{word} the controller {manifest.id[:12]} in {bundle}")
-        lines += [f"  differs: {text}" for text in comparison.differs] + [
-            f"  not covered: {text}" for text in comparison.excludes
-        ]
+        lines += [f"  differs: {text}" for text in differs] + [f"  not covered: {text}" for text in comparison.excludes]
     finish(result, printable(lines), as_json=as_json, passed=bool(result["bundle"]["belongs"]))
 
 

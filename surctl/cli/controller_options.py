@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from surctl.control import Law
-    from surctl.export import Line, LinkedLaw, LinkFaults
+    from surctl.export import CompiledLaw, Line, LinkedLaw, LinkFaults
     from surctl.simulation import Scenario
     from surctl.vehicle import Vehicle
 
@@ -28,7 +28,7 @@ controller_options = together(
     click.option(
         "--controller",
         metavar="URL",
-        help="Use exported C: tcp://HOST:PORT or qemu:cortex-m4f.",
+        help="Law as C: c, tcp://HOST:PORT or qemu:cortex-m4f.",
     ),
     click.option("--link-loss", type=float, metavar="P", help="Probability that a message is lost (default 0)."),
     click.option("--link-delay", type=float, metavar="S", help="Delay of each command [s] (default 0)."),
@@ -55,10 +55,11 @@ class ControllerOptions:
 
         options = {"loss": self.loss, "delay": self.delay, "deadline": self.deadline, "timeout": self.timeout}
         alone = [f"--link-{name}" for name, value in options.items() if value is not None]
-        if self.controller is None:
+        if self.controller in (None, "c"):
             if alone:
                 raise InputError("needs --controller", key=alone[0], remedy="add --controller tcp://127.0.0.1:PORT")
-            return
+            if self.controller is None or not campaign:
+                return
         if campaign:
             raise InputError(
                 "applies only to single runs",
@@ -69,12 +70,12 @@ class ControllerOptions:
             raise InputError(
                 "is not a valid time", key="link-timeout", value=self.timeout, remedy="give seconds, above 0"
             )
-        if not self.controller.startswith(("tcp://", "qemu:")):
+        if self.controller is None or not self.controller.startswith(("tcp://", "qemu:")):
             raise InputError(
                 "is not the address of a controller",
                 key="controller",
                 value=self.controller,
-                remedy="use tcp://HOST:PORT or qemu:cortex-m4f",
+                remedy="use c, tcp://HOST:PORT or qemu:cortex-m4f",
             )
         self._faults(seed=0)
 
@@ -85,12 +86,13 @@ class ControllerOptions:
         Raises:
             InputError: no controller listens at the address, or the processor is unknown.
         """
-        if self.controller is None:
+        if self.controller in (None, "c"):
             yield None
             return
         from surctl.errors import InputError
         from surctl.export import build_bundle, closed_form, connect, emulated, emulated_target, operating_envelope
 
+        assert self.controller is not None
         if mission.path.fed:
             raise InputError(
                 "cannot be fed with a path of more than 8 points, or with speeds and depths of its legs",
@@ -103,7 +105,8 @@ class ControllerOptions:
                 yield line
             return
         target = emulated_target(self.controller.removeprefix("qemu:"))
-        shipped, within = closed_form(law, real="float32"), operating_envelope(law, mission, vehicle, law.gains)
+        shipped = closed_form(law, real="float32")
+        within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
         bundle = build_bundle(shipped, law.gains.unpack(p), real="float32", envelope=within)
         progress(f"compiling for {target.name}")
         with (
@@ -115,17 +118,22 @@ class ControllerOptions:
 
     def linked(
         self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, vehicle: Vehicle, *, seed: int
-    ) -> LinkedLaw | None:
-        """Return the function that computes each step of a run over the open connection; None without a connection.
+    ) -> LinkedLaw | CompiledLaw | None:
+        """Return the function that computes each step of a run as C, over the open connection or here; else None.
 
         Raises:
             InputError: the connected controller is not the controller of this run.
         """
+        if self.controller == "c":
+            from surctl.export import CompiledLaw
+
+            return CompiledLaw(law)
         if line is None:
             return None
         from surctl.export import LinkedLaw, operating_envelope
 
-        return LinkedLaw(law, p, line, self._faults(seed=seed), operating_envelope(law, mission, vehicle, law.gains))
+        within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
+        return LinkedLaw(law, p, line, self._faults(seed=seed), within)
 
     def _faults(self, *, seed: int) -> LinkFaults:
         from surctl.export import LinkFaults

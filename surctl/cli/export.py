@@ -14,6 +14,7 @@ from surctl.cli.law_option import choose_law, law_option
 from surctl.cli.next_export import MISSION
 from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
+from surctl.cli.scene_export import export_scene
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 from surctl.cli.system_export import export_system
 from surctl.cli.system_option import is_system, seconds_option
@@ -42,7 +43,7 @@ __all__ = ["export"]
 @click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles from sonar (default), or as inputs: truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
-@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), or fmu to add an FMI 2.0 unit.")
+@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu or mjcf (scene for MuJoCo).")
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option(
     "--constant-gains",
@@ -140,14 +141,17 @@ def export(
         build_bundle,
         build_controller,
         check_builds,
+        check_folder,
         chosen_targets,
         closed_form,
         compare_runs,
+        evidence_of,
         gain_box,
         load_certificates,
         operating_envelope,
         origin_of,
         prove_bundle,
+        with_evidence,
         with_proof,
         write_bundle,
         write_fmu,
@@ -158,10 +162,12 @@ def export(
     from surctl.simulation.numbers import fed_ranges
     from surctl.vehicle import load_vehicle
 
-    checked = (("--target", target, ("c99", "fmu")), ("--real", real, REALS), ("--sensing", sensing, SENSING))
+    checked = (("--target", target, ("c99", "fmu", "mjcf")), ("--real", real, REALS), ("--sensing", sensing, SENSING))
     for key, value, known in checked:
         if value not in known:
             raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
+    if target == "mjcf":
+        export_scene(scenario, vehicle, out=out, as_json=as_json)
     if not check and (targets or steps):
         raise InputError("needs --check", key="--targets" if targets else "--steps", remedy="add --check")
     precision = REALS[REALS.index(real)]
@@ -199,26 +205,24 @@ def export(
         )
     table = mission.path.table(visits=mission.corners == "visit") if mission.path.fed else None
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
-    within = operating_envelope(built, mission, robot, shipped.gains)
+    within = operating_envelope(built, mission, robot, shipped.gains, tuned=None if constant_gains else numbers)
     if prove and not constant_gains:
         within = replace(within, gains=gain_box(built, numbers, {**tuned.ranges, **fed_ranges(mission)}))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
-    origin = origin_of(built, robot, load_certificates(certificates))
-    # written before the simulation, so that an invalid name or folder is reported at once
+    assumed = equipment if sensing == "sonar" else None
+    origin = origin_of(built, robot, load_certificates(certificates), equipment=assumed)
+    check_folder(out)  # an invalid name or folder is reported before the simulation
     bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin, mission=table)
     proof = None
     if prove:
         progress("proving")
         proof = prove_bundle(shipped, bundle, robot.thrust_bound)
         bundle = with_proof(bundle, proof)
-    files = write_bundle(bundle, out)
-    if target == "fmu":
-        progress("compiling the functional mock-up unit")
-        files.append(write_fmu(shipped, bundle, shipped.gains.pack(fixed), out))
     progress(f"simulating {mission.name}")
     run = simulate(mission, robot, gains=tuned, law=built, sensing=sensing, seed=seed)
     record, metrics = run.record, run.metrics
     progress("compiling and replaying")
+    binaries = {}
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         controller = build_controller(shipped, bundle, Path(scratch, bundle.name))
         records = as_records(
@@ -235,6 +239,22 @@ def export(
             if check
             else None
         )
+        if target == "fmu":
+            progress("compiling the functional mock-up unit")
+            unit = write_fmu(shipped, bundle, shipped.gains.pack(fixed), scratch)
+            binaries[unit.path.name] = unit.path.read_bytes()
+    flight = {
+        "scenario": mission.name,
+        "vehicle": robot.name,
+        "sensing": sensing,
+        "seed": seed,
+        "stopped_because": metrics.stopped_because,
+        "time_s": metrics.time_s,
+        "failure": failure(run),
+    }
+    evidence = evidence_of(run=flight, sil=sil, check=report, proof=proof)
+    # a bundle appears when it is complete and checked, at once
+    files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), out)
     result: dict[str, Any] = {
         "failure": failure(run),
         "name": bundle.name,

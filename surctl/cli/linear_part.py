@@ -30,32 +30,33 @@ class LinearPart(NamedTuple):
     peak: float = math.inf
 
 
-def law_part(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float) -> LinearPart:
+def law_part(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float, uncertainty: float = 0.0) -> LinearPart:
     """Return the numeric analysis of the sampled loop of a law that the cascade does not describe.
 
     Args:
         law: reference of the law.
-        vehicle: plant and model of the controller; the analysis has no uncertainty.
+        vehicle: nominal plant and model of the controller.
         gains: the gains.
         cruise: cruise speed [m/s].
+        uncertainty: relative uncertainty of mass and drag; 0: the ranges of the vehicle file, or the default of
+            `law_corners`.
     """
     from surctl.control import build_law, law_source
     from surctl.errors import InputError
-    from surctl.verification import law_loop
+    from surctl.verification import law_corners
 
     try:
-        loop = law_loop(build_law(law), vehicle, gains.with_own(law_source(law).gains), cruise=cruise)
+        own = gains.with_own(law_source(law).gains)
+        corners = law_corners(build_law(law), vehicle, own, cruise=cruise, uncertainty=uncertainty or None)
     except InputError as error:
         why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem}"
         return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None, cruise)
-    lines = [f"margins of {vehicle.name} (nominal vehicle only):", *loop.lines()]
-    data = {
-        "margins": [m.to_dict() for m in loop.margins],
-        "linear": {**loop.to_dict(), "disk_margin": loop.disk.guaranteed},
-    }
+    loop = corners.nominal
+    lines = [f"margins of {vehicle.name}:", *corners.lines()]
+    data = {"margins": [m.to_dict() for m in loop.margins], "linear": corners.to_dict()}
     delay = min((m.delay_margin_s for m in loop.margins), default=math.nan)
     disk = min((m.disk_margin for m in loop.margins), default=math.nan)
-    return LinearPart(lines, data, loop.stable, cruise, delay, disk)
+    return LinearPart(lines, data, corners.stable, cruise, delay, disk)
 
 
 def linear_part(

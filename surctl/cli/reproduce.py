@@ -21,9 +21,12 @@ __all__ = ["reproduce", "row_lines"]
 @click.option(
     "--seeds", type=click.IntRange(min=1), metavar="N", help="Number of seeds for each scenario (default 20)."
 )
+@click.option("--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too: one more column.")
 @out_folder
 @as_json
-def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path | None, as_json: bool) -> None:
+def reproduce(
+    rows: tuple[str, ...], quick: bool, seeds: int | None, independent: bool, out: Path | None, as_json: bool
+) -> None:
     """Compute the paper's results again and print where they agree: all rows, or only the rows with the given ids.
 
     Exit status: 1 if a row is missing, a verdict differs from the recorded one, or a simulated run collides or does not
@@ -39,7 +42,14 @@ def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path |
         prepare_folder(out)
     lines = list[str]()
     with stoppable("the rows above are finished; for the others: surctl reproduce ROW", lines, as_json=as_json):
-        done = compute(rows, quick=quick, seeds=seeds, progress=progress, done=lambda row: lines.extend(row_lines(row)))
+        done = compute(
+            rows,
+            quick=quick,
+            seeds=seeds,
+            independent=independent,
+            progress=progress,
+            done=lambda row: lines.extend(row_lines(row)),
+        )
     lines += [f"FAIL {name}: the row is missing" for name in done.missing]
     good = sum(row.as_expected for row in done.rows)
     lines.append(f"{good} of {len(done.rows)} rows as expected, {sum(row.seconds for row in done.rows):.1f} s")
@@ -47,7 +57,8 @@ def reproduce(rows: tuple[str, ...], quick: bool, seeds: int | None, out: Path |
     if out is not None:
         from surctl.reproduction.page import write_reproduction
 
-        words = ["surctl reproduce", *rows, *(["--quick"] if quick else []), *([f"--seeds {seeds}"] if seeds else [])]
+        words = ["surctl reproduce", *rows, *["--quick"] * quick, *["--independent"] * independent]
+        words += [f"--seeds {seeds}"] if seeds else []
         page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
         lines.append(f"page {page}")
         result["page"] = str(page)
@@ -61,5 +72,6 @@ def row_lines(row: Row) -> list[str]:
         f"{mark} {item.id:<26} {item.what}",
         f"       paper   {item.paper}",
         f"       ours    {row.result.ours}",
+        *([f"       MuJoCo  {row.result.independent}"] if row.result.independent else []),
         f"       verdict {row.result.verdict}   [{item.command}, {row.seconds:.2f} s]",
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
@@ -13,6 +15,7 @@ from surctl.cli.controller_options import ControllerOptions, controller_options
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option, trust_option
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
+from surctl.cli.plant_options import PlantOptions, plant_options
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes
 from surctl.cli.single_run import activity_line, further_output, linear_part, run_line
@@ -42,6 +45,7 @@ __all__ = ["simulate"]
 @sensor_options
 @simulated_echoes
 @controller_options
+@plant_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="First seed (default 0).")
 @click.option(
     "--runs", type=click.IntRange(min=1), default=1, metavar="N", help="Runs per scenario, one seed each (default 1)."
@@ -77,6 +81,9 @@ def simulate(
     link_delay: float | None,
     link_deadline: float | None,
     link_timeout: float | None,
+    plant: str,
+    film: Path | None,
+    view: bool,
     seed: int,
     runs: int,
     explained: bool,
@@ -94,12 +101,10 @@ def simulate(
     as_json: bool,
 ) -> None:
     """Simulate scenarios, or a system of your own (surctl new system NAME).
+    Exit status: 1 if a run collides or does not arrive; campaigns go on in DIR.
 
-    Exit status: 1 if a run collides, does not arrive or diverges. Sensor options override the scenario's tables. A
-    campaign resumes in DIR.
-
-    Examples: surctl simulate pool-static --sensing sonar; surctl simulate tank-static --runs 1000 --monte-carlo --out
-    mc; surctl simulate my_system.py:build plant.mass=2 --seconds 5
+    Examples: surctl simulate tank-static --runs 9 --monte-carlo; surctl simulate pool-static --plant mujoco; surctl
+    simulate my_system.py:build k=2
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
         _check_save(save, None, out=out, campaign=False)
@@ -111,13 +116,15 @@ def simulate(
     check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None)
     if replayed is not None:
         simulate_again(replayed, trust=trust, explained=explained, out=out, animate=animate, as_json=as_json)
-    campaign.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
+    chosen = PlantOptions(plant, film, view, None if campaign.any else threads)
+    physics = chosen.check(campaign=campaign.any, runs=run_count, controller=controller)
+    apart = replace(campaign, threads=None) if physics is not None else campaign
+    apart.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     _check_fallback(fallback, mode=priority_mode, explained=explained, campaign=campaign.any)
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import build_law, law_source, load_gains
     from surctl.files import prepare_folder
-    from surctl.simulation import law_numbers, load_scenario, save_record, stop_reason
-    from surctl.simulation import simulate as run_simulation
+    from surctl.simulation import Case, law_numbers, load_scenario, save_record, stop_reason
     from surctl.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
@@ -151,6 +158,7 @@ def simulate(
     plans = [sensors.over(load_scenario(name)) for name in scenarios]
     choices = [choose_vehicle(vehicle, (scenario.name, scenario.vehicle)) for scenario in plans]
     vehicles = [load_vehicle(choice.word) for choice in choices]
+    chosen.fit(physics, vehicles)
     laws = [  # built after the other checks, because it takes a second
         build_law(
             law,
@@ -172,22 +180,27 @@ def simulate(
     with stoppable(message if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
         for scenario, choice, simulated, built in zip(plans, choices, vehicles, laws, strict=True):
             tuned = choose_gains(gains, simulated, cruise=scenario.cruise, own=own)
-            chosen = tuned.gains
+            gains_used = tuned.gains
             lines += [choice.line(simulated.name), *tuned.lines]
-            p = law_numbers(scenario, chosen, simulated)
+            p = law_numbers(scenario, gains_used, simulated)
+            case = Case(
+                scenario,
+                simulated,
+                gains_used,
+                law,
+                mode=built.mode,
+                sensing="sonar" if sensing == "sonar" else "truth",
+                avoidance=built.avoidance,
+                guidance=built.guidance,
+                barrier=built.barrier,
+                movers=built.movers,
+            )
             with link.opened(built, p, scenario, simulated) as line:
-                for k in range(seed, seed + runs):
-                    linked = link.linked(built, p, line, scenario, simulated, seed=k)
-                    run = run_simulation(
-                        scenario,
-                        simulated,
-                        gains=chosen,
-                        law=built,
-                        sensing=sensing,
-                        seed=k,
-                        stepper=linked,
-                        thruster_faults=broken,
-                    )
+                stepper = partial(link.linked, built, p, line, scenario, simulated)
+                seeds = range(seed, seed + runs)
+                for run, linked in chosen.runs(
+                    physics, case, built, seeds, fallback=fallback, faults=tuple(broken), linked=stepper
+                ):
                     results.append(run.to_dict() | {"vehicle_from": choice.origin, "derived_gains": tuned.data})
                     if broken:
                         results[-1]["thruster_faults"] = [fault.to_dict() for fault in broken]
@@ -196,6 +209,7 @@ def simulate(
                     lines += [run_line(run), activity_line(run)]
                     if as_json:
                         progress(lines[-2])
+                    lines += chosen.output(run, physics, results[-1])
                     lines += linear_part(run, results[-1])
                     if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
                         results[-1]["stop_reason"] = stop_reason(run)

@@ -26,19 +26,22 @@ __all__ = ["study"]
 @click.option(
     "--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Processes of the sweep (default 2)."
 )
+@click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; too large a vehicle gets own missions.")
 @trust_option
 @as_json
-def study(file: str | None, out: Path, workers: int, trust: bool, as_json: bool) -> None:
+def study(file: str | None, out: Path, workers: int, vehicle: str | None, trust: bool, as_json: bool) -> None:
     """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
 
-    FILE is a study file or a vehicle file; without FILE, the built-in study runs.
+    FILE is a study file or a vehicle file; without FILE, the built-in study runs. A vehicle that cannot sway, or fits
+    no built-in scenario, gets a straight mission, two legs and the obstacles of tank-static, all scaled to it.
 
-    Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --json > study.json
+    Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json > study.json
     """
     from surctl.study import conduct, load_plan
 
-    command = " ".join(["surctl study", *([file] if file else []), f"--out {out}"])
-    plan = load_plan(file, trust=trust)
+    chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
+    command = " ".join(["surctl study", *chosen, f"--out {out}"])
+    plan = load_plan(file, vehicle=vehicle, trust=trust)
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
         result = conduct(plan, out, workers=workers, progress=progress, command=command)
     lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
@@ -55,15 +58,18 @@ def study(file: str | None, out: Path, workers: int, trust: bool, as_json: bool)
     lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
     lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}", f"report {result.report}"]
     tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
-    about = at_hand(plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))
-    then = [shlex.join(words) for words in (tuning, _examined(plan.law, about))]
+    about = at_hand(result.plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))
+    # a search about missions that the study has made for the vehicle has no study file
+    then = [shlex.join(words) for words in ((tuning,) if not plan.unheard else ())]
+    then.append(shlex.join(_examined(plan.law, about)))
     finish(result.to_dict(), lines, as_json=as_json, passed=result.passed, then=then)
 
 
 def _examined(law: str, about: list[str]) -> list[str]:
-    """Return the command that checks the selected gains: `verify`, or `simulate` if no claim is about the law."""
+    """Return the command that checks the gains: `verify`, or `simulate` if no analysis is about the law."""
     from surctl.control import law_source
 
     _, scenario, *others = about
     simulated = ["surctl", "simulate", scenario, *others, *law_words(law)]
-    return ["surctl", "verify", *about] if law_source(law).parts else simulated
+    source = law_source(law)
+    return ["surctl", "verify", *about] if source.parts or source.steering is not None else simulated

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 
 import click
@@ -16,12 +17,14 @@ _AXES = ("surge", "sway", "heave", "yaw")
 @click.command
 @click.argument("name", metavar="VEHICLE")
 @click.option("--failed", multiple=True, metavar="NAME", help="Thruster that gives no force; repeatable.")
+@click.option("--speed", type=float, default=1.0, metavar="U", help="Speed ahead for rudders [m/s] (default 1).")
 @click.option("--force", "wrench", type=float, nargs=4, metavar="FU FV FW FR", help="Allocate this force [N, N m].")
 @out_folder
 @as_json
 def thrusters(
     name: str,
     failed: tuple[str, ...],
+    speed: float,
     wrench: tuple[float, float, float, float] | None,
     out: Path | None,
     as_json: bool,
@@ -33,10 +36,12 @@ def thrusters(
     """
     from surctl.allocation import allocate, working_flags
     from surctl.errors import InputError
-    from surctl.simulation import thruster_findings
-    from surctl.vehicle import attainable, load_vehicle
+    from surctl.simulation import held_share, thruster_findings
+    from surctl.vehicle import axis_ends, load_vehicle
 
-    vehicle = load_vehicle(name)
+    if not (isfinite(speed) and speed >= 0):
+        raise InputError("must be at least 0", key="speed", value=speed, remedy="give a forward speed in m/s")
+    vehicle = load_vehicle(name).at_speed(speed)
     actuators = vehicle.actuators
     if actuators is None:
         raise InputError(
@@ -44,29 +49,28 @@ def thrusters(
             file=vehicle.source,
             remedy="add [[thruster]] tables, as in surctl list --show bluerov2-heavy",
         )
-    working = working_flags(actuators, failed)
-    forces = attainable(actuators)
-    intervals = forces.intervals(working=working)
-    share = forces.box_share(vehicle.thrust_limit, working=working)
+    working_flags(actuators, failed)
+    intervals, share = axis_ends(actuators, speed, failed=failed), held_share(vehicle, failed)
     result = {
         "vehicle": vehicle.name,
         "order": list(actuators.order),
         "failed": list(failed),
+        "speed_m_per_s": speed,
         "intervals": {axis: ends.tolist() for axis, ends in zip(_AXES, intervals, strict=True)},
         "box_share": share,
         "findings": [finding.to_dict() for finding in thruster_findings(vehicle)],
     }
     lines = [f"{vehicle.name}: {len(actuators.thrusters)} thrusters, order {', '.join(actuators.order)}"]
     lines += [f"  {line}" for line in actuators.lines()]
-    lines.append(
-        "largest values on each axis, with 0 on the others" + (f", without {', '.join(failed)}" if failed else "")
-    )
+    at = f" that have thrust at rest, at {speed:g} m/s" if actuators.fins else ""
+    lost = f", without {', '.join(failed)}" if failed else ""
+    lines.append(f"largest values on each axis, with 0 on the others{at}{lost}")
     for axis, (low, high), unit in zip(_AXES, intervals.tolist(), ("N", "N", "N", "N m"), strict=True):
         lines.append(f"  {axis:<6} {low:>8.2f} to {high:>7.2f} {unit}")
     limits = ", ".join(f"{key} {vehicle[key]:g}" for key in ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
     lines.append(f"at once in every combination: {share:.3g} times the limits {limits}")
     if wrench is not None:
-        allocation = allocate(actuators, wrench, failed=failed)
+        allocation = allocate(actuators, wrench, failed=failed, speed=speed)
         result["allocation"] = {
             "achieved": allocation.achieved.tolist(),
             "forces": dict(zip(actuators.names, allocation.forces.tolist(), strict=True)),

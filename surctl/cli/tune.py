@@ -198,12 +198,15 @@ def tune(
     from surctl.vehicle import load_vehicle
 
     plan = load_plan(file, trust=trust)
+    if vehicles:
+        plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles])
+    if plan.unheard:
+        prepare_folder(out)
+        plan = plan.written(out / "missions")
     goals = goals_at(plan.goals if goals_file is None else load_goals(goals_file), cruise or plan.cruise)
     if cruise and not any(goal.linear for goal in goals):
         remedy = "add one, on disk_margin say, or leave the option out"
         raise InputError("no goal is about the linear loop", key="--cruise", value=list(cruise), remedy=remedy)
-    if vehicles:
-        plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles])
     derived = [] if plan.derivation is None else plan.derivation.lines()
     for line in derived:
         progress(line)

@@ -171,7 +171,7 @@ def from_gazebo(
 
 
 @vehicle.command("from-log")
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--start",
     default="sur540-flooded",
@@ -200,6 +200,15 @@ def from_gazebo(
     help="Share of the log, at its end, predicted by a fit to the rest (default 0.4; 0: no prediction).",
 )
 @click.option(
+    "--window",
+    "windows",
+    type=click.FloatRange(min=0.0, min_open=True),
+    multiple=True,
+    default=(5.0,),
+    metavar="S",
+    help="Length of the predicted windows [s], each from the measured motion (default 5; repeat for several).",
+)
+@click.option(
     "--picture", type=click.Path(path_type=Path), metavar="FILE", help="PNG of the prediction (default: no picture)."
 )
 @_name
@@ -207,28 +216,31 @@ def from_gazebo(
 @_over
 @as_json
 def from_log(
-    log: Path,
+    logs: tuple[Path, ...],
     start: str,
     map_file: Path | None,
     topics: bool,
     frame: str | None,
     share: float,
+    windows: tuple[float, ...],
     picture: Path | None,
     name: str,
     out: Path | None,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Fit masses, drag, thrust lag and a constant force to a log of motion and thrust, with 95 % intervals.
+    """Fit masses, drag, thrust lag and a constant force to logs of motion and thrust, with 95 % intervals.
+
+    Several logs of one vehicle are fitted together, in the order given; each has its own start.
 
     A table (CSV, .mat, .nc) without --map has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
     the next row). It has those of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that
     were measured: x forward, y left, z up; or with --frame ned: x north, y east, z down, v to the right, w down. The
-    velocity is that in the heading frame, which turns by the heading alone. surctl simulate --save csv (or mat, nc)
-    writes simulated runs as such logs.
+    velocity is that in the heading frame, which turns by the heading alone. A --start that rolls and pitches needs some
+    of roll_rad, pitch_rad, p_rad_per_s, q_rad_per_s too. surctl simulate --save csv (mat, nc) writes such logs.
 
-    Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg). --topics prints what
-    such a log contains.
+    Other logs need --map: ArduPilot (.BIN, .tlog), ROS (.bag, .db3 or folder, .mcap), PX4 (.ulg), tables with other or
+    no names of columns. --topics prints what such a log contains.
 
     A parameter that the log does not determine keeps its value from --start, the others are fitted with it, and the
     file says so. The last part of the log is predicted by a fit to the rest, beside a prediction that holds the last
@@ -236,17 +248,24 @@ def from_log(
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
-    from surctl.vehicle import held_out, identify, load_vehicle, read_recording, topic_lines
+    from surctl.vehicle import held_out_windows, identify, in_sequence, load_vehicle, read_recording, topic_lines
 
     if topics:
         from surctl.vehicle.logs.log_map import load_log_map
 
-        recording = read_recording(log, log_map=load_log_map(map_file) if map_file else None)
+        if len(logs) > 1:
+            raise click.UsageError("--topics takes one log")
+        recording = read_recording(logs[0], log_map=load_log_map(map_file) if map_file else None)
         fields = {topic: list(held.fields) for topic, held in recording.topics.items()}
         finish({"topics": fields}, topic_lines(recording), as_json=as_json, passed=True)
-    robot, measured = load_vehicle(start), _read_log(log, map_file, frame)
+    robot = load_vehicle(start)
+    measured = in_sequence([_read_log(log, map_file, frame) for log in logs])
     fit = identify(measured, robot, name=name)
-    prediction = held_out(measured, robot, share=share) if share > 0 else None
+    predictions = held_out_windows(measured, robot, windows, share=share) if share > 0 else ()
+    windowed = [
+        {"window_s": p.window, "windows": p.windows, "model": p.model, "last_velocity_held": p.hold}
+        for p in predictions
+    ]
     result = {
         "vehicle": name,
         "start": fit.start.name,
@@ -266,17 +285,18 @@ def from_log(
         "sections": fit.sections,
         "noise": dict(fit.noise),
         "notes": list(fit.notes),
-        "held_out": None if prediction is None else {"model": prediction.model, "last_velocity_held": prediction.hold},
+        "held_out": windowed[0] if windowed else None,
+        "held_out_windows": windowed,
         "parameters": _numbers(fit.vehicle),
     }
-    lines = [*_fit_lines(fit), *_prediction_lines(prediction, share)]
+    lines = [*_fit_lines(fit), *_prediction_lines(predictions, share)]
     if picture is not None:
-        if prediction is None:
+        if not predictions:
             raise click.UsageError("--picture needs a prediction: a longer log, and --held-out above 0")
         from surctl.report import save_prediction
 
-        title = f"{name}, fitted to the first {1 - share:.0%} of {log.name}"
-        lines.append(f"picture {save_prediction(prediction, picture, title=title)}")
+        title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
+        lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
     _write(fit.vehicle, out, force, lines, result, as_json=as_json)
 
 
@@ -310,16 +330,20 @@ def _fit_lines(fit: Identified) -> list[str]:
     return lines + [f"  note: {note}" for note in fit.notes]
 
 
-def _prediction_lines(prediction: Prediction | None, share: float) -> list[str]:
-    if prediction is None:
+def _prediction_lines(predictions: tuple[Prediction, ...], share: float) -> list[str]:
+    if not predictions:
         return ["  no held-out prediction: the log is too short"] if share > 0 else []
-    lines = [
-        f"  held-out prediction: the last {share:.0%} by a fit to the rest, {prediction.windows} windows of "
-        f"{prediction.window:g} s, RMS error",
-        f"    {'':<10} {'model':>9} {'last velocity held':>19}",
-    ]
-    for column, error in prediction.model.items():
-        lines.append(f"    {column:<10} {error:>9.3g} {prediction.hold[column]:>19.3g}")
+    lines = []
+    for prediction in predictions:
+        lines += [
+            f"  held-out prediction: the last {share:.0%} by a fit to the rest, {prediction.windows} windows of "
+            f"{prediction.window:g} s, RMS error",
+            f"    {'':<11} {'model':>9} {'last velocity held':>19}",
+        ]
+        for column, error in prediction.model.items():
+            held = prediction.hold[column]
+            worse = "  worse than holding" if error > held else ""
+            lines.append(f"    {column:<11} {error:>9.3g} {held:>19.3g}{worse}")
     return lines
 
 

@@ -161,7 +161,7 @@ def verify(
     if out is not None:
         prepare_folder(out)
     chosen_law = default_law(robot)
-    if any(is_region(name) or is_braking(name) for name in claims):
+    if any(is_braking(name) or (is_region(name) and region_of(name).loop != "steered") for name in claims):
         check_forces("guarded", robot, key="claim")
     law = build_law()
     about = {"dt": law.dt, "uncertainty": uncertainty}
@@ -170,7 +170,7 @@ def verify(
         [
             linear_part(robot, values, cruise=u, **about)
             if cascaded
-            else law_part(chosen_law, robot, tuned.gains, cruise=u)
+            else law_part(chosen_law, robot, tuned.gains, cruise=u, uncertainty=uncertainty)
             for u in cruise or speeds[:1]
         ]
     )

@@ -16,7 +16,7 @@ from surctl.control.law import (
 )
 from surctl.control.mission import ARC_LENGTHS, FED, Feeder
 from surctl.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters
-from surctl.control.registry import LAW_NAMES, LAWS, check_forces, default_law, law_ref, law_source
+from surctl.control.registry import LAW_NAMES, LAWS, SONARLESS, check_forces, default_law, law_ref, law_source
 from surctl.control.routines import in_real
 from surctl.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
 from surctl.control.steering import turning_radius
@@ -42,6 +42,7 @@ __all__ = [
     "PARAMETERS",
     "PATH_FOLLOWING",
     "SATURATED",
+    "SONARLESS",
     "SWITCHED",
     "TRAPPED",
     "WORKING",

@@ -2,7 +2,9 @@
 
 The command `tau` of the law becomes the force and yaw moment that the thrusters achieve together. So the filter of the
 robot's own state uses the true thrust, the integral of an axis is held while the thrusters do not reach the command on
-this axis (anti-windup), and the status contains `SATURATED` if they miss the command on any axis.
+this axis (anti-windup), and the status contains `SATURATED` if they miss the command on any axis that they serve: the
+side force of a rudder is not commanded, so it misses nothing. The limits of fins follow from the measured forward
+speed `nu`.
 """
 
 from __future__ import annotations
@@ -15,9 +17,10 @@ import casadi as ca
 from surctl.allocation import allocation_block
 from surctl.control.law import SATURATED, Law
 from surctl.control.perception import LAST_THRUST
+from surctl.errors import InputError
 from surctl.ir import Call, Layout, Port, Program, Real, Routine, lower
 from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
-from surctl.vehicle import Actuators
+from surctl.vehicle import Actuators, axis_limits
 
 __all__ = ["WORKING", "allocation_outputs", "with_allocation"]
 
@@ -52,6 +55,13 @@ def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -
         (['tau_desired', 'thruster_force', 'thruster_command'], (8,))
     """
     precision = _PRECISIONS[real]
+    if actuators.fins and "nu" not in law.inputs:
+        raise InputError(
+            "measures no velocity, on which the force of a rudder depends",
+            key="law",
+            value=law.name,
+            remedy="use true positions (--sensing truth)",
+        )
     names = ", ".join(actuators.names)
     flags = Port(WORKING, (len(actuators.thrusters),), "1", f"1 for each thruster that works, else 0: {names}", 1.0)
     inputs = Layout((*law.inputs.ports, flags))
@@ -59,7 +69,7 @@ def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -
     allocation = allocation_block(actuators, real)
     arrays = tuple(name for name, _ in allocation.outputs)
     steps = (
-        Call(_apart(law, inputs), ("u",), ("u_law", WORKING)),
+        Call(_apart(law, inputs, actuators), ("u",), ("u_law", WORKING)),
         Call(law.block, ("x", "u_law", "p"), ("desired", "x_law", "status_law", "telemetry_law")),
         Call(allocation, ("desired", WORKING), arrays),
         Call(
@@ -73,10 +83,16 @@ def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -
     return replace(law, inputs=inputs, outputs=outputs, block=block, base=law, actuators=actuators)
 
 
-def _apart(law: Law, inputs: Layout) -> Program:
+def _apart(law: Law, inputs: Layout, actuators: Actuators) -> Program:
     u = ca.SX.sym("u", inputs.size)
     own = law.inputs.size
-    return lower(ca.Function("inputs_apart", [u], [u[:own], u[own:]], ["u"], ["u_law", WORKING]))
+    shares = u[own:]
+    if actuators.fins:
+        speed = ca.fmax(u[law.inputs.slice("nu").start], 0)
+        shares = ca.vertcat(
+            *(u[own + k] * (speed * speed if k in actuators.fins else 1) for k in range(shares.numel()))
+        )
+    return lower(ca.Function("inputs_apart", [u], [u[:own], shares], ["u"], ["u_law", WORKING]))
 
 
 def _together(law: Law, actuators: Actuators, precision: Precision) -> Program:
@@ -86,6 +102,9 @@ def _together(law: Law, actuators: Actuators, precision: Precision) -> Program:
     v = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     unit = actuators.largest * ca.DM([1.0, 1.0, 1.0, actuators.lever])
     missed = ca.fabs(v["achieved"] - v["desired"]) > precision.feasibility * unit
+    if actuators.fins:
+        driven = axis_limits(actuators, 1.0) > 0
+        missed = ca.vertcat(*(missed[axis] if driven[axis] else 0 for axis in range(4)))
     entries = [v["x_law"][k] for k in range(law.state.size)]
     held = law.state.slice("integral")
     for axis, k in enumerate(range(held.start, held.stop)):

@@ -39,7 +39,7 @@ from surctl.control.ports import (
     sonar_inputs,
 )
 from surctl.control.reference import learnt, path_following
-from surctl.control.registry import law_ref, law_source
+from surctl.control.registry import SONARLESS, law_ref, law_source
 from surctl.control.routines import limited, sensing
 from surctl.control.source import LawSource, decision_of, perceived_by, thrust_of
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
@@ -153,8 +153,9 @@ def build_law(
     kind = "sonar" if sonar else "truth"
     for key, value, supported in (("sensing", kind, source.sensing), ("priority-mode", mode, source.modes or MODES)):
         if value not in supported:
+            why = f", because {SONARLESS}" if key == "sensing" and source.steering is not None else ""
             raise InputError(
-                f"law {called} supports only {' and '.join(supported)}",
+                f"law {called} supports only {' and '.join(supported)}{why}",
                 key=key,
                 value=value,
                 remedy=f"set --{key} {supported[0]}",
@@ -279,7 +280,7 @@ def _decide(
             layer_depth, aimed = aimed_depth(xs, eta, nu, us["column"], ps)
             parameters = {**ps, "depth": aimed}
         perceived = perceive(xs, us, ps, dt=dt) if source.perceive is None else perceived_by(source, us, ps, chosen.law)
-        scan = Scan(us["unknown"], us["sonars"], us["placed"]) if scans else None
+        scan = Scan(us["unknown"], us["sonars"], us["placed"], us["echoed"]) if scans else None
         situation = Situation(
             avoidance, desired, perceived, xs, eta, nu, parameters, dt, scan, moving, barrier, movers, steering
         )

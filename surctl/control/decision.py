@@ -15,9 +15,15 @@ from surctl.tasks import HalfPlane, Task, depth_task, heading_task
 __all__ = ["DECISION_PORTS", "Decision", "Scan", "TaskLevel", "lower_levels", "weakest_acceleration"]
 
 DECISION_PORTS = (
-    Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left"),
-    Port("blocker", (2,), "m", "x, y in {E} of the contact that blocked the desired velocity in the last step"),
-    Port("last_velocity", (2,), "m/s", "horizontal velocity commanded in the last step, in {E}"),
+    Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left", gap="anew"),
+    Port(
+        "blocker",
+        (2,),
+        "m",
+        "x, y in {E} of the contact that blocked the desired velocity in the last step",
+        gap="anew",
+    ),
+    Port("last_velocity", (2,), "m/s", "horizontal velocity commanded in the last step, in {E}", gap="anew"),
 )
 
 
@@ -76,6 +82,7 @@ class Scan(NamedTuple):
     unknown: ca.SX
     sonars: ca.SX
     placed: ca.SX
+    echoed: ca.SX
 
 
 def lower_levels(
@@ -84,13 +91,14 @@ def lower_levels(
     """Return the tasks with lower priority than the velocity task: depth, then heading.
 
     With a sonar map, the robot turns continuously instead of holding a heading. The yaw rate is the gain `spin`, or
-    less if the yaw thrusters cannot sustain this rate. While the robot does not know its position, its commanded depth
+    less if the yaw thrusters cannot sustain this rate; it is 0 until a sonar answers, because turning without any echo
+    scans nothing. While the robot does not know its position, its commanded depth
     rate is 0.
     """
     depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
     if scan is None:
         return depth, TaskLevel.of(heading_task(eta, desired.heading, gain=p["k_psi"]))
-    turning = ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"])
+    turning = ca.if_else(scan.echoed, ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"]), 0)
     depth = depth._replace(reference=ca.if_else(scan.placed, depth.reference, 0))
     return depth, TaskLevel("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")
 

@@ -23,7 +23,8 @@ class GainSpec:
     """Unit and meaning of a gain, and its bounds.
 
     If `zero_allowed` is False, the gain must be greater than 0. A gain file may omit a gain that has a `default`.
-    `range` is the range in which sweeps and tuning vary the gain, unless the gain file states another range.
+    `range` is the range in which sweeps and tuning vary the gain, unless the gain file states another range. A number
+    with `from_vehicle` is no gain: it follows from vehicle and cruise speed (`law_parameters`), so no file states it.
 
     Example:
         >>> from surctl.control import GainSpec
@@ -37,6 +38,7 @@ class GainSpec:
     below: float = float("inf")
     default: float | None = None
     range: tuple[float, float] | None = None
+    from_vehicle: bool = False
 
     def check_default(self, key: str) -> None:
         """Raise InputError unless the gain has a default within its bounds, and a range that contains the default."""
@@ -100,7 +102,7 @@ class Gains:
     @property
     def specs(self) -> Mapping[str, GainSpec]:
         """Return unit, meaning and bounds of every gain of the set."""
-        return {**GAINS, **self.own} if self.own else GAINS
+        return {**GAINS, **_chosen(self.own)} if self.own else GAINS
 
     def __getitem__(self, name: str) -> float:
         """Return the value of a gain; an unknown name raises InputError and the message suggests a similar name."""
@@ -112,9 +114,10 @@ class Gains:
         if self.own == own:
             return self
         shared = {name: value for name, value in self.values.items() if name in GAINS}
-        values = {name: self.values.get(name, spec.default or 0.0) for name, spec in own.items()}
-        ranges = {name: spec.range for name, spec in own.items() if spec.range is not None}
-        stated = {name: bounds for name, bounds in self.ranges.items() if name in GAINS or name in own}
+        chosen = _chosen(own)
+        values = {name: self.values.get(name, spec.default or 0.0) for name, spec in chosen.items()}
+        ranges = {name: spec.range for name, spec in chosen.items() if spec.range is not None}
+        stated = {name: bounds for name, bounds in self.ranges.items() if name in GAINS or name in chosen}
         return replace(self, values=shared | values, ranges=ranges | stated, own=own)
 
     def with_values(
@@ -127,6 +130,10 @@ class Gains:
         merged = {**self.values, **{k: float(v) for k, v in values.items()}}
         name = self.name if how is None else f"{self.name.removesuffix(f'-{how}')}-{how}"
         return replace(self, name=name, values=merged, provenance=provenance or self.provenance)
+
+
+def _chosen(own: Mapping[str, GainSpec]) -> Mapping[str, GainSpec]:
+    return {name: spec for name, spec in own.items() if not spec.from_vehicle}
 
 
 def check_name(name: str, source: object, specs: Mapping[str, GainSpec]) -> None:
@@ -171,7 +178,7 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
     model = load_model(path, _GainFile)
     stated_values: dict[str, float] = {}
     ranges: dict[str, tuple[float, float]] = {}
-    specs = {**GAINS, **(own or {})}
+    specs = {**GAINS, **_chosen(own or {})}
     for name, quantity in model.gains.items():
         check_name(name, path, specs)
         try:

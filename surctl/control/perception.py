@@ -29,7 +29,7 @@ __all__ = ["CELLS_A_HULL", "LAST_THRUST", "PERCEPTION", "PerceptionStage", "buil
 CELLS_A_HULL = 4.0
 """Number of map cells per hull radius (*chosen*); the cell size is 6.75 cm in the tank and 5 cm in the pool."""
 
-LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before")
+LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before", gap="anew")
 """The first entry of the state; the decision writes it, and the filter of the robot's own state reads it."""
 
 PERCEPTION = "perception"
@@ -44,6 +44,9 @@ _MARGIN_SD = 0.02 / 3  # [m] standard deviation of the robot's position that the
 _DEAF = 0.3  # [s] time without a plausible firing, after which a sonar is not trusted
 _PLACED_SD = 0.2  # [m] standard deviation above which the position counts as unknown
 _SILENT_MARGIN = 0.05  # [m] added to the radius of every mark while a sonar is silent, since obstacles drift
+_AGES = ("age", "since", "silent")  # ends of the names of the times in the state that grow without a step
+_LASTING = ("mover_latest", "sonar_distrust")  # messages, which have an age; and what was found wrong with a sonar
+_NEVER = 1e5  # [s] longest silence of a sonar; also of a sonar that was never plausible
 _FAR = 1e5  # [m²] larger than any squared distance in the map
 
 
@@ -64,6 +67,13 @@ class PerceptionStage:
     inputs: Layout
     outputs: Layout
     block: Block
+
+
+def _after_gap(port: Port) -> Port:
+    # what a step does with a memory of the last steps after periods without a step
+    if port.unit == "s" and port.name.endswith(_AGES):
+        return replace(port, gap="age")
+    return port if port.name in _LASTING else replace(port, gap="anew")
 
 
 def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float) -> PerceptionStage:
@@ -160,9 +170,10 @@ class _Builder:
         own = self._own.ports("own_") if self._own else ()
         movers = self._movers.ports("mover_") if self._movers else ()
         n = self.equipment.array.size
-        silent = Port("silent", (n,), "s", "time since the last plausible firing of each sonar", _DEAF + self.dt)
+        silent = Port("silent", (n,), "s", "time since the last plausible firing of each sonar", _NEVER)
         launched = Port("launched", (1,), "1", "1 after the free water around the start is marked in the map")
-        return Layout((*own, *movers, *self._ranges.ports("sonar_"), silent, launched))
+        last = tuple(_after_gap(port) for port in (*own, *movers, *self._ranges.ports("sonar_"), silent))
+        return Layout((*last, launched))
 
     @cached_property
     def state(self) -> Layout:
@@ -177,8 +188,8 @@ class _Builder:
         pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
         column = (self.outputs.port("column"),) if "column" in self.outputs else ()
         uncertainty = Port("uncertainty", (1,), "m", "position uncertainty that the margin does not cover")
-        quality = (self.outputs.port(name) for name in ("placed", "noise"))
-        return Layout((*pose, uncertainty, *quality, *known, sonars, *column))
+        flags = tuple(self.outputs.port(name) for name in ("placed", "echoed", "noise"))
+        return Layout((*pose, uncertainty, *flags, *known, sonars, *column))
 
     def _split(self) -> Program:
         # three parts: small states, map cells, map corner
@@ -234,7 +245,7 @@ class _Builder:
             arrived = ca.logic_and(
                 inputs["fresh"][i] > 0.5, honest(array, inputs["samples"], ranging, i, repeats=self._ranges.repeats)
             )
-            silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _DEAF + self.dt)))
+            silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _NEVER)))
             echo = ca.logic_and(reading < array.maximum - SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
             blind = reading <= array.lowest / array.scale + array.resolution
             clear = ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0)
@@ -259,6 +270,7 @@ class _Builder:
             "nu": around.nu,
             "uncertainty": around.uncertainty,
             "placed": around.placed,
+            "echoed": _least(ca.vertcat(*silent)) < _NEVER,
             "noise": around.noise,
             "sonars": ca.vertcat(*sonars),
         }
@@ -343,6 +355,7 @@ class _Builder:
             "unknown": blank,
             "sonars": perceived["sonars"],
             "placed": perceived["placed"],
+            "echoed": perceived["echoed"],
             "noise": perceived["noise"],
         }
         if "column" in perceived:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import degrees, hypot
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,6 +149,7 @@ def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
                 "one sonar per row: range, range error bound, healthy (0 or 1), age, axis x and y in {E}",
             ),
             Port("placed", (1,), "1", "1 while the robot knows its position", 1.0),
+            Port("echoed", (1,), "1", "1 once a firing of any sonar was plausible", 1.0),
             Port("noise", (2,), "m/s, rad/s", "standard deviations of the estimated velocity and of the yaw rate"),
             *((_COLUMN,) if depths else ()),
         )
@@ -188,6 +190,12 @@ _MISSION = (
 PARAMETERS = Layout(
     tuple(Port(name, (1,), spec.unit, spec.meaning, 1.0) for name, spec in GAINS.items()) + _MODEL + _MISSION
 )
+
+
+OF_VEHICLE: Mapping[str, Callable[[Vehicle, float], float]] = MappingProxyType(
+    {"fin_share": Vehicle.fin_share, "munk": Vehicle.munk, "centripetal": Vehicle.centripetal}
+)
+"""Numbers of a law with `GainSpec.from_vehicle`, as functions of the vehicle and the cruise speed [m/s]."""
 
 
 def parameter_ports(own: Mapping[str, GainSpec]) -> Layout:
@@ -252,8 +260,9 @@ def law_parameters(
         >>> p.shape, p[PARAMETERS.slice("thrust_limit")].tolist(), p[PARAMETERS.slice("walls")].tolist()
         ((70,), [5.0, 5.0, 5.0, 0.5], [0.0, 3.0, 0.0, 2.0])
     """
+    vehicle = vehicle.at_speed(cruise)
     brakes = brakes_of(vehicle)
-    values: Mapping[str, object] = {
+    values: dict[str, object] = {
         **gains.values,
         "mass": vehicle.mass,
         "linear_drag": vehicle.drag_at(cruise),
@@ -261,7 +270,7 @@ def law_parameters(
         "thrust_limit": vehicle.thrust_limit,
         "hull": vehicle["radius"],
         "stopping": (*brakes.masses, brakes.most, brakes.lag, brakes.linear[1], brakes.quadratic[1]),
-        "spin_limit": _spin_side(path, walls) * vehicle.steady_yaw(YAW_SHARE),
+        "spin_limit": _spin_side(path, walls) * vehicle.steady_yaw(YAW_SHARE, cruise),
         "waypoints": path.slots,
         "depth": depth,
         "cruise": cruise,
@@ -270,4 +279,5 @@ def law_parameters(
         "launch": launch,
         "visit": visit,
     }
+    values |= {name: OF_VEHICLE[name](vehicle, cruise) for name, spec in gains.own.items() if spec.from_vehicle}
     return parameter_ports(gains.own).pack(values)

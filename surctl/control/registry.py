@@ -19,7 +19,7 @@ from surctl.errors import InputError, nearest
 from surctl.own_code import check_trusted, is_own, label, object_of, own_file, pinned
 from surctl.vehicle import Vehicle
 
-__all__ = ["LAWS", "LAW_NAMES", "check_forces", "default_law", "law_ref", "law_source"]
+__all__ = ["LAWS", "LAW_NAMES", "SONARLESS", "check_forces", "default_law", "law_ref", "law_source"]
 
 
 def _guarded(s: Situation) -> Decision:
@@ -82,6 +82,11 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
 """The source of each built-in law, by name."""
 
 LAW_NAMES: tuple[str, ...] = tuple(LAWS)
+
+SONARLESS = (
+    "the sonar map is scanned by turning the hull as it moves, and a craft without sway force heads where it goes"
+)
+"""Why a law that steers by heading and speed uses no sonars, as a part of a sentence."""
 
 _KEY = "law"
 

@@ -22,8 +22,8 @@ import numpy as np
 from surctl.control.baselines.situation import NEVER, Situation, length
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GainSpec
-from surctl.control.steering import SLOWEST, Moving, Steering, drifted, moved, planned_yaw_rate
-from surctl.guidance import FAR, Contact
+from surctl.control.steering import SLOWEST, Moving, Steering, drifted, moved, planned_yaw_rate, steerage, yaw_moment
+from surctl.guidance import FAR, MAX_WAYPOINTS
 from surctl.ir import Port, fold, repeat, tabulated
 from surctl.tasks import depth_task
 
@@ -34,8 +34,13 @@ STEERED_GAINS: Mapping[str, GainSpec] = {
     "steerage": GainSpec("1", "least share of the speed kept during a turn", True, 1.0, 0.0, range=(0.0, 0.5)),
     "crab_time": GainSpec("s", "time constant of the filter of the crab angle", default=2.0, range=(0.5, 5.0)),
     "foresight": GainSpec("1", "length of the prediction over the turning radius", default=2.5, range=(1.5, 5.0)),
+    "fin_share": GainSpec(
+        "1", "share of the largest yaw moment that fins give at the cruise speed", True, 1.0, 0.0, from_vehicle=True
+    ),
+    "munk": GainSpec("kg", "moment in yaw per surge and sway speed", True, default=0.0, from_vehicle=True),
+    "centripetal": GainSpec("kg", "sway force per surge speed and yaw rate", True, default=0.0, from_vehicle=True),
 }
-"""Gains of this law in addition to `GAINS`."""
+"""Gains of this law in addition to `GAINS`, and a number that follows from the vehicle."""
 
 STEERED_PORTS = (
     Port("crab", (1,), "rad", "filtered crab angle: course minus heading"),
@@ -58,10 +63,14 @@ STEPS = 16
 """Number of steps of the prediction (*chosen*)."""
 
 _HIT, _SLOW, _OTHER_SIDE, _OTHER_COURSE = 4.0, 0.5, 2.5, 0.1  # weights of the cost
+_DEAD_END = 4.0  # of a contact before the end of the path, for a craft that cannot turn at rest
 _INADMISSIBLE = 1e3
 _BLUR = 0.2  # share of the hull radius added to the margin, because the prediction has few steps
+_INSIDE = 0.95  # share of the turning radius within which a point at rest is out of reach for a craft with fins
 _CLEAR = _HIT / STEPS  # cost below which the desired course and speed have no contact in the prediction
+_NOWHERE = 1e6  # [m]
 _BACK = 3.0  # [rad] offset above which a course leads back
+_BETTER = 1e-9  # least difference of cost by which a later candidate replaces an earlier one
 _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
 
 
@@ -73,6 +82,7 @@ def steered_law(s: Situation) -> Decision:
     on_path = ca.vertcat(s.desired.tangent[0], s.desired.tangent[1])
     course = ca.if_else(desired_speed > 1e-6, s.desired.velocity / ca.fmax(desired_speed, 1e-6), on_path)
     hull = ca.vertcat(ca.cos(psi), ca.sin(psi))
+    course = _reachable(s, course, hull, s.steering)
     offset, share, cost = _chosen(s, course, desired_speed, hull, s.steering)
     blocked, clear = cost >= _INADMISSIBLE, cost < _CLEAR
     course, speed = _turned(course, offset), ca.if_else(blocked, 0, share * desired_speed)
@@ -82,7 +92,7 @@ def steered_law(s: Situation) -> Decision:
     heading = _turned(course, -crab)
     ahead = ca.dot(hull, heading)
     error = ca.atan2(hull[0] * heading[1] - hull[1] * heading[0], ahead)
-    surge = speed * ca.fmax(ahead, p["steerage"])
+    surge = speed * ca.fmax(ahead, steerage(p))
     yaw_rate = _yaw_rate(error, s.nu[0], p)
     # the reference follows the drift in a turn: no thruster acts against it, and a current is no drift
     sway = drifted(s.x["sway"], s.nu[0], s.nu[3], p, s.dt)
@@ -105,9 +115,24 @@ def steered_law(s: Situation) -> Decision:
     )
 
 
+def _reachable(s: Situation, course: ca.SX, hull: ca.SX, steering: Steering) -> ca.SX:
+    """Return the course, or straight ahead if fins alone turn the craft and a point at rest is inside its circle.
+
+    Such a craft would circle the point for ever; ahead of the point it gains the distance to turn back to it.
+    """
+    along, across = -s.desired.x_e, -s.desired.y_e
+    tangent = s.desired.tangent
+    point = ca.vertcat(tangent[0] * along - tangent[1] * across, tangent[1] * along + tangent[0] * across)
+    ahead, left = ca.dot(hull, point), hull[0] * point[1] - hull[1] * point[0]
+    aside = steering.radius - ca.fabs(left)
+    inside = ahead * ahead + aside * aside < (_INSIDE * steering.radius) ** 2
+    held = ca.logic_and(ca.logic_and(s.desired.arriving, inside), s.p["fin_share"] > 0.5)
+    return ca.if_else(held, hull, course)
+
+
 def _yaw_rate(error: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     # slow enough that half the yaw moment can end the turn at the desired heading
-    swing = ca.sqrt(p["thrust_limit"][3] / p["mass"][3] * ca.fabs(error))
+    swing = ca.sqrt(yaw_moment(p, speed) / p["mass"][3] * ca.fabs(error))
     most = ca.fmin(planned_yaw_rate(p, speed), swing)
     return ca.fmin(ca.fmax(p["k_psi"] * error, -most), most)
 
@@ -132,7 +157,7 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
     stream = ca.vertcat(-hull[1] * aside, hull[0] * aside)
     start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.x["sway"], s.nu[3]), ca.SX(0))
     contacts = _contacts(s)
-    side = s.x["side"]
+    side, to_end = s.x["side"], length(p["waypoints"][MAX_WAYPOINTS - 1, :].T - s.eta[:2])
     last = s.x["last_velocity"] / ca.fmax(length(s.x["last_velocity"]), 1e-6)
 
     def judged(best: ca.SX, least: ca.SX, candidate: ca.SX) -> list[ca.SX]:
@@ -140,52 +165,76 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
         towards = ca.vertcat(
             course[0] * turned[0] - course[1] * turned[1], course[0] * turned[1] + course[1] * turned[0]
         )
+        floor = 1 - turned[0] + _SLOW * (1 - share)
+        floor += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * side < 0)
+        # only while the craft passes an obstacle: otherwise the desired course decides alone
+        floor += _OTHER_COURSE * ca.logic_not(side == 0) * (1 - ca.dot(towards, last))
+        # a candidate that cannot be the best even without a contact is not predicted
+        hopeless = floor >= least - _BETTER
         # every candidate is predicted over the same distance
         longer = step / share
         gain = ca.fmin(p["k_psi"], 0.5 / longer)
-        hit, travelled = _first_hit(start, towards, share * speed, contacts, p, step=longer, gain=gain, stream=stream)
+        hit, travelled = _first_hit(
+            start, towards, share * speed, contacts, p, step=longer, gain=gain, stream=stream, skip=hopeless
+        )
         stop = speed * share * (speed * share / (2 * steering.deceleration) + p["reaction"])
-        met = hit < NEVER
+        # the craft stops at the end of the path, so what is behind it does not count on the desired course
+        met = ca.logic_and(hit < NEVER, ca.logic_or(offset != 0, travelled < ca.fmax(to_end, stop)))
         # a turn takes time, so the distance counts too
         near = 1 - ca.fmin(hit / STEPS, travelled / distance)
-        cost = 1 - turned[0] + _SLOW * (1 - share) + ca.if_else(met, _HIT * near, 0)
-        cost += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * side < 0)
-        # only while the craft passes an obstacle: otherwise the desired course decides alone
-        cost += _OTHER_COURSE * ca.logic_not(side == 0) * (1 - ca.dot(towards, last))
+        cost = floor + ca.if_else(met, _HIT * near, 0)
+        cost += _DEAD_END * p["fin_share"] * ca.logic_and(met, travelled < to_end)
         cost += _INADMISSIBLE * ca.logic_and(met, travelled < stop)
-        better = cost < least - 1e-9
-        return [ca.if_else(better, candidate[:2], best), ca.fmin(cost, least)]
+        better = ca.logic_and(ca.logic_not(hopeless), cost < least - _BETTER)
+        return [ca.if_else(better, candidate[:2], best), ca.if_else(better, cost, least)]
 
     rows = [(offset, share, np.cos(offset), np.sin(offset)) for share in SPEEDS for offset in COURSES]
     best, least = fold("courses", judged, [ca.SX.zeros(2), ca.SX(2 * _INADMISSIBLE)], tabulated(rows, 4))
     return best[0], best[1], least
 
 
-def _contacts(s: Situation) -> ca.SX:
-    """Return a table with one row per contact: `Contact.row`, least allowed distance, and 1 for a half-plane."""
-    rows = []
+def _contacts(s: Situation) -> tuple[ca.SX, ca.SX]:
+    """Return a table with one row per moving or resting body, and one with one row per wall.
+
+    A row contains, relative to the craft, the outward normal of a half-plane and its distance beyond the least allowed
+    one; a body adds centre and squared least distance of a disc, and its velocity. Of half-plane and disc, the one that
+    does not apply is out of reach.
+    """
+    bodies, walls = [], []
     for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):
         for c in contacts:
             # a contact that is nearer than the margin must not come nearer; an empty slot is nowhere
             margin = ca.fmin(s.p["margin"] + _BLUR * s.p["hull"], c.clearance - 1e-3)
-            margin = ca.if_else(ca.fabs(c.clearance - FAR) < 1e-9, -1e6, margin)
-            half_plane = ca.SX(1) if flat else c.combined_radius <= s.p["hull"] + 1e-6
-            rows.append((*c.row, margin, half_plane))
-    return tabulated(rows, 8)
+            margin = ca.if_else(ca.fabs(c.clearance - FAR) < 1e-9, -_NOWHERE, margin)
+            if flat:
+                walls.append((c.normal, c.clearance - margin))
+                continue
+            half_plane = c.combined_radius <= s.p["hull"] + 1e-6
+            centre, least = c.normal * (c.clearance + c.combined_radius), c.combined_radius + margin
+            squared = ca.if_else(ca.logic_or(half_plane, least < 0), -1, least * least)
+            gap = ca.if_else(half_plane, c.clearance - margin, _NOWHERE)
+            bodies.append((c.normal, gap, centre, squared, c.velocity))
+    return tabulated(bodies, 8), tabulated(walls, 3)
 
 
 def _first_hit(
     start: Moving,
     course: ca.SX,
     speed: ca.SX,
-    contacts: ca.SX,
+    contacts: tuple[ca.SX, ca.SX],
     p: Mapping[str, ca.SX],
     *,
     step: ca.SX,
     gain: ca.SX,
     stream: ca.SX,
+    skip: ca.SX,
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the step of the prediction with the first contact (or `NEVER`), and the distance travelled until then."""
+    """Return the step of the prediction with the first contact (or `NEVER`), and the distance travelled until then.
+
+    If `skip` is 1, nothing is predicted.
+    """
+
+    bodies, walls = contacts
 
     def ahead(
         place: ca.SX, hull: ca.SX, nu: ca.SX, so_far: ca.SX, k: ca.SX, *_: ca.SX
@@ -194,18 +243,20 @@ def _first_hit(
         time = step * (k + 1)
 
         def touches(met: ca.SX, row: ca.SX) -> ca.SX:
-            contact, margin, flat = Contact.of(row), row[6], row[7]
-            moving = contact.velocity * time - now.place
-            plane = contact.clearance + ca.dot(contact.normal, moving)
-            centre = contact.normal * (contact.clearance + contact.combined_radius) + moving
-            gap = ca.if_else(flat, plane, length(centre) - contact.combined_radius)
-            return ca.fmax(met, gap < margin)
+            moving = row[6:8] * time - now.place
+            centre = row[3:5] + moving
+            flat = row[2] + ca.dot(row[:2], moving) < 0
+            return ca.logic_or(met, ca.logic_or(flat, ca.dot(centre, centre) < row[5]))
 
-        met = fold("touches", touches, ca.SX(0), contacts)
+        def beyond(met: ca.SX, row: ca.SX) -> ca.SX:
+            return ca.logic_or(met, ca.dot(row[:2], now.place) > row[2])
+
+        met = fold("touches", touches, ca.SX(0), bodies) if bodies.shape[0] else ca.SX(0)
+        met = fold("beyond", beyond, met, walls)
         after = [now.place, now.hull, now.nu, now.travelled, k + 1]
         return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, so_far, 0), met], []
 
-    state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0, 0))]
+    state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0)), skip]
     # the prediction ends at the first contact
     after, _ = repeat("ahead", ahead, state, count=STEPS, until=7)
     return after[5], after[6]
@@ -216,7 +267,7 @@ def steered_thrust(
 ) -> tuple[ca.SX, ca.SX]:
     """Return thrust and next integral of the surge, heave and yaw loops; sway has no thrust.
 
-    The loops are those of `velocity_control`. In addition, the thrust cancels the Munk moment (m22 − m11) u v and the
+    The loops are those of `velocity_control`. In addition, the thrust cancels the moment μ u v (`Vehicle.munk`) and the
     force m22 v r in surge. The sway speed v is that of the reference, which is the drift through the water: the
     measured sway speed also contains the current, which causes no Munk moment.
     """
@@ -225,7 +276,7 @@ def steered_thrust(
     gain = ca.vertcat(p["k_v"], 0, p["k_v"], p["k_r"])
     drag = p["linear_drag"] * reference + p["quadratic_drag"] * reference * ca.fabs(reference)
     v = reference[1]
-    coriolis = ca.vertcat(-m[1] * v * nu[3], 0, 0, (m[1] - m[0]) * nu[0] * v)
+    coriolis = ca.vertcat(-m[1] * v * nu[3], 0, 0, p["munk"] * nu[0] * v)
     driven = ca.vertcat(1, 0, limit[2] > 0, 1)
     free = driven * (drag + m * (gain * error + integral) + coriolis)
     held = ca.fabs(free) > limit

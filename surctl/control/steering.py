@@ -2,11 +2,13 @@
 
 Such a craft is steered by its heading and its speed. In a turn at the yaw rate r and the surge speed u, no thruster
 carries the centripetal force, so the craft drifts outwards at the sway speed v at which the sway drag balances it: Yv v
-+ Yvv v² = m11 u r. Two limits follow for the yaw rate that a law may plan:
++ Yvv v² = m u r, with `centripetal` m = m11 + Yur + Yr/U: the fins of a torpedo carry a part of it. Two limits follow
+for the yaw rate that a law may plan:
 
 1. The drift angle v/u stays below the gain `sideslip`.
-2. The drift causes the Munk moment (m22 − m11) u v, which turns the craft further into the turn. The yaw moment that
-   ends the turn must exceed it, so only the share `MUNK_SHARE` of the largest yaw moment may be needed for it.
+2. The drift causes the moment μ u v, which turns the craft further into the turn: the Munk moment (m22 − m11) u v and
+   the lift of body and fins, with `munk` μ = m22 − m11 + Nuv + Nv/U. The yaw moment that ends the turn must exceed it,
+   so only the share `MUNK_SHARE` of the largest yaw moment may be needed for it.
 
 The turning radius is the cruise speed divided by the smallest of these yaw rates and the yaw rate that the drag in yaw
 allows (`closing.yaw_limit`).
@@ -30,8 +32,10 @@ __all__ = [
     "drifted",
     "moved",
     "planned_yaw_rate",
+    "steerage",
     "steering_of",
     "turning_radius",
+    "yaw_moment",
 ]
 
 MUNK_SHARE = 0.5
@@ -42,6 +46,9 @@ SLOWEST = 0.25
 
 At lower speeds the drift angle says little: the craft turns nearly on the spot.
 """
+
+FIN_STEERAGE = 0.6
+"""Least share of the speed during a turn for a craft whose yaw moment comes from fins alone (*chosen*)."""
 
 _LEAST_RATE = 1e-3  # [rad/s] a planned yaw rate is at least this, so that the turning radius is finite
 
@@ -73,13 +80,29 @@ class Steering:
         return {**p, "lookahead": self.lookahead, "wait": self.wait, "alos_gamma": gamma}
 
 
+def yaw_moment(p: Mapping[str, ca.SX], speed: ca.SX) -> ca.SX:
+    """Return the largest yaw moment [N m] at a surge speed [m/s], at most that at the cruise speed.
+
+    The share `fin_share` of the moment at the cruise speed comes from fins and grows with the square of the speed.
+    """
+    ratio = ca.fmin(ca.fmax(speed, 0) / p["cruise"], 1)
+    return p["thrust_limit"][3] * (1 - p["fin_share"] * (1 - ratio * ratio))
+
+
+def steerage(p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return the least share of the speed that a turn keeps: a craft that steers by fins alone needs speed to turn."""
+    return ca.fmax(p["steerage"], FIN_STEERAGE * p["fin_share"])
+
+
 def planned_yaw_rate(p: Mapping[str, ca.SX], speed: ca.SX) -> ca.SX:
     """Return the largest yaw rate [rad/s] that a law may plan at a surge speed [m/s]; see the module."""
     u = ca.fmax(speed, SLOWEST * p["cruise"])
-    munk = ca.fabs(p["mass"][1] - p["mass"][0]) * u
-    drift = ca.fmin(p["sideslip"] * u, MUNK_SHARE * p["thrust_limit"][3] / ca.fmax(munk, 1e-6))
+    munk = ca.fabs(p["munk"]) * u
+    moment = yaw_moment(p, u)
+    drift = ca.fmin(p["sideslip"] * u, MUNK_SHARE * moment / ca.fmax(munk, 1e-6))
     sideways = p["linear_drag"][1] * drift + p["quadratic_drag"][1] * drift * drift
-    return ca.fmax(ca.fmin(sideways / (p["mass"][0] * u), yaw_limit(dict(p))), _LEAST_RATE)
+    turn = yaw_limit({**p, "thrust_limit": ca.vertcat(p["thrust_limit"][:3], moment)})
+    return ca.fmax(ca.fmin(sideways / ca.fmax(p["centripetal"] * u, 1e-6), turn), _LEAST_RATE)
 
 
 def steering_of(p: Mapping[str, ca.SX]) -> Steering:
@@ -105,8 +128,11 @@ def turning_radius(vehicle: Vehicle, gains: Mapping[str, float], speed: float) -
         >>> round(turning_radius(load_vehicle("sur400"), {"sideslip": 0.2}, 0.15), 2)
         13.0
     """
+    vehicle = vehicle.at_speed(speed)
     model = {name: getattr(vehicle, name) for name in ("mass", "quadratic_drag", "thrust_limit")}
-    numbers = {**model, "linear_drag": vehicle.drag_at(speed), "sideslip": gains["sideslip"], "cruise": speed}
+    own = {"fin_share": vehicle.fin_share(speed), "munk": vehicle.munk(speed)}
+    own |= {"centripetal": vehicle.centripetal(speed)}
+    numbers = {**model, **own, "linear_drag": vehicle.drag_at(speed), "sideslip": gains["sideslip"], "cruise": speed}
     p = {name: ca.SX(ca.DM(value)) for name, value in numbers.items()}
     return speed / float(planned_yaw_rate(p, ca.SX(speed)))
 
@@ -134,7 +160,7 @@ def drifted(v: ca.SX, u: ca.SX, r: ca.SX, p: Mapping[str, ca.SX], step: ca.SX | 
     The step is implicit in the drag, so it is stable for any length.
     """
     damping = (p["linear_drag"][1] + p["quadratic_drag"][1] * ca.fabs(v)) / p["mass"][1]
-    return (v - step * p["mass"][0] / p["mass"][1] * u * r) / (1 + step * damping)
+    return (v - step * p["centripetal"] / p["mass"][1] * u * r) / (1 + step * damping)
 
 
 def moved(
@@ -165,11 +191,11 @@ def moved(
     ahead = ca.dot(now.hull, course)
     aside = now.hull[0] * course[1] - now.hull[1] * course[0]
     error = ca.if_else(ahead > 0, aside, ca.if_else(aside < 0, -1, 1))
-    most, swing = planned_yaw_rate(p, u), step * 0.5 * p["thrust_limit"][3] / p["mass"][3]
+    most, swing = planned_yaw_rate(p, u), step * 0.5 * yaw_moment(p, u) / p["mass"][3]
     turn = ca.fmin(ca.fmax(gain * error, -most), most)
     r = ca.fmin(ca.fmax(turn, r - swing), r + swing)
     change = step * p["brake"] * p["thrust_limit"][0] / p["mass"][0]
-    u = ca.fmin(ca.fmax(speed * ca.fmax(ahead, p["steerage"]), u - change), u + change)
+    u = ca.fmin(ca.fmax(speed * ca.fmax(ahead, steerage(p)), u - change), u + change)
     v = drifted(v, u, r, p, step)
     # a rotation by 2 atan(half) needs no trigonometric function
     half = 0.5 * step * r

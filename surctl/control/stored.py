@@ -69,10 +69,10 @@ def _perception(head: dict[str, list[list[Any]]], whole: Block) -> PerceptionSta
 
 
 def _listed(layout: Iterable[Port]) -> list[list[Any]]:
-    return [[port.name, port.shape, port.unit, port.meaning, port.default] for port in layout]
+    return [[port.name, port.shape, port.unit, port.meaning, port.default, port.gap] for port in layout]
 
 
 def _layout(listed: list[list[Any]]) -> Layout:
     return Layout(
-        tuple(Port(name, tuple(shape), unit, meaning, default) for name, shape, unit, meaning, default in listed)
+        tuple(Port(name, tuple(shape), unit, text, default, gap) for name, shape, unit, text, default, gap in listed)
     )

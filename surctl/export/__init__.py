@@ -1,11 +1,13 @@
 """Export of a control law as a C99 bundle, and checks by execution that C and Python compute the same numbers."""
 
-from surctl.export.bundle import Bundle, ExportedFile, build_bundle, write_bundle
+from surctl.export.bundle import Bundle, ExportedFile, build_bundle, check_folder, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds
 from surctl.export.closed import ClosedForm, closed_form
+from surctl.export.compiled_law import CompiledLaw
 from surctl.export.contract import STATUS, Exportable
 from surctl.export.emulated import EmulatedLine, emulated, emulated_target
 from surctl.export.envelope import Envelope, Rate
+from surctl.export.evidence import evidence_of, with_evidence
 from surctl.export.fmu import write_fmu
 from surctl.export.link import Line, LineDown, Reply, connect
 from surctl.export.linked import LinkedLaw, LinkFaults, LinkReport
@@ -28,6 +30,7 @@ __all__ = [
     "Bundle",
     "CheckReport",
     "ClosedForm",
+    "CompiledLaw",
     "Controller",
     "Difference",
     "EmulatedLine",
@@ -50,12 +53,14 @@ __all__ = [
     "build_bundle",
     "build_controller",
     "check_builds",
+    "check_folder",
     "chosen_targets",
     "closed_form",
     "compare_runs",
     "connect",
     "emulated",
     "emulated_target",
+    "evidence_of",
     "fitting_certificates",
     "gain_box",
     "load_certificates",
@@ -64,6 +69,7 @@ __all__ = [
     "prove_bundle",
     "software_in_the_loop",
     "software_in_the_loop_runs",
+    "with_evidence",
     "with_proof",
     "write_bundle",
     "write_fmu",

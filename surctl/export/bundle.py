@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,7 +27,18 @@ from surctl.export.rendering import render_files
 from surctl.export.vectors import self_test_vectors
 from surctl.ir import Layout, Real
 
-__all__ = ["Bundle", "ExportedFile", "build_bundle", "gain_vector", "law_id", "manifest_with", "write_bundle"]
+__all__ = [
+    "Bundle",
+    "ExportedFile",
+    "build_bundle",
+    "check_folder",
+    "gain_vector",
+    "law_id",
+    "manifest_with",
+    "write_bundle",
+]
+
+MANIFEST = "manifest.json"
 
 Vector = NDArray[np.float64]
 
@@ -42,6 +53,7 @@ class Bundle:
         files: text of each file by its name, in the order of writing; the manifest is last.
         real: precision of every number in the C text.
         envelope: ranges and rates of change that the input check (guard) of the exported C accepts.
+        binaries: bytes of further files by name, such as an FMU.
     """
 
     name: str
@@ -49,6 +61,7 @@ class Bundle:
     files: Mapping[str, str]
     real: Real = "float64"
     envelope: Envelope | None = None
+    binaries: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def selftest(self) -> str:
@@ -66,8 +79,9 @@ class Bundle:
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """Return the names of the public header and of the header that only the controller's C files include."""
-        return (f"{self.name}.h", f"{self.name}_internal.h")
+        """Return the names of the public headers and of the header that only the controller's C files include."""
+        names = (f"{self.name}.h", f"{self.name}_gains.h", f"{self.name}_internal.h")
+        return tuple(name for name in names if name in self.files)
 
 
 @dataclass(frozen=True)
@@ -126,13 +140,29 @@ def build_bundle(
     within = (envelope or anywhere(law)).fitted(law, real)
     identity = law_id(law, p, real=real)
     tests = self_test_vectors(in_precision(law, real, within), rounded(p, real), within)
-    files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real, mission=mission)
+    files = render_files(
+        law, p, within, name=prefix, identity=identity, tests=tests, real=real, mission=mission, origin=origin
+    )
     files |= {} if origin is None else origin.files
-    table = _manifest(law, prefix, identity, real, within) | manifest_entries(law, p, origin)
+    _check_gains(law, rounded(p, real), within)
+    table = _manifest(law, prefix, identity, real, within) | manifest_entries(law, p, origin, real=real)
     if origin is not None:
         check_belonging(table | {"sha256": {}, "proof": {}}, origin)
     files["manifest.json"] = manifest_with(table, files, proof={"status": "not tried"})
     return Bundle(prefix, identity, MappingProxyType(files), real, within)
+
+
+def _check_gains(law: Exportable, p: Vector, within: Envelope) -> None:
+    wrong = np.flatnonzero(~((p >= within.gains[:, 0]) & (p <= within.gains[:, 1])))
+    if wrong.size:
+        at = int(wrong[0])
+        port = next(port for port in law.gains if at < law.gains.slice(port.name).stop)
+        raise InputError(
+            f"is outside the range that the guard accepts, {range_text(within.gains[at : at + 1])}",
+            key=port.name,
+            value=float(p[at]),
+            remedy="change the gain, or widen the range of the envelope",
+        )
 
 
 def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:
@@ -175,9 +205,17 @@ def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Env
     }
 
 
-def manifest_with(table: Mapping[str, object], files: Mapping[str, str], *, proof: Mapping[str, object]) -> str:
-    """Return the text of the manifest `table`, with the hashes of `files` and the outcome of the proof added."""
-    full = {**table, "proof": proof, "sha256": {file: _sha256(text) for file, text in files.items()}}
+def manifest_with(
+    table: Mapping[str, object],
+    files: Mapping[str, str],
+    *,
+    proof: Mapping[str, object],
+    binaries: Mapping[str, bytes] | None = None,
+) -> str:
+    """Return the text of the manifest `table`, with the hashes of all files and the outcome of the proof added."""
+    hashes = {file: _sha256(text) for file, text in files.items()}
+    hashes |= {file: hashlib.sha256(data).hexdigest() for file, data in (binaries or {}).items()}
+    full = {**table, "proof": proof, "sha256": hashes}
     return json.dumps(full, indent=2, sort_keys=True) + "\n"
 
 
@@ -189,8 +227,8 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
     """Write the files of the bundle to a folder; no file is ever half-written.
 
     All files are first written to a sibling folder. If `directory` does not exist, the sibling folder is renamed to
-    `directory`. If `directory` exists, each file is replaced by a rename, the manifest last, and other files stay
-    unchanged.
+    `directory`. If `directory` exists, its manifest is removed first, then each file is replaced by a rename, the new
+    manifest last; other files stay unchanged. So a folder with a manifest is complete at any time.
 
     Raises:
         InputError: the folder cannot be written.
@@ -219,18 +257,45 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
         ) from None
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-    return [ExportedFile(target / name, _sha256(text)) for name, text in bundle.files.items()]
+    written = [ExportedFile(target / name, _sha256(text)) for name, text in bundle.files.items()]
+    more = [ExportedFile(target / name, hashlib.sha256(data).hexdigest()) for name, data in bundle.binaries.items()]
+    return [*written, *more]
+
+
+def check_folder(directory: Path | str) -> None:
+    """Raise the InputError of `write_bundle` if a bundle cannot be written to this folder; leave nothing behind.
+
+    Example:
+        >>> from surctl.export import check_folder
+        >>> check_folder("firmware")
+    """
+    target = Path(directory)
+    staging = target.parent / f".{target.name}.{os.getpid()}.tmp"
+    try:
+        staging.mkdir(parents=True)
+        if target.exists():
+            (target / staging.name).mkdir()
+            (target / staging.name).rmdir()
+    except OSError as error:
+        raise InputError(
+            f"cannot be written ({error.strerror})", file=target, remedy="choose a folder that you may write to"
+        ) from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
 
 
 def _stage(bundle: Bundle, staging: Path) -> None:
     staging.mkdir(parents=True)
     for name, text in bundle.files.items():
         (staging / name).write_bytes(text.encode())
+    for name, data in bundle.binaries.items():
+        (staging / name).write_bytes(data)
 
 
 def _publish(bundle: Bundle, staging: Path, target: Path) -> None:
     if not target.exists():
         staging.rename(target)
         return
-    for name in bundle.files:
+    (target / MANIFEST).unlink(missing_ok=True)
+    for name in (*bundle.binaries, *(name for name in bundle.files if name != MANIFEST), MANIFEST):
         (staging / name).replace(target / name)

@@ -12,6 +12,7 @@ from surctl.ir import Layout, Port, identifier
 from surctl.system import Controller, SampledController, command_ports
 
 __all__ = [
+    "SATURATED",
     "STATUS",
     "Around",
     "Exportable",
@@ -30,6 +31,7 @@ STATUS: tuple[tuple[str, int, str], ...] = (
     ("SWITCHED", 2, "bit: the passing side changed in this step"),
     ("DEGRADED", 4, "bit: no course satisfies every limit; the least violation was chosen"),
     ("TRAPPED", 8, "bit: dead end; the robot stays and only evades moving obstacles, until a reset"),
+    ("RESTARTED", 16384, "bit: the numbers of the samples started again; every age is at its largest value"),
     ("NULL", -1, "a pointer was NULL; thrust is zero, state is unchanged"),
     ("NONFINITE", -2, "a number was not finite; thrust is zero, state is unchanged"),
     ("RANGE", -3, "a number is out of its range, or changed more than it can; thrust is zero, state is unchanged"),
@@ -38,7 +40,22 @@ STATUS: tuple[tuple[str, int, str], ...] = (
 )
 """(name, code, meaning) of each status of a step: positive codes are bits, a negative code is a refused step."""
 
-FILES = ("sil_main", "link", "mission", "controller", "target_start", "target_link", "fmu", "proof")
+SATURATED = next(code for name, code, _ in STATUS if name == "SATURATED")
+
+FILES = (
+    "sil_main",
+    "main_example",
+    "board",
+    "board_example",
+    "setup",
+    "link",
+    "mission",
+    "controller",
+    "target_start",
+    "target_link",
+    "fmu",
+    "proof",
+)
 """Names of the bundle's C files, without ending, that are not part of the controller."""
 _HEADERS_OF_C = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
@@ -120,7 +137,9 @@ def status_table(law: Exportable) -> tuple[tuple[str, int, str], ...]:
     """Return (name, code, meaning) of each status; a controller of another plant defines its own status bits."""
     if is_robot_law(law):
         return STATUS
-    return tuple((name, code, text.replace("thrust", "command")) for name, code, text in STATUS if code <= 0)
+    return tuple(
+        (name, code, text.replace("thrust", "command")) for name, code, text in STATUS if code <= 0 or code == 16384
+    )
 
 
 def checked_name(law: Exportable, name: str | None = None) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.export.contract import Exportable
+from surctl.export.contract import SATURATED, Exportable, command_size
 from surctl.export.records import Records
 from surctl.export.rows import Rows
 from surctl.ir import Real
@@ -57,6 +57,8 @@ class Envelope:
             accepts any finite number.
         rates: largest rates of change of inputs.
         reasons: for each bounded quantity, where its bounds come from; printed in the C header.
+        commands: array (m, 2) with the least and the largest value of each command; the exported step limits its
+            commands to these, whatever the gains are. None sets no limit besides those of the law.
     """
 
     state: Vector
@@ -64,10 +66,11 @@ class Envelope:
     gains: Vector
     rates: tuple[Rate, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
+    commands: Vector | None = None
 
     def __post_init__(self) -> None:
         """Raise InputError for an empty range, or for a rate of an input that does not exist."""
-        for name in ("state", "inputs", "gains"):
+        for name in ("state", "inputs", "gains", *(("commands",) if self.commands is not None else ())):
             box = getattr(self, name)
             if box.ndim != 2 or box.shape[1] != 2 or not (box[:, 0] <= box[:, 1]).all():
                 raise InputError("is not an array (n, 2) of smallest and largest values", key=f"envelope.{name}")
@@ -77,13 +80,23 @@ class Envelope:
     def fitted(self, law: Exportable, real: Real) -> Envelope:
         """Return the envelope with bounds rounded to `real`; InputError if its arrays do not fit the law's vectors."""
         largest, parts = float(np.finfo(real).max), []
-        for name in ("state", "inputs", "gains"):
-            box, size = getattr(self, name), getattr(law, name).size
+        sizes = {name: getattr(law, name).size for name in ("state", "inputs", "gains")}
+        for name, size in (sizes | ({} if self.commands is None else {"commands": command_size(law)})).items():
+            box = getattr(self, name)
             if len(box) != size:
                 raise InputError(f"has {len(box)} entries, but the law has {size}", key=f"envelope.{name}")
             parts.append(np.clip(box, -largest, largest).astype(real).astype(np.float64))
-        state, inputs, gains = parts
-        return Envelope(state, inputs, gains, self.rates, self.reasons)
+        state, inputs, gains, *limits = parts
+        return Envelope(state, inputs, gains, self.rates, self.reasons, limits[0] if limits else None)
+
+    def limited(self, rows: Rows) -> Rows:
+        """Return the results with commands limited to `commands`; a step whose command changes reports `SATURATED`."""
+        if self.commands is None:
+            return rows
+        tau = np.clip(rows.tau, self.commands[:, 0], self.commands[:, 1])
+        changed = (tau != rows.tau).any(axis=1) & (rows.status >= 0)
+        status = np.where(changed, rows.status | SATURATED, rows.status)
+        return Rows(status, np.where(changed[:, None], tau, rows.tau), rows.state, rows.telemetry)
 
     def refusals(self, records: Records) -> NDArray[np.int64]:
         """Return the status (T,) of T steps: 0 if all numbers of the step are in range, else `NONFINITE` or `RANGE`."""

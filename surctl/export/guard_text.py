@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from decimal import Decimal
 from itertools import groupby
 
 import numpy as np
@@ -11,9 +12,18 @@ from numpy.typing import NDArray
 
 from surctl.export.envelope import Envelope, Rate
 from surctl.export.fields import entries, transfers
-from surctl.ir import Layout, Port, Real, c_literal
+from surctl.ir import C_TYPE, Layout, Port, Real, c_literal
 
-__all__ = ["ANY_NUMBER", "box_lines", "flat_lines", "jump_lines", "keep_lines", "number_calls", "range_text"]
+__all__ = [
+    "ANY_NUMBER",
+    "box_lines",
+    "flat_lines",
+    "jump_lines",
+    "keep_lines",
+    "limit_lines",
+    "number_calls",
+    "range_text",
+]
 
 Vector = NDArray[np.float64]
 
@@ -41,20 +51,28 @@ def _interval_text(low: float, high: float) -> str:
     return f"{low:.6g} to {high:.6g}"
 
 
-def box_lines(layout: Layout, box: Vector, member: Callable[[str, str], str], real: Real) -> list[str]:
-    """Return C lines that end their function with 0 if a number is out of range (NaN is out of every range).
+def box_lines(
+    layout: Layout,
+    box: Vector,
+    member: Callable[[str, str], str],
+    real: Real,
+    *,
+    refuse: Callable[[str], str] = lambda _: _REFUSE,
+) -> list[str]:
+    """Return C lines that end their function if a number is out of range (NaN is out of every range).
 
     Args:
         layout: layout of the numbers.
         box: smallest and largest accepted values (n, 2).
         member: function that returns the C text of a number for (member access, flat index).
         real: precision of the numbers.
+        refuse: function that returns the C statement for the flat index of a number out of range; it returns 0.
     """
     lines: list[str] = []
     for port in layout:
         if port.size:
             first = layout.slice(port.name).start
-            lines += _port_lines(port, first, box[layout.slice(port.name)], member, real)
+            lines += _port_lines(port, first, box[layout.slice(port.name)], member, real, refuse)
     return lines
 
 
@@ -74,32 +92,42 @@ def flat_lines(layout: Layout, box: Vector, array: str, real: Real) -> list[str]
             lines.append(f"for (int k = {first}; k < {end}; ++k) {{ {_test(f'{array}[k]', box[first], real)} }}")
             continue
         for port, part in these:
-            lines += _port_lines(port, part.start, box[part], lambda _, at: f"{array}[{at}]", real)
+            lines += _port_lines(port, part.start, box[part], lambda _, at: f"{array}[{at}]", real, lambda _: _REFUSE)
     return lines
 
 
-def _port_lines(port: Port, first: int, box: Vector, member: Callable[[str, str], str], real: Real) -> list[str]:
+def _port_lines(
+    port: Port,
+    first: int,
+    box: Vector,
+    member: Callable[[str, str], str],
+    real: Real,
+    refuse: Callable[[str], str],
+) -> list[str]:
     alike = (box == box[0]).all()
     if alike and port.size > _FEW:
         ((each, access, at),) = transfers([port], first)
-        return [f"{each}{_test(member(access, at), box[0], real)} }}"]
+        return [f"{each}{_test(member(access, at), box[0], real, refuse(at))} }}"]
     if len(port.shape) == 2 and port.shape[0] > 2:
         rows = box.reshape(*port.shape, 2)
         if (rows == rows[0]).all():
-            tests = [
-                _test(member(f"{port.name}[k][{c}]", f"{first + c} + {port.shape[1]} * k"), rows[0, c], real)
-                for c in range(port.shape[1])
-            ]
+            tests = []
+            for c in range(port.shape[1]):
+                at = f"{first + c} + {port.shape[1]} * k"
+                tests.append(_test(member(f"{port.name}[k][{c}]", at), rows[0, c], real, refuse(at)))
             return [f"for (int k = 0; k < {port.shape[0]}; ++k) {{", *(f"    {t}" for t in tests), "}"]
     flat = entries([port], first)
-    return [_test(member(access, str(at)), bounds, real) for (access, at), bounds in zip(flat, box, strict=True)]
+    return [
+        _test(member(access, str(at)), bounds, real, refuse(str(at)))
+        for (access, at), bounds in zip(flat, box, strict=True)
+    ]
 
 
-def _test(text: str, bounds: Vector, real: Real) -> str:
+def _test(text: str, bounds: Vector, real: Real, refuse: str = _REFUSE) -> str:
     low, high = (_bound(float(b), real) for b in bounds)
-    if low == f"-{high}":
-        return f"if (!({'fabs' if real == 'float64' else 'fabsf'}({text}) <= {high})) {{ {_REFUSE} }}"
-    return f"if (!(({text} >= {low}) && ({text} <= {high}))) {{ {_REFUSE} }}"
+    if float(bounds[0]) == -float(bounds[1]):
+        return f"if (!({'fabs' if real == 'float64' else 'fabsf'}({text}) <= {high})) {{ {refuse} }}"
+    return f"if (!(({text} >= {low}) && ({text} <= {high}))) {{ {refuse} }}"
 
 
 def _bound(value: float, real: Real) -> str:
@@ -109,7 +137,20 @@ def _bound(value: float, real: Real) -> str:
         return name if value > 0 else f"-{name}"
     # the shortest decimal with exactly this value, for readers and for analysers that cannot read hexadecimal
     short = np.format_float_positional(np.dtype(real).type(value), trim="0")
-    return short + ("f" if real == "float32" else "")
+    literal = short + ("f" if real == "float32" else "")
+    # where the processor computes in a wider format, a cast takes the excess digits from a decimal that is not exact
+    return literal if Decimal(short) == Decimal(value) else f"({C_TYPE[real]}){literal}"
+
+
+def limit_lines(members: Sequence[str], box: Vector | None, real: Real) -> list[str]:
+    """Return C lines that limit each command to its range; `limited` becomes 1 if a command changes."""
+    if box is None:
+        return []
+    lines = []
+    for member, (low, high) in zip(members, box, strict=True):
+        if max(-float(low), float(high)) < float(np.finfo(real).max):
+            lines.append(f"limited |= limit(&{member}, {_bound(float(low), real)}, {_bound(float(high), real)});")
+    return lines
 
 
 def number_calls(layout: Layout, struct: str) -> list[str]:

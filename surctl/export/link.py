@@ -23,7 +23,7 @@ VERSION = 1
 
 _MAGIC = b"SURL"
 _HEAD = struct.Struct("<4sHHII")
-_REQUEST, _IDENTITY, _START, _STARTED, _STEP, _STEPPED, _REFUSED = range(1, 8)
+_REQUEST, _IDENTITY, _START, _STARTED, _STEP, _STEPPED, _REFUSED, _COMPACT, _COMMAND = range(1, 10)
 _SIZES = struct.Struct("<64s5I")
 _GLANCE = 0.25  # s: longest wait in one system call, so that Ctrl-C takes effect soon
 _MOST = 1_000_000  # largest count of inputs, states or other numbers that a controller may report
@@ -124,12 +124,13 @@ class Line:
         """
         self._exchange(_START, 0, identity.encode("ascii"), _STARTED, 0)
 
-    def step(self, sequence: int, inputs: Vector) -> Reply:
+    def step(self, sequence: int, inputs: Vector, *, compact: bool = False) -> Reply:
         """Run one step of the controller; call `request` and `start` before the first step.
 
         Args:
             sequence: number of the step, at least 1 and larger than the number of every earlier step since `start`.
             inputs: inputs u of the law (nu,), which are rounded to the controller's precision.
+            compact: True requests status and thrust only, for a slow line; state and telemetry are then empty.
 
         Raises:
             LineDown: the controller sent no valid reply.
@@ -139,8 +140,9 @@ class Line:
         kind: np.dtype[Any] = np.dtype(who.real).newbyteorder("<")
         with np.errstate(over="ignore"):
             sent = np.asarray(inputs, dtype=kind).tobytes()
-        ends = np.cumsum([who.thrusts, who.states, who.telemetry])
-        body = self._exchange(_STEP, sequence, sent, _STEPPED, 4 + kind.itemsize * int(ends[-1]))
+        ends = np.cumsum([who.thrusts, *((0, 0) if compact else (who.states, who.telemetry))])
+        kinds = (_COMPACT, _COMMAND) if compact else (_STEP, _STEPPED)
+        body = self._exchange(kinds[0], sequence, sent, kinds[1], 4 + kind.itemsize * int(ends[-1]))
         numbers = np.frombuffer(body, dtype=kind, offset=4).astype(np.float64)
         tau, state, telemetry = np.split(numbers, ends[:-1])
         return Reply(struct.unpack_from("<i", body)[0], tau, state, telemetry, body[4:])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from surctl.control import Law
 from surctl.export.envelope import Envelope, Rate
+from surctl.export.gain_ranges import RANGE_REASON, box_of, gain_ranges
 from surctl.ir import Layout
 from surctl.simulation import Scenario
 from surctl.vehicle import Vehicle
@@ -26,15 +27,20 @@ _NOISE = (0.1, 0.1)  # [m], [rad] by which two measurements of one pose may diff
 _SURPRISE = 0.3  # [m/s], [rad/s] by which a measured velocity may jump at once
 
 
-def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Layout) -> Envelope:
-    """Return the ranges of states and inputs; a state or input without a known bound may be any finite number.
+def operating_envelope(
+    law: Law, mission: Scenario, vehicle: Vehicle, gains: Layout, *, tuned: Vector | None = None
+) -> Envelope:
+    """Return the ranges of states, inputs and gains, and the limits of the thrust.
+
+    A number without a known bound may be any finite number.
 
     Args:
         law: the law to export.
         mission: scenario; its site bounds positions, its path the progress along it, and its sensors the measured
             ranges.
         vehicle: vehicle model; its thrust and drag bound the speed.
-        gains: layout of the gains that remain inputs of the exported law; these gains may be any finite numbers.
+        gains: layout of the gains that remain inputs of the exported law; `gain_ranges` gives their ranges.
+        tuned: values (np,) that the ranges of the gains contain in any case.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -75,16 +81,25 @@ def operating_envelope(law: Law, mission: Scenario, vehicle: Vehicle, gains: Lay
         "side": [(-1.0, 1.0)],
     }
     return Envelope(
-        _box(law.state, state),
-        _box(law.inputs, inputs),
-        _box(gains, {}),
+        box_of(law.state, state),
+        box_of(law.inputs, inputs),
+        gain_ranges(law, mission, vehicle, gains, fast=fast, tuned=tuned),
         _rates(law.inputs, fast),
         {
             "ranges of position": f"site {mission.name}, {length:g} x {width:g} x {deep:g} m, and {_SLACK:g} m around",
             "ranges of velocity": f"{_SAFETY:g} times the largest speed of {vehicle.name}, and {_WATER:g} for currents",
             "jumps": "largest velocities, and the noise of two measurements",
+            **({"ranges of gains": RANGE_REASON, "limits of thrust": f"those of {vehicle.name}"} if gains.size else {}),
         },
+        _limits(vehicle) if gains.size else None,
     )
+
+
+def _limits(vehicle: Vehicle) -> Vector:
+    # (4, 2) [N, N m]: least and largest thrust of the vehicle; thrusters are allocated within ± what they give
+    if vehicle.actuators is not None:
+        return np.column_stack([-vehicle.actuators.most, vehicle.actuators.most])
+    return np.asarray(vehicle.thrust_range.T, dtype=float)
 
 
 def _steady(vehicle: Vehicle) -> Vector:
@@ -108,14 +123,6 @@ def _integral(vehicle: Vehicle, fast: Vector) -> Vector:
     # (4,): the thrust saturates at the bound, and integration stops
     drag = vehicle.linear_drag * fast + vehicle.quadratic_drag * fast**2
     return np.asarray((_thrust(vehicle) + drag) / vehicle.mass + 100.0 * fast, dtype=float)
-
-
-def _box(layout: Layout, known: Mapping[str, list[tuple[float, float]]]) -> Vector:
-    rows: list[Vector] = []
-    for port in layout:
-        bounds = np.array(known.get(port.name, [(-np.inf, np.inf)]), dtype=float)
-        rows.append(np.tile(bounds, (port.size // len(bounds), 1)))
-    return np.vstack([np.zeros((0, 2)), *rows])
 
 
 def _rates(inputs: Layout, fast: Vector) -> tuple[Rate, ...]:

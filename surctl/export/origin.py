@@ -20,7 +20,10 @@ from surctl.certcheck.document import Rejected, read
 from surctl.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_source
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.export.contract import Exportable
+from surctl.export.gain_store import gains_id
 from surctl.guidance import AvoidanceForm
+from surctl.ir import Real
+from surctl.sensing import Equipment
 from surctl.vehicle import Vehicle
 from surctl.verification import Claim, applicable_claims
 from surctl.verification.formula import text_of
@@ -49,11 +52,13 @@ class Origin:
         vehicle: vehicle model that the controller is designed for.
         ground_truth: the exported law without perception; the certificates are about this law.
         certificates: certificates by their file name in the bundle.
+        equipment: sensors that the law assumes, for the wiring section of the README; None if they are not known.
     """
 
     vehicle: Vehicle
     ground_truth: Law
     certificates: Mapping[str, Mapping[str, Any]] | None = None
+    equipment: Equipment | None = None
 
     @property
     def files(self) -> dict[str, str]:
@@ -64,7 +69,13 @@ class Origin:
         }
 
 
-def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str, Any]] | None = None) -> Origin:
+def origin_of(
+    law: Law,
+    vehicle: Vehicle,
+    certificates: Mapping[str, Mapping[str, Any]] | None = None,
+    *,
+    equipment: Equipment | None = None,
+) -> Origin:
     """Return the origin of a law that controls a vehicle.
 
     Example:
@@ -93,7 +104,7 @@ def origin_of(law: Law, vehicle: Vehicle, certificates: Mapping[str, Mapping[str
             movers=law.movers,
             fallback=law.fallback,
         )
-    return Origin(vehicle, ground_truth, certificates)
+    return Origin(vehicle, ground_truth, certificates, equipment)
 
 
 def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
@@ -129,7 +140,7 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
     return certificates
 
 
-def manifest_entries(law: Exportable, p: Vector, origin: Origin | None) -> dict[str, Any]:
+def manifest_entries(law: Exportable, p: Vector, origin: Origin | None, *, real: Real = "float64") -> dict[str, Any]:
     """Return the manifest's entries for law and gains and, if `origin` is given, for vehicle and claims."""
     own = law.block.digest()
     digest = own if origin is None else origin.ground_truth.block.digest()
@@ -140,7 +151,11 @@ def manifest_entries(law: Exportable, p: Vector, origin: Origin | None) -> dict[
             "ground_truth_sha256": digest,
             "initial_state_sha256": numbers_sha256(law.initial_state().tolist()),
         },
-        "gains": {"values": rows, "sha256": numbers_sha256(p.tolist())},
+        "gains": {
+            "values": rows,
+            "sha256": numbers_sha256(p.tolist()),
+            "id": gains_id(law, p, real),
+        },
     }
     if origin is not None:
         vehicle = origin.vehicle

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from surctl.control import LawStep
 from surctl.export.contract import Around, Exportable, command_size
+from surctl.export.elapsed import aged
 from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope
 from surctl.export.records import Records
 from surctl.export.rows import Rows
@@ -116,7 +117,10 @@ class Guarded(_Same):
             size = command_size(self.law)
             return LawStep(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
         step = self.law.step(x, u, p)
-        return LawStep(step.tau, step.x_next, step.status, step.telemetry)
+        row = self.envelope.limited(
+            Rows(np.array([step.status]), *(v[None] for v in (step.tau, step.x_next, step.telemetry)))
+        )
+        return LawStep(row.tau[0], step.x_next, int(row.status[0]), step.telemetry)
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:
@@ -159,9 +163,8 @@ def _let_in(law: Guarded, records: Records) -> Rows:
     )
     index = np.flatnonzero(status != RANGE)  # the law itself refuses numbers that are not finite
     if index.size:
-        for mine, fresh in zip(
-            out, evaluated(law.law, records.X[index], records.U[index], records.P[index]), strict=True
-        ):
+        computed = evaluated(law.law, records.X[index], records.U[index], records.P[index])
+        for mine, fresh in zip(out, law.envelope.limited(computed), strict=True):
             mine[index] = fresh
     return out
 
@@ -169,14 +172,39 @@ def _let_in(law: Guarded, records: Records) -> Rows:
 def replayed(
     law: Exportable, records: Records, load: NDArray[np.bool_], *, counts: NDArray[np.int64] | None = None
 ) -> Rows:
-    """Run `evaluated`, then reject steps whose inputs changed too fast; `load` (T,) is True where a new run starts.
+    """Run `evaluated`, then the checks that concern successive steps; `load` (T,) is True where a new run starts.
 
-    `counts` (T,) are the sample numbers of the steps; None means that no sample is missing.
+    Steps whose inputs changed too fast are rejected. After a gap of refused or missing samples, the step is computed
+    from the state that `aged` returns. `counts` (T,) are the sample numbers of the steps; None means that no sample is
+    missing.
     """
     rows = evaluated(law, records.X, records.U, records.P)
-    if not isinstance(law, Guarded):
+    counts = np.arange(len(records)) if counts is None else counts
+    if isinstance(law, Guarded):
+        rows = law.envelope.chained(rows, records, load, dt=law.dt, real=law.real, counts=counts)
+    if all(port.gap == "keep" for port in law.state):
         return rows
-    return law.envelope.chained(rows, records, load, dt=law.dt, real=law.real, counts=counts)
+    return _after_gaps(law, rows, records, load, counts)
+
+
+def _after_gaps(
+    law: Exportable, rows: Rows, records: Records, load: NDArray[np.bool_], counts: NDArray[np.int64]
+) -> Rows:
+    # a step is computed again from the aged state, if its sample is not the one after that of the last accepted step
+    real: Real = law.real if isinstance(law, Guarded | Rounded) else "float64"
+    out = Rows(rows.status.copy(), rows.tau.copy(), rows.state.copy(), rows.telemetry.copy())
+    last = -1
+    for k in range(len(records)):
+        gap = int(counts[k] - counts[last]) if last >= 0 and not load[k] else 1
+        if gap > 1 and out.status[k] not in (NONFINITE, RANGE):
+            x = aged(law, rounded(records.X[k], real), gap, real=real)
+            for mine, fresh in zip(
+                out, evaluated(law, x[None], records.U[k : k + 1], records.P[k : k + 1]), strict=True
+            ):
+                mine[k] = fresh[0]
+        last = -1 if load[k] else last
+        last = k if out.status[k] >= 0 else last
+    return out
 
 
 def rounded(values: Vector, real: Real = "float32") -> Vector:

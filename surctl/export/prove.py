@@ -292,7 +292,8 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
     """
     files = {name: text for name, text in bundle.files.items() if name != "manifest.json"}
     files |= {"proof.c": report.source, "proof.log": report.log}
-    manifest = manifest_with(json.loads(bundle.files["manifest.json"]), files, proof=report.to_dict())
+    table = json.loads(bundle.files["manifest.json"])
+    manifest = manifest_with(table, files, proof=report.to_dict(), binaries=bundle.binaries)
     return replace(bundle, files=MappingProxyType({**files, "manifest.json": manifest}))
 
 

@@ -23,11 +23,25 @@ from surctl.export.contract import (
     telemetry_ports,
 )
 from surctl.export.direct import changing, direct_law, results
+from surctl.export.elapsed import RESTART, aged_runs, forgotten, forgotten_runs, longest_gap
 from surctl.export.envelope import Envelope
 from surctl.export.fields import entries, field, starts, transfers
-from surctl.export.guard_text import ANY_NUMBER, box_lines, flat_lines, jump_lines, keep_lines, number_calls, range_text
+from surctl.export.gain_store import gains_values
+from surctl.export.guard_text import (
+    ANY_NUMBER,
+    box_lines,
+    flat_lines,
+    jump_lines,
+    keep_lines,
+    limit_lines,
+    number_calls,
+    range_text,
+)
 from surctl.export.missions import DATA, MISSION_FILES, data_rows, is_fed, mission_values
+from surctl.export.origin import Origin
+from surctl.export.own_names import with_own_names
 from surctl.export.vectors import TOLERANCE, SelfTest
+from surctl.export.wiring import wiring_values
 from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
 from surctl.ir.c99_folded import PRAGMA
 from surctl.ir.compiler import FLAGS
@@ -47,6 +61,7 @@ def render_files(
     tests: SelfTest,
     real: Real = "float64",
     mission: Vector | None = None,
+    origin: Origin | None = None,
 ) -> dict[str, str]:
     """Return the text of every file except the manifest, by file name.
 
@@ -59,6 +74,7 @@ def render_files(
         tests: inputs and expected results of the built-in self-test.
         real: precision of every number.
         mission: waypoints (n, 5) of a mission to add as C data, see `guidance.Path.table`.
+        origin: vehicle and sensors, for the wiring section of the README.
     """
     block = law.block
     parts = (
@@ -71,10 +87,15 @@ def render_files(
     values |= {"law_files": [(file, about) for file, about, _ in of_law], "fed": is_fed(law)}
     values |= mission_values(law, real) if is_fed(law) else {}
     values |= {"rows": data_rows(law, mission, real)} if mission is not None else {}
+    values |= wiring_values(law, origin)
+    code = [f"{name}.c", *([f"{name}_gains.c"] if law.gains.size else []), *(file for file, _, _ in of_law)]
+    headers = [f"{name}.h", *([f"{name}_gains.h"] if law.gains.size else []), f"{name}_internal.h"]
+    values |= {"headers": " ".join(headers), "sources": " ".join(code), "arrivals": _arrivals(law)}
     templates = {
         f"{name}.h": "law.h.j2",
         f"{name}_internal.h": "internal.h.j2",
         f"{name}.c": "law.c.j2",
+        **({f"{name}_gains.h": "gains.h.j2", f"{name}_gains.c": "gains.c.j2"} if law.gains.size else {}),
         **{file: "law_part.c.j2" for file, _, _ in of_law},
         f"{name}_selftest.c": "selftest.c.j2",
         "sil_main.c": "sil_main.c.j2",
@@ -85,13 +106,38 @@ def render_files(
         "target_start.c": "target_start.c.j2",
         "target_link.c": "target_link.c.j2",
         "target.ld": "target.ld.j2",
+        "main_example.c": "main_example.c.j2",
+        "board.h": "board.h.j2",
+        "board_example.c": "board_example.c.j2",
+        "CMakeLists.txt": "CMakeLists.txt.j2",
+        "pyproject.toml": "pyproject.toml.j2",
+        "setup.py": "setup.py.j2",
+        f"{name}.py": "wrapper.py.j2",
+        "library.properties": "library.properties.j2",
+        "arduino_example.ino": "arduino_example.ino.j2",
+        "LICENSE": "LICENSE.j2",
         "README.md": "README.md.j2",
         **({file: f"{file}.j2" for file in MISSION_FILES} if is_fed(law) else {}),
         **({DATA: f"{DATA}.j2"} if mission is not None else {}),
     }
     environment = _environment()
     own = {file: {"about": about, "text": text} for file, about, text in of_law}
-    return {file: environment.get_template(t).render(values, **own.get(file, {})) for file, t in templates.items()}
+    texts = {file: environment.get_template(t).render(values, **own.get(file, {})) for file, t in templates.items()}
+    joined = (
+        *(file for file in texts if file.startswith(name) and file.endswith(".c")),
+        "link.c",
+        "mission.c",
+    )  # files of the controller
+    return {
+        file: with_own_names(text, _stem(file, name), bundle=name) if file in joined else text
+        for file, text in texts.items()
+    }
+
+
+def _stem(file: str, name: str) -> str:
+    # the prefix of the file's own names: that of the bundle, and what the file is about
+    stem = file.rpartition(".")[0]
+    return stem if stem.startswith(name) else f"{name}_{stem}"
 
 
 _PARTS: Mapping[str, tuple[str, str]] = MappingProxyType(
@@ -110,6 +156,12 @@ def _law_files(name: str, parts: Parts) -> list[tuple[str, str, str]]:
     # (file name, description of the contents, C text)
     named = {part: _PARTS.get(part, (f"law_{part}", f"{part}, a part of the law")) for part in parts.files}
     return [(f"{name}_{named[part][0]}.c", named[part][1], text) for part, text in parts.files.items()]
+
+
+def _arrivals(law: Exportable) -> list[tuple[str, str]]:
+    # (loop header, C member access) of the inputs that say that something has arrived
+    flags = [port for port in law.inputs if port.name == "fresh" or port.name.endswith("_fresh")]
+    return [(each, member) for each, member, _ in transfers(flags)]
 
 
 def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str:
@@ -167,9 +219,11 @@ def _values(
         "version": __version__,
         **_words(real),
         "f": lambda text: literal(float(text)),
-        "dt": literal(float(law.dt)),
+        "dt": repr(float(law.dt)) if real == "float64" else f"{np.float32(law.dt)!s}f",
         "period": repr(float(law.dt)),
         "status": status_table(law),
+        **_elapsed(law, literal),
+        **(gains_values(law, real) if law.gains.size else {}),
         "structs": _structs(law),
         "state": law.state,
         "inputs": law.inputs,
@@ -191,13 +245,12 @@ def _values(
         "transfers": transfers,
         "initial": runs(law.initial_state(), text=literal),
         "gain_values": [literal(float(v)) for v in gains],
+        "gain_indices": [f"{name}_gain_{port.name} = {at + 1}" for port, at in starts(law.gains)],
         "gain_table": _gain_table(law.gains, gains),
         "direct": isinstance(law.block, Program),
         "changing": changing(law.block) if isinstance(law.block, Program) else [],
         "results": results(law, law.block) if isinstance(law.block, Program) else [],
-        "thrusts": [f"output->{member}" for member, _ in entries(commands(law))]
-        if isinstance(law.block, Program)
-        else [f"tau[{k}]" for k in range(n_tau)],
+        "thrusts": _thrusts(law),
         "pragma": PRAGMA,
         "operations": law.block.operations,
         "libm": sorted(law.block.libm),
@@ -208,6 +261,16 @@ def _values(
         "test_state": [run for row in tests.state for run in runs(row, text=partial(_decimal, real=real))],
         "test_status": ", ".join(str(s) for s in tests.status),
         "flags": " ".join(FLAGS),
+    }
+
+
+def _elapsed(law: Exportable, literal: Callable[[float], str]) -> dict[str, Any]:
+    return {
+        "restart": RESTART,
+        "longest_gap": longest_gap(law.dt),
+        "aged": aged_runs(law, literal),
+        "anew": forgotten_runs(law, literal),
+        "forgotten": forgotten(law),
     }
 
 
@@ -235,13 +298,14 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
         "box": [
             flat_lines(law.state, within.state, "state->x", real),
             box_lines(law.inputs, within.inputs, lambda part, _: f"input->{part}", real),
-            box_lines(law.gains, within.gains, lambda part, _: f"gains->{part}", real),
+            box_lines(law.gains, within.gains, lambda part, _: f"gains->{part}", real, refuse=_numbered),
         ],
         "numbers": [
             call
             for (layout, _), struct in zip(boxes, ("state", "input", "gains"), strict=True)
             for call in number_calls(layout, struct)
         ],
+        "limits": limit_lines(_thrusts(law), within.commands, real),
         "stored": keep_lines(law.inputs, within),
         "jumps": jump_lines(law.inputs, within, law.dt, real),
         "watched": [(k, inputs[rate.entry][0], rate) for k, rate in enumerate(within.rates)],
@@ -250,6 +314,18 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
         "reasons": dict(within.reasons),
         "outside": _outside(law, within),
     }
+
+
+def _numbered(at: str) -> str:
+    # the statement that returns the index, from 1, of a gain out of its range
+    return f"return {int(at) + 1 if at.isdigit() else f'{at} + 1'};"
+
+
+def _thrusts(law: Exportable) -> list[str]:
+    # C text of each command before it is stored in the output
+    if isinstance(law.block, Program):
+        return [f"output->{member}" for member, _ in entries(commands(law))]
+    return [f"tau[{k}]" for k in range(command_size(law))]
 
 
 def _outside(law: Exportable, within: Envelope) -> tuple[int, float] | None:
@@ -266,8 +342,9 @@ def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
     other = law.inputs.size + law.gains.size + law.outputs.size
     arrays = 0 if isinstance(law.block, Program) else memory(law.block) - 2 * law.state.size
     held = {"state": 2 * law.state.size + len(within.rates), "structs": other, "arrays": arrays}
-    # besides these numbers, the input has one counter (the sample), and the state two (last sample, any accepted)
-    return {what: width * count + {"state": 8, "structs": 4}.get(what, 0) for what, count in held.items()}
+    # besides these numbers, the input has one counter (the sample), and the state five or six
+    counters = 6 if any(port.gap != "keep" for port in law.state) else 5
+    return {what: width * count + {"state": 4 * counters, "structs": 4}.get(what, 0) for what, count in held.items()}
 
 
 def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:

@@ -83,6 +83,8 @@ def trial_steps(
     factors = rng.uniform(0.9, 1.1, (count // _TURNS + 1, gains.shape[1]))
     factors[::2] = 1.0
     gains *= np.repeat(factors, _TURNS, axis=0)[:count]
+    if within is not None:
+        gains = np.clip(gains, within.gains[:, 0], within.gains[:, 1])
     return Records(rows[:, : X.shape[1]], rows[:, X.shape[1] :], gains)
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 
-__all__ = ["Layout", "Port"]
+__all__ = ["Gap", "Layout", "Port"]
+
+Gap: TypeAlias = Literal["keep", "age", "anew"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,8 @@ class Port:
         unit: SI unit as text without brackets, "1" if dimensionless.
         meaning: description, with the frame.
         default: value of all numbers of the part if the caller supplies none.
+        gap: what the exported step does with this part of a controller's state after periods without a step: `keep` it,
+            let it grow as an `age` [s] up to its default, or begin `anew` with the default after a long gap.
     """
 
     name: str
@@ -33,6 +38,7 @@ class Port:
     unit: str
     meaning: str
     default: float = 0.0
+    gap: Gap = "keep"
 
     @cached_property
     def size(self) -> int:

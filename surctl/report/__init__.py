@@ -17,6 +17,7 @@ from surctl.report.files import (
     save_sonar_replay,
     save_tuning,
 )
+from surctl.report.film import check_film, film_frames, moment_of, save_film
 from surctl.report.goals import GoalBars, GoalView, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
@@ -46,11 +47,14 @@ __all__ = [
     "MarginSlice",
     "ReportData",
     "check_animation",
+    "check_film",
+    "film_frames",
     "goal_bars",
     "goal_view",
     "loop_responses",
     "map_view",
     "margin_slice",
+    "moment_of",
     "plot_attainable",
     "plot_bode",
     "plot_calibration",
@@ -86,6 +90,7 @@ __all__ = [
     "save_animation",
     "save_attainable",
     "save_calibrations",
+    "save_film",
     "save_heat_map",
     "save_locus",
     "save_margins",

@@ -39,8 +39,8 @@ _MOST = 150  # approximate largest number of frames: 15 s of animation
 _COLOURS = 128  # size of the palette that all frames of a GIF share
 
 
-def check_animation(path: Path | str) -> Path:
-    """Return the path if an animation can be written to it.
+def check_animation(path: Path | str, *, key: str = "--animate") -> Path:
+    """Return the path if an animation can be written to it; `key` is the option that names it.
 
     Raises:
         InputError: the name does not end in .gif or .mp4, or the path is a folder.
@@ -56,12 +56,12 @@ def check_animation(path: Path | str) -> Path:
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
         remedy = "end the name in .gif or .mp4"
-        raise InputError("is not the name of an animation", key="--animate", value=str(path), remedy=remedy)
+        raise InputError("is not the name of an animation", key=key, value=str(path), remedy=remedy)
     if path.is_dir():
-        raise InputError("is a folder", key="--animate", value=str(path), remedy="name a file")
+        raise InputError("is a folder", key=key, value=str(path), remedy="name a file")
     if path.suffix.lower() == ".mp4" and which("ffmpeg") is None:
         remedy = "install ffmpeg, or end the name in .gif"
-        raise ToolMissing("ffmpeg is not installed", key="--animate", value=str(path), remedy=remedy)
+        raise ToolMissing("ffmpeg is not installed", key=key, value=str(path), remedy=remedy)
     return path
 
 
@@ -70,6 +70,12 @@ def frame_steps(run: Run, *, apart: float) -> list[int]:
     last = len(run.record.time) - 1
     step = max(1, int(np.ceil(apart / run.law.dt - 1e-9)))
     return [*range(0, last, step), last]
+
+
+def playback_speed(run: Run) -> int:
+    """Return how much faster than real time an animation of the run plays."""
+    duration = float(run.record.time[-1])
+    return next((s for s in _SPEEDS if duration * RATE / s <= _MOST), _SPEEDS[-1])
 
 
 def save_animation(run: Run, path: Path | str) -> Path:
@@ -95,13 +101,12 @@ def save_animation(run: Run, path: Path | str) -> Path:
     """
     path = check_animation(path)
     pictures = frames(run)
-    return write_file(path, _gif(pictures) if path.suffix.lower() == ".gif" else _mp4(pictures))
+    return write_file(path, _gif(pictures) if path.suffix.lower() == ".gif" else mp4(pictures))
 
 
 def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
     """Yield the frames (height, width, 3) in order; height and width are even, as video encoders require."""
-    duration = float(run.record.time[-1])
-    speed = next((s for s in _SPEEDS if duration * RATE / s <= _MOST), _SPEEDS[-1])
+    speed = playback_speed(run)
     length, width, _ = run.scenario.site
     figure = new_figure(7.2, float(np.clip(6.6 * width / length + 2.9, 4.4, 8.4)))
     figure.set_dpi(100)
@@ -229,7 +234,8 @@ def _indexed(indices: NDArray[np.uint8], colours: NDArray[np.uint8]) -> Image.Im
     return image
 
 
-def _mp4(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
+def mp4(pictures: Iterator[NDArray[np.uint8]], *, key: str = "--animate") -> bytes:
+    """Return a film of the pictures (height, width, 3) as MP4, by ffmpeg; `key` is the option that asks for it."""
     first = next(pictures)
     size = f"{first.shape[1]}x{first.shape[0]}"
     raw = ["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", size, "-framerate", str(RATE), "-i", "-"]
@@ -240,5 +246,5 @@ def _mp4(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
         done = subprocess.run(command, input=sent, capture_output=True, check=False)
         if done.returncode or not target.exists():
             said = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
-            raise InputError(f"ffmpeg failed ({said[-1]})", key="--animate", remedy="end the name in .gif")
+            raise InputError(f"ffmpeg failed ({said[-1]})", key=key, remedy="end the name in .gif")
         return target.read_bytes()

@@ -114,6 +114,11 @@ def loops_section(data: ReportData) -> Section:
         "heave and yaw are opened at the thrust command, along_track, cross_track, depth and heading at the "
         "measurement."
     )
+    if any(m.name == "psi" for m in data.margins):  # a law that is linearised numerically
+        text = (
+            "Each loop of the sampled law is opened at one place while all others stay closed, about straight cruise: "
+            "surge, yaw and the like at the thrust command, x, y, psi, u, v and r at the measurement."
+        )
     blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows), *linear_blocks(data.linear)]
     pictures = _loop_pictures(data)
     if data.poles is not None:

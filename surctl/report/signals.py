@@ -120,7 +120,7 @@ def plot_moment(run: Run, ax: Axes | None = None) -> Axes:
     """Plot the commanded yaw moment F_r [N m], with its limit."""
     ax = _axes(run, ax, title="yaw moment", unit="N m")
     curve(ax, run.record.time, run.record.tau[:, 3], label="F_r", k=0, faint=True)
-    _limits(ax, run.vehicle.thrust_limit[3:])
+    _limits(ax, run.vehicle.at_speed(run.scenario.cruise).thrust_limit[3:])
     legend_above(ax)
     return ax
 

@@ -23,6 +23,9 @@ _SHARES = (0.0, 0.4, 0.8)  # yaw moments as shares of the largest one
 def plot_attainable(vehicle: Vehicle, ax: Axes | None = None, *, failed: Sequence[str] = ()) -> Axes:
     """Plot the attainable surge and sway forces at several yaw moments, without heave, and the box of Fu_max, Fv_max.
 
+    For a craft without sway force, plot the surge forces and yaw moments instead, with the box of Fu_max and Fr_max;
+    if it has fins, at the speed at which its limits hold and at half of this speed.
+
     Args:
         vehicle: a vehicle with thrusters.
         ax: axes to plot into; None: axes of a new figure.
@@ -39,6 +42,8 @@ def plot_attainable(vehicle: Vehicle, ax: Axes | None = None, *, failed: Sequenc
         ('surge force F_u [N]', 'yaw moment 0 N m')
     """
     actuators = thrusters_of(vehicle)
+    if vehicle["Fv_max"] == 0:
+        return _plot_turning(vehicle, ax, failed)
     working = working_flags(actuators, failed)
     forces = attainable(actuators)
     largest = float(np.abs(forces.intervals(working=working)[3]).min())
@@ -56,6 +61,24 @@ def plot_attainable(vehicle: Vehicle, ax: Axes | None = None, *, failed: Sequenc
     box = Rectangle((-u, -v), 2 * u, 2 * v, fill=False, edgecolor=INK, linestyle="--", label="Fu_max, Fv_max")
     ax.add_patch(box)
     ax.set_aspect("equal", adjustable="datalim")
+    ax.autoscale_view()
+    legend_below(ax, columns=2, handles=ax.get_legend_handles_labels()[0])
+    return ax
+
+
+def _plot_turning(vehicle: Vehicle, ax: Axes | None, failed: Sequence[str]) -> Axes:
+    actuators = thrusters_of(vehicle)
+    lost = f", without {', '.join(failed)}" if failed else ""
+    title = f"{vehicle.name}: attainable forces{lost}"
+    ax = dress(ax or new_axes(5.4, 5.8), title=title, x="surge force F_u [N]", y="yaw moment F_r [N m]")
+    forces = attainable(actuators, (0, 3))
+    for k, speed in enumerate((vehicle.speed, vehicle.speed / 2) if actuators.fins else (vehicle.speed,)):
+        corners = forces.outline(working=working_flags(actuators, failed, speed=speed))
+        ax.fill(*corners.T, color=CYCLE[k], alpha=0.10)
+        said = f"at {speed:.3g} m/s" if actuators.fins else "at any speed"
+        ax.plot(*np.vstack([corners, corners[:1]]).T, color=CYCLE[k], linewidth=1.6, label=said)
+    u, r = vehicle.thrust_limit[[0, 3]]
+    ax.add_patch(Rectangle((-u, -r), 2 * u, 2 * r, fill=False, edgecolor=INK, linestyle="--", label="Fu_max, Fr_max"))
     ax.autoscale_view()
     legend_below(ax, columns=2, handles=ax.get_legend_handles_labels()[0])
     return ax

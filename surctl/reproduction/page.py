@@ -64,13 +64,16 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
 
 
 def _table(group: str, rows: list[Row]) -> Section:
-    heads = ("row", "what", "paper", "ours", "verdict", "as expected", "command", "time [s]")
-    cells = tuple(
+    independent = any(row.result.independent for row in rows)
+    engine = ("independent engine",) if independent else ()
+    heads = ("row", "what", "paper", "ours", *engine, "verdict", "as expected", "command", "time [s]")
+    cells: tuple[tuple[Cell | str, ...], ...] = tuple(
         (
             Cell(row.item.id, code=True),
             row.item.what,
             row.item.paper,
             row.result.ours,
+            *([row.result.independent] if independent else []),
             Cell(row.result.verdict, "good" if row.result.word == "agrees" else "note"),
             outcome_cell(row.as_expected, "yes", "NO"),
             Cell(row.item.command, code=True),

@@ -101,6 +101,7 @@ def reproduce(
     *,
     quick: bool = False,
     seeds: int | None = None,
+    independent: bool = False,
     progress: Callable[[str], None] = lambda _: None,
     done: Callable[[Row], None] = lambda _: None,
 ) -> Reproduction:
@@ -110,11 +111,13 @@ def reproduce(
         names: ids of the comparisons; an empty sequence selects all comparisons.
         quick: whether to use fewer seeds and samples.
         seeds: number of seeds of the compiled loop for each scenario; default: 20, or 3 if `quick` is true.
+        independent: whether each scenario is simulated in MuJoCo, too (seed 0, six degrees of freedom).
         progress: function that is called with the id of each comparison before its computation.
         done: function that is called with each comparison as soon as it is computed.
 
     Raises:
         InputError: an id is unknown (the error suggests the nearest known id), or the number of seeds is less than 1.
+        ToolMissing: MuJoCo is requested, but it is not installed.
 
     Example:
         >>> from surctl.reproduction import reproduce
@@ -122,11 +125,16 @@ def reproduce(
         >>> print(row.item.paper, "|", row.result.ours, "|", row.result.word)
         II-C: less than 4.5 cm | largest error 3.0 cm | differs
     """
-    simulations = Simulations(seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS)
+    count = seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS
+    simulations = Simulations(count, independent=independent)
     known = {item.id: item for item in items(simulations, samples=QUICK_SAMPLES if quick else FULL)}
     for name in names:
         if name not in known:
             raise InputError("no such row", key="row", value=name, remedy=nearest(name, known))
+    if independent:
+        from surctl.engine.library import mujoco_library
+
+        mujoco_library()
     rows = []
     for name in names or known:
         progress(name)

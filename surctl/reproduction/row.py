@@ -27,6 +27,7 @@ class Result:
         numbers: the numbers in the text `ours` by name; each name contains the unit.
         safe: for simulations, whether every run arrived and none collided; None if arrivals and collisions do not
             decide the comparison.
+        independent: for simulations, the result in an independent engine; empty if it was not requested.
     """
 
     ours: str
@@ -34,6 +35,7 @@ class Result:
     reason: str = ""
     numbers: Mapping[str, float] = field(default_factory=dict)
     safe: bool | None = None
+    independent: str = ""
 
     def __post_init__(self) -> None:
         if self.word not in WORDS:
@@ -128,6 +130,7 @@ class Row:
             "expected": self.item.expected,
             "as_expected": self.as_expected,
             "numbers": dict(self.result.numbers),
+            "independent": self.result.independent or None,
             "command": self.item.command,
             "seconds": round(self.seconds, 3),
         }

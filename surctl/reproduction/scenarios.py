@@ -7,6 +7,7 @@ that differs from the paper is reported, but it does not make the comparison fai
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -123,6 +124,20 @@ def time_verdict(ours: float, paper: float, kind: str) -> tuple[bool, str]:
 
 
 def _arrivals(simulations: Simulations, name: str, sensing: Sensing) -> Result:
+    result = _simulated(simulations, name, sensing)
+    if not simulations.independent:
+        return result
+    run = simulations.in_engine(name, sensing)
+    m = run.metrics
+    text = f"{run.plant}, seed 0: {m.stopped_because} at {m.time_s:.2f} s, clearance {m.min_clearance_m:.3f} m"
+    contacts = f", contact with {', '.join(one.what for one in run.contacts)}" if run.contacts else ""
+    safe = m.reached and m.min_clearance_m > 0 and not run.contacts
+    return replace(
+        result, independent=f"{text}, E_p {m.path_error_m:.3f} m{contacts}", safe=result.safe is not False and safe
+    )
+
+
+def _simulated(simulations: Simulations, name: str, sensing: Sensing) -> Result:
     batch, scenario = simulations.batch(name, sensing), simulations.scenario(name)
     times, collided = simulations.arrived(name, sensing, "time_s"), int(batch.column("collided").sum())
     reached, runs = len(times), batch.runs

@@ -13,10 +13,13 @@ from surctl.simulation import BatchResult, Case, Run, Scenario, Sensing, load_sc
 from surctl.simulation.scenario import LIBRARY
 from surctl.vehicle import load_vehicle
 
-__all__ = ["Factors", "Simulations", "scenario_names"]
+__all__ = ["TILTING", "Factors", "Simulations", "scenario_names"]
 
 Factors = tuple[tuple[str, float], ...]
 """Names of vehicle parameters, and the factor for each."""
+
+TILTING = {"sur400": "sur400-tilting", "sur540-flooded": "sur540-tilting"}
+"""The vehicles of the scenarios with stated centres of gravity, buoyancy and thrust."""
 
 
 def scenario_names() -> list[str]:
@@ -32,11 +35,13 @@ class Simulations:
         seeds: number of seeds (0, 1, …) that the compiled loop simulates, at least 1.
         threads: number of threads of the compiled loop.
         gains: gains of the control law.
+        independent: whether each scenario is simulated in MuJoCo, too.
     """
 
     seeds: int = 20
     threads: int = 2
     gains: Gains = field(default_factory=lambda: load_gains("default"), repr=False)
+    independent: bool = False
     _batches: dict[tuple[str, Sensing, str, Factors], BatchResult] = field(
         default_factory=dict, repr=False, compare=False
     )
@@ -72,6 +77,14 @@ class Simulations:
             vehicle = load_vehicle(scenario.vehicle)
             self._runs[key] = simulate(scenario, vehicle, gains=self.gains, sensing=sensing)
         return self._runs[key]
+
+    def in_engine(self, name: str, sensing: Sensing) -> Run:
+        """Return the run with seed 0 in MuJoCo, with six degrees of freedom if the library states the centres."""
+        from surctl.engine import mujoco_physics
+
+        scenario = self.scenario(name)
+        vehicle = load_vehicle(TILTING.get(scenario.vehicle, scenario.vehicle))
+        return simulate(scenario, vehicle, gains=self.gains, sensing=sensing, physics=mujoco_physics())
 
     def arrived(self, name: str, sensing: Sensing, metric: str, factors: Factors = ()) -> Vector:
         """Return the values (k,) of a metric for the k runs that arrived."""

@@ -32,18 +32,26 @@ from surctl.simulation.metrics import (
 from surctl.simulation.numbers import law_numbers
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.paper_figure import PaperFigure
+from surctl.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
 from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
 from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
 from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
 from surctl.simulation.safety import SafetyClaim, safety_claim
+from surctl.simulation.scaling import (
+    disturbed,
+    mission_size,
+    scaled_scenario,
+    straight_mission,
+    two_leg_mission,
+)
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
 from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
 from surctl.simulation.stopping import stop_reason
 from surctl.simulation.thruster_faults import ThrusterFault
-from surctl.simulation.thruster_fit import thruster_findings
+from surctl.simulation.thruster_fit import held_share, thruster_findings
 from surctl.simulation.thruster_use import ThrusterUse, thruster_use
 from surctl.simulation.world import Body, World, build_world
 
@@ -65,6 +73,7 @@ __all__ = [
     "Case",
     "CaseParameter",
     "ClosedLoopSystem",
+    "Contact",
     "DepthChange",
     "Disturbance",
     "Engine",
@@ -74,7 +83,10 @@ __all__ = [
     "Metrics",
     "Mission",
     "Obstacle",
+    "OwnPhysics",
     "PaperFigure",
+    "Physics",
+    "PhysicsMaker",
     "PriorityTimeline",
     "Record",
     "RecordFormat",
@@ -95,21 +107,27 @@ __all__ = [
     "check_speeds",
     "closed_loop_system",
     "depth_changes",
+    "disturbed",
     "explain",
     "findings",
+    "held_share",
     "law_numbers",
     "load_scenario",
     "margin_needed",
     "mission_scenario",
+    "mission_size",
     "priority_timeline",
     "read_mission",
     "record_columns",
     "safety_claim",
     "save_record",
+    "scaled_scenario",
     "simulate",
     "simulate_batch",
     "stop_reason",
+    "straight_mission",
     "thruster_findings",
     "thruster_use",
     "turn_rate",
+    "two_leg_mission",
 ]

@@ -14,7 +14,7 @@ from surctl.simulation.finding import Finding
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.passage import tightest_gap
 from surctl.simulation.scenario import Scenario
-from surctl.vehicle import Vehicle
+from surctl.vehicle import Vehicle, floating_depth, missing_buoyancy
 
 __all__ = ["clearance_findings", "end_findings", "layers"]
 
@@ -188,7 +188,15 @@ def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
 
 def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     out = vehicle["radius"] + scenario.depth_range[1]
-    if out <= 0:
+    if out <= 0 or vehicle["Fw_max"] == 0:  # a craft without heave force keeps its depth by its weight
         return []
+    radius, heave = vehicle["radius"], float(vehicle.thrust_range[1, 2])
+    missing = missing_buoyancy(radius, scenario.depth_range[1])
     text = f"the top of the hull is {out:.2f} m above the surface at this depth; the model has no buoyancy (E16)"
+    if missing > heave:
+        sunk = floating_depth(radius, heave) if heave > 0 else -radius
+        text += (
+            f"; a hull that keeps its water lacks {missing:.3g} N there, and heave thrust gives {heave:g} N: unless "
+            f"it is ballasted to float at this depth, it comes to rest at z = {sunk:.3f} m; use {-radius:g} m or less"
+        )
     return [Finding("warning", "depth_m", text)]

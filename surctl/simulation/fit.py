@@ -63,7 +63,7 @@ def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]
     if split:
         text = f"the hull of {vehicle.name} splits the beam of sensor {split[0]}; the map supports one cone per sensor"
         return [Finding("error", "sonar.mounts_m", text)]
-    turning = min(gains["spin"], vehicle.steady_yaw(YAW_SHARE))
+    turning = min(gains["spin"], vehicle.steady_yaw(YAW_SHARE, scenario.cruise))
     listed = [*_unseen(array, turning), *_short(scenario, array, vehicle, gains)]
     return [*listed, *echo_findings(scenario, vehicle, array)]
 

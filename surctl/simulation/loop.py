@@ -1,6 +1,7 @@
 """The reference closed loop, with noise from a seed.
 
-The plant is integrated by RK4 with steps of 10 ms, the law runs every 50 ms, and sonars fire every 25 ms.
+The law runs every 50 ms and sonars fire every 25 ms. Between firings, the physics of the run (`Physics`) moves the
+hull; surctl's own plant is integrated by RK4 with steps of 10 ms.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ from surctl.control import (
     law_source,
 )
 from surctl.errors import InputError, nearest
-from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty, true_range
+from surctl.sensing import NoiseStream, OwnState, delayed, fault_state, faulty
 from surctl.simulation.column import beside, column
 from surctl.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
 from surctl.simulation.numbers import feeder_of, law_numbers
+from surctl.simulation.physics import OwnPhysics, PhysicsMaker
 from surctl.simulation.record import Record, measure
 from surctl.simulation.run import SENSING, Run, Sensing
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
-from surctl.simulation.stepping import advanced
 from surctl.simulation.thruster_faults import ThrusterFault, Thrusters
 from surctl.simulation.world import Body, World, build_world
-from surctl.vehicle import PLANT_DISTURBANCE, Vehicle, plant_parameters, plant_state
+from surctl.vehicle import Vehicle
 from surctl.world import Disc
 
 __all__ = ["Loop", "Stepper", "simulate"]
@@ -55,6 +56,7 @@ def simulate(
     model: Vehicle | None = None,
     stepper: Stepper | None = None,
     thruster_faults: Sequence[ThrusterFault] = (),
+    physics: PhysicsMaker = OwnPhysics,
 ) -> Run:
     """Simulate one scenario and return the run.
 
@@ -72,6 +74,7 @@ def simulate(
         stepper: function that replaces the law, for instance by a program in another process or precision; from the
             law's state x, inputs u and parameters p it returns a control step.
         thruster_faults: failures of thrusters, which the law knows as soon as they begin.
+        physics: makes what moves the hull and measures distances; default: surctl's own plant.
 
     Raises:
         InputError: `sensing` is unknown or does not fit the law, or the hull starts inside an obstacle.
@@ -113,10 +116,14 @@ def simulate(
     world = build_world(scenario, vehicle, seed=seed)
     gains = gains.with_own(law_source(law.ref).gains)
     p = law_numbers(scenario, gains, model or vehicle)
-    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step, thrusters)
+    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step, thrusters, physics)
     reason, record = loop.run(), loop.record()
     metrics = measure(scenario, law, record, reason=reason, least=loop.least)
-    return Run(scenario, vehicle, gains, law, sensing, seed, metrics, record, stepper is not None)
+    plant = loop.physics
+    return Run(
+        scenario, vehicle, gains, law, sensing, seed, metrics, record, stepper is not None, plant.name,
+        tuple(plant.contacts),
+    )  # fmt: skip
 
 
 class _StepNoise(NamedTuple):
@@ -147,17 +154,18 @@ class Loop:
         noise: NoiseStream,
         stepper: Stepper,
         thrusters: Thrusters | None = None,
+        physics: PhysicsMaker = OwnPhysics,
     ) -> None:
         self.stepper = stepper
         self.thrusters = thrusters or Thrusters.of(vehicle, law)
         self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
-        self.plant, self.limit = plant_parameters(vehicle), vehicle.thrust_range[1]
-        self.move = advanced(vehicle.form)
+        self.limit = vehicle.at_speed(world.scenario.cruise).thrust_range[1]
         self.sensors = world.scenario.sensors
         self.station = self.sensors.equipment.station
         self.array = self.sensors.array_on(world.hull)
         self.firings = firing_plan(self.array)
-        self.state = plant_state(vehicle.form).pack({"eta": world.scenario.start_pose})
+        self.physics = physics(world, vehicle, self.array)
+        self.state = self.physics.state
         self.law_state = law.initial_state()
         self.feeder = feeder_of(world.scenario, law, p)
         self.fed: list[Vector] = []
@@ -208,7 +216,7 @@ class Loop:
             if standing >= round(STANDSTILL / dt):
                 return "dead end"
             self.law_state = step.x_next
-            self._advance(time, step.tau, noise)
+            self._advance(time, step, noise)
         return LINK_LOST if gone else "time limit"
 
     def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
@@ -216,9 +224,10 @@ class Loop:
 
         The method is only for sensing `truth`, where the sensors have no state, and for paths that are not fed.
         """
-        self.state, time, noise = state, index * self.law.dt, self._draw()
+        self.state = self.physics.state = state
+        time, noise = index * self.law.dt, self._draw()
         step = self.stepper(law_state, self._inputs(self.world.bodies(time), noise, index), self.p)
-        self._advance(time, step.tau + added, noise)
+        self._advance(time, step._replace(tau=step.tau + added), noise)
         return step, self.state
 
     def record(self) -> Record:
@@ -238,6 +247,7 @@ class Loop:
             np.array(telemetry),
             bodies,
             np.array(self.fed) if self.feeder else None,
+            states[:, 12:14] if states.shape[1] > 12 else None,
         )
 
     def _fed(self) -> Vector:
@@ -261,17 +271,14 @@ class Loop:
         movers, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
         return _StepNoise(samples, uniforms.reshape(instants, wide, 2), own, movers, float(rest[6]))
 
-    def _advance(self, time: float, tau: NDArray[np.float64], noise: _StepNoise) -> None:
-        thrust = self.world.thrust(self.thrusters.achieved(tau, time), self.limit)
+    def _advance(self, time: float, step: LawStep, noise: _StepNoise) -> None:
+        psi, (east, north) = self.state[3], self.world.scenario.disturbance.current_m_per_s
+        speed = float(self.state[4] - (np.cos(psi) * east + np.sin(psi) * north))
+        achieved = self.thrusters.achieved(step.tau, time, telemetry=step.telemetry, speed=speed)
+        thrust = self.world.thrust(achieved, self.limit)
         half = round(self.law.dt / FIRING)
         for k in range(half):
-            d = PLANT_DISTURBANCE.pack(
-                {
-                    "current": [*self.world.scenario.disturbance.current_m_per_s, 0.0],
-                    "force": self.world.force(time + k * FIRING),
-                }
-            )
-            (self.state,) = self.move(self.state, thrust, d, self.plant)
+            self.state = self.physics.advance(thrust, time + k * FIRING)
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)
@@ -282,16 +289,13 @@ class Loop:
         if self.sensing == "truth":
             return
         time = self.instant * FIRING
-        audible = beside(bodies, float(self.state[2]), self.world.hull)
-        shapes = [*(b.shape for b in audible), *self.world.scenario.walls]
         for k, sensor in enumerate(self.firings.at(self.instant)):
-            heading = float(self.state[3])
             samples, self.faults = faulty(
                 self.array,
                 self.faults,
                 sensor,
                 time=time,
-                distance=true_range(self.array, sensor, position=self.state[:2], heading=heading, shapes=shapes),
+                distance=self.physics.echo(sensor, bodies),
                 noise=noise.samples[instant, k],
                 faults=self.sensors.faults,
                 chances=self.sensors.chances,
@@ -310,8 +314,7 @@ class Loop:
         return float(np.hypot(level, self.state[2] - scenario.end_depth))
 
     def _clearance(self, bodies: Sequence[Body]) -> float:
-        clearance = self.world.clearance(self.state[:3], bodies)
-        wall = self.world.wall_clearance(self.state[:2])
+        clearance, wall = self.physics.clearance(bodies)
         self.clear_of_walls = self.clear_of_walls or wall > 0
         if self.clear_of_walls:
             clearance = min(clearance, wall)

@@ -99,7 +99,7 @@ def turn_rate(
         [0.257, 1.575]
     """
     if sonar:
-        desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE))
+        desired = min(gains["spin"], believed.steady_yaw(YAW_SHARE, scenario.cruise))
     else:
         legs = np.diff(scenario.path.waypoints, axis=0)
         turns = np.diff(np.arctan2(legs[:, 1], legs[:, 0]))

@@ -41,7 +41,7 @@ def _arcs(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     curvature = np.where(kinds[1:-1] == BEND, turns / ((lengths[1:] + lengths[:-1]) / 2), 0.0)
     speed = np.maximum(speeds[1:], speeds[:-1])
     results = []
-    most = vehicle.steady_yaw(YAW_SHARE)
+    most = vehicle.at_speed(scenario.cruise).steady_yaw(YAW_SHARE, scenario.cruise)
     k = int(np.argmax(curvature * speed)) if curvature.size else 0
     if curvature.size and curvature[k] * speed[k] > most:
         text = (

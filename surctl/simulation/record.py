@@ -21,6 +21,7 @@ class Record:
     """All recorded signals of a run, one entry per control step, for plots and for replays in other programs.
 
     `law_parameters` are the law's parameters; if the path is fed (`Path.fed`), `fed` has them at each control step.
+    `tilt` is roll and pitch (n, 2) [rad] of a hull that rolls and pitches, else None.
     """
 
     time: NDArray[np.float64]
@@ -35,6 +36,7 @@ class Record:
     telemetry: NDArray[np.float64]
     obstacles: Sequence[Sequence[Body]]
     fed: NDArray[np.float64] | None = None
+    tilt: NDArray[np.float64] | None = None
 
     @property
     def step_parameters(self) -> NDArray[np.float64]:

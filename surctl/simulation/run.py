@@ -12,6 +12,7 @@ from surctl.control import Gains, Law
 from surctl.own_code import label
 from surctl.simulation.attitude import Attitude, attitude_of
 from surctl.simulation.metrics import Metrics
+from surctl.simulation.physics import Contact
 from surctl.simulation.record import Record
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
@@ -54,6 +55,7 @@ class Run:
     """One closed-loop run: its scenario, vehicle, law, metrics and record of signals.
 
     `replaced` is true if a stepper computed the commands in place of the law (argument `stepper` of `simulate`).
+    `plant` names what moved the hull (argument `physics` of `simulate`), and `contacts` are the contacts that it found.
     """
 
     scenario: Scenario
@@ -65,6 +67,8 @@ class Run:
     metrics: Metrics
     record: Record = field(repr=False)
     replaced: bool = False
+    plant: str = "own"
+    contacts: tuple[Contact, ...] = ()
 
     def telemetry(self, name: str) -> NDArray[np.float64]:
         """Return the values (n, size) over time of the law's telemetry output with the given name."""
@@ -80,23 +84,36 @@ class Run:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the run as plain data for the command line; the JSON writer converts numbers that are not finite."""
-        return {
-            "scenario": self.scenario.name,
-            "vehicle": self.vehicle.name,
-            "law": label(self.law.ref),
-            "replaced": self.replaced,
-            "avoidance": self.law.avoidance,
-            "guidance": self.law.guidance,
-            "sensing": self.sensing,
-            "priority_mode": self.law.mode,
-            "fallback": self.law.fallback,
-            "barrier": self.law.barrier,
-            "movers": self.law.movers,
-            "seed": self.seed,
-            **asdict(self.metrics),
-            "attitude": None if (attitude := self.attitude) is None else attitude.to_dict(),
-            "paper_time_s": self.scenario.paper.time_s,
-        } | ({"depth_changes": [d.to_dict() for d in depth_changes(self)]} if self.scenario.depths else {})
+        return (
+            {
+                "scenario": self.scenario.name,
+                "vehicle": self.vehicle.name,
+                "law": label(self.law.ref),
+                "replaced": self.replaced,
+                "avoidance": self.law.avoidance,
+                "guidance": self.law.guidance,
+                "sensing": self.sensing,
+                "priority_mode": self.law.mode,
+                "fallback": self.law.fallback,
+                "barrier": self.law.barrier,
+                "movers": self.law.movers,
+                "seed": self.seed,
+                **asdict(self.metrics),
+                "attitude": None if (attitude := self.attitude) is None else attitude.to_dict(),
+                "paper_time_s": self.scenario.paper.time_s,
+                "plant": self.plant,
+                "contacts": [contact._asdict() for contact in self.contacts],
+            }
+            | self._tilted()
+            | ({"depth_changes": [d.to_dict() for d in depth_changes(self)]} if self.scenario.depths else {})
+        )
+
+    def _tilted(self) -> dict[str, float]:
+        # largest roll and pitch, and largest error of depth, if the hull rolls and pitches
+        if self.record.tilt is None:
+            return {}
+        roll, pitch = np.rad2deg(np.abs(self.record.tilt).max(axis=0)).tolist()
+        return {"max_roll_deg": roll, "max_pitch_deg": pitch}
 
 
 def depth_changes(run: Run) -> list[DepthChange]:

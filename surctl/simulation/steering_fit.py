@@ -25,10 +25,13 @@ def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> lis
         return results
     values = gains.with_own(law_source(default_law(vehicle)).gains).values
     radius = turning_radius(vehicle, values, scenario.cruise)
+    at_rest = vehicle.fin_share(scenario.cruise) * 100
     text = (
         f"{vehicle.name} has no sway force (Fv_max = 0): law {default_law(vehicle)} steers it by heading and speed, "
         f"from obstacle positions, without sonars; its turning radius at {scenario.cruise:g} m/s is {radius:.2g} m"
     )
+    if at_rest > 0:
+        text += f"; rudders or fins give {at_rest:.0f} % of its yaw moment, and nothing at rest"
     return [
         *results,
         Finding("info", "vehicle", text),

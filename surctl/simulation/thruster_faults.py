@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from surctl.errors import InputError
 from surctl.ir import runnable
 from surctl.vehicle import Actuators, Vehicle
 
-__all__ = ["ThrusterFault", "Thrusters", "check_failed"]
+__all__ = ["ThrusterFault", "Thrusters", "check_failed", "fin_excess"]
 
 Array = NDArray[np.float64]
 
@@ -62,11 +63,14 @@ class Thrusters:
         actuators: the thrusters, or None if the vehicle file describes none.
         faults: the failures.
         allocate: allocates the command of a law without allocation; None if the law does it, or without thrusters.
+        reported: entries of the law's telemetry with the forces and the commands of all thrusters; None without fins,
+            or if the law does not allocate.
     """
 
     actuators: Actuators | None
     faults: tuple[ThrusterFault, ...]
     allocate: Callable[..., list[Array]] | None
+    reported: tuple[slice, slice] | None = None
 
     @staticmethod
     def of(vehicle: Vehicle, law: Law, faults: Sequence[ThrusterFault] = ()) -> Thrusters:
@@ -82,7 +86,10 @@ class Thrusters:
             )
         alone = actuators is not None and law.actuators is None
         allocate = runnable(allocation_block(actuators)) if alone and actuators is not None else None
-        return Thrusters(actuators, tuple(faults), allocate)
+        finned = law.actuators is not None and bool(law.actuators.fins)
+        names = ("thruster_force", "thruster_command")
+        reported = (law.telemetry_slice(names[0]), law.telemetry_slice(names[1])) if finned else None
+        return Thrusters(actuators, tuple(faults), allocate, reported)
 
     def working(self, time: float) -> Array:
         """Return (n,): 1 for each thruster that works at `time` [s], else 0."""
@@ -90,11 +97,40 @@ class Thrusters:
             return np.zeros(0)
         return working_flags(self.actuators, [fault.thruster for fault in self.faults if fault.acts(time)])
 
-    def achieved(self, tau: Array, time: float) -> Array:
-        """Return the force and yaw moment (4,) that the thrusters deliver for a command, before the thrust lag."""
-        if self.allocate is None:
+    def achieved(self, tau: Array, time: float, *, telemetry: Array, speed: float) -> Array:
+        """Return the force and yaw moment (4,) that the thrusters deliver for a command, before the thrust lag.
+
+        Args:
+            tau: the law's thrust command (4,).
+            time: time of the control step [s].
+            telemetry: the law's telemetry of the same step.
+            speed: forward speed [m/s] through the water. A fin gives the force of its deflection at this speed, while
+                the law knows only the measured speed over ground.
+        """
+        if self.allocate is not None and self.actuators is not None:
+            return self.allocate(tau, self.working(time) * self.actuators.shares(speed))[0]
+        if self.reported is None or self.actuators is None:
             return tau
-        return self.allocate(tau, self.working(time))[0]
+        forces, commands = (telemetry[where] for where in self.reported)
+        excess: Array = fin_excess(self.actuators, forces, commands, max(speed, 0.0) ** 2)
+        return tau + excess
+
+
+def fin_excess(actuators: Actuators, forces: Any, commands: Any, squared: Any) -> Any:
+    """Return the force and yaw moment (4,) that fins give at a squared speed [m²/s²] beyond those that the law expects.
+
+    The arguments are numbers, or CasADi expressions.
+
+    Args:
+        actuators: thrusters with fins.
+        forces, commands: (n,) forces [N] and commands of all thrusters, as the law reports them.
+        squared: squared forward speed through the water; 0 astern.
+    """
+    matrix, total = actuators.matrix, 0
+    for k in actuators.fins:
+        more = commands[k] * (actuators.thrusters[k].forward * squared) - forces[k]
+        total = total + matrix[:, actuators.slices[k].start] * more
+    return total
 
 
 def check_failed(vehicle: Vehicle, names: Sequence[str]) -> None:

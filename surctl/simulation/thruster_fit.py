@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from surctl.simulation.finding import Finding
-from surctl.vehicle import Vehicle, attainable
+from collections.abc import Sequence
 
-__all__ = ["thruster_findings"]
+import numpy as np
+
+from surctl.allocation import working_flags
+from surctl.simulation.finding import Finding
+from surctl.vehicle import Vehicle, attainable, axis_ends
+
+__all__ = ["held_share", "thruster_findings"]
 
 _LIMITS = {"Fu_max": "surge", "Fv_max": "sway", "Fw_max": "heave", "Fr_max": "yaw"}
 _SLACK = 1e-6
 
 
 def thruster_findings(vehicle: Vehicle) -> list[Finding]:
-    """Return a warning for each thrust limit that the thrusters cannot reach, alone or together with the others.
+    """Return a finding for each thrust limit that the thrusters cannot reach, alone or together with the others.
 
     The law limits its command on each axis to `Fu_max`, …; margins and certificates assume that every command within
-    these limits reaches the plant. This holds if the box of the limits lies in the attainable set.
+    these limits reaches the plant. This holds if the box of the limits lies in the attainable set. A craft without sway
+    force whose allocation keeps yaw may lose surge force while it turns: this is said as information. Fins have the
+    limits of the speed `Vehicle.speed`.
 
     Example:
         >>> from surctl.simulation import thruster_findings
@@ -26,15 +33,18 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     """
     if vehicle.actuators is None:
         return []
-    forces, results = attainable(vehicle.actuators), list[Finding]()
-    for (name, axis), (low, high) in zip(_LIMITS.items(), forces.intervals().tolist(), strict=True):
-        most, unit = min(-low, high), vehicle.parameters[name].unit
-        if vehicle[name] > most * (1 + _SLACK) + _SLACK:
-            text = f"the thrusters give at most {most:.4g} {unit} in {axis} without other forces, "
-            results.append(
-                Finding("warning", f"thrust.{name}", f"{text}but {name} is {vehicle[name]:g} {unit}: lower it")
-            )
-    share = forces.box_share(vehicle.thrust_limit)
+    results = list[Finding]()
+    for axis, (name, word) in enumerate(_LIMITS.items()):
+        reverse, unit = name.replace("_max", "_reverse"), vehicle.parameters[name].unit
+        low, high = axis_ends(vehicle.actuators, vehicle.speed)[axis].tolist()
+        stated = {name: high, reverse: -low} if reverse in vehicle.parameters else {name: min(-low, high)}
+        for key, most in stated.items():
+            if vehicle[key] > most * (1 + _SLACK) + _SLACK:
+                text = f"the thrusters give at most {most:.4g} {unit} in {word} without other forces, "
+                results.append(
+                    Finding("warning", f"thrust.{key}", f"{text}but {key} is {vehicle[key]:g} {unit}: lower it")
+                )
+    share = held_share(vehicle)
     if share < 1 - _SLACK:
         first, *_ = [name for name, _ in vehicle.actuators.levels]
         text = (
@@ -42,5 +52,17 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
             f"allocation keeps {first} and gives up other forces; margins and certificates hold only within it. "
             f"Multiply the four limits by {share:.2g} for limits that hold together"
         )
-        results.append(Finding("warning", "thrust", text))
+        turns = vehicle["Fv_max"] == 0 and vehicle.actuators.order[0] == "yaw"
+        results.append(Finding("info" if turns else "warning", "thrust", text))
     return results
+
+
+def held_share(vehicle: Vehicle, failed: Sequence[str] = ()) -> float:
+    """Return the largest share of the thrust limits of a vehicle with thrusters that its thrusters give all at once.
+
+    The sway force of a rudder belongs to its yaw moment, so axes without a limit of their own do not count.
+    """
+    assert vehicle.actuators is not None
+    axes = tuple(np.flatnonzero(vehicle.thrust_limit > 0).tolist()) if vehicle.actuators.fins else (0, 1, 2, 3)
+    working = working_flags(vehicle.actuators, failed, speed=vehicle.speed)
+    return attainable(vehicle.actuators, axes).box_share(vehicle.thrust_limit, working=working)

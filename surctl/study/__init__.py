@@ -3,5 +3,6 @@
 from surctl.study.conduct import Study, conduct
 from surctl.study.notes import Note
 from surctl.study.plan import LIBRARY, Leg, Plan, load_plan
+from surctl.study.scaled import scaled_missions
 
-__all__ = ["LIBRARY", "Leg", "Note", "Plan", "Study", "conduct", "load_plan"]
+__all__ = ["LIBRARY", "Leg", "Note", "Plan", "Study", "conduct", "load_plan", "scaled_missions"]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from surctl import __version__
 from surctl.control import Gains, Law, build_law, law_source, write_gains
@@ -47,8 +47,8 @@ class Study:
         inapplicable: claims that do not concern the vehicle, each with the reason; such a claim counts as failed if the
             plan names it.
         deciding: for each run, whether the run counts towards the result of the study.
-        replayed: the sonar runs that were repeated with the exported C. These are the runs of the exported law in which
-            the hull fits the site.
+        replayed: the sonar runs that were repeated with the exported C; without sonars (`Plan.unheard`), the runs with
+            true positions. These are the runs of the exported law in which the hull fits the site.
         loops: linear analysis of the control loops; empty if the law has no linear model.
         sil: software-in-the-loop (SIL) reports, one report for each replayed run.
     """
@@ -103,7 +103,7 @@ class Study:
             "export": {
                 "files": [str(f.path) for f in self.files],
                 "sha256": {f.path.name: f.sha256 for f in self.files},
-                "sensing": "sonar",
+                "sensing": _sensing(self.plan),
                 "sil": [
                     {"scenario": run.scenario.name, "vehicle": run.vehicle.name, **report.to_dict()}
                     for run, report in zip(self.replayed, self.sil, strict=True)
@@ -155,8 +155,9 @@ def conduct(
     plan.check_sweep()
     find_compiler()
     prepare_folder(out)
-    law, clock = build_law(plan.law, guidance=plan.guidance), _Clock(progress)
-    legs = tuple(leg for leg in plan.legs if not leg.exclusion)
+    plan = plan.written(out / "missions")
+    clock, legs = _Clock(progress), tuple(leg for leg in plan.legs if not leg.exclusion)
+    laws = tuple(build_law(plan.law, guidance=plan.guidance, actuators=leg.vehicle.actuators) for leg in legs)
     sonar_laws = tuple(with_perception(plan, leg) for leg in legs)  # errors here come before the long work
     first = next(k for k, leg in enumerate(legs) if leg.misfit is None)
     with ExitStack() as stack:
@@ -166,7 +167,7 @@ def conduct(
         with clock("export"):
             shipment = stack.enter_context(shipping(sonar_laws[first], swept.gains, legs[first], out / "export"))
         with clock("margins"):
-            loops = loops_of(plan, swept.gains, dt=law.dt)
+            loops = loops_of(plan, swept.gains, dt=laws[0].dt)
         with clock("claims"):
             # claims about braking take a minute and stay undecided: check them only if the plan names them
             fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
@@ -179,10 +180,10 @@ def conduct(
             verdicts = tuple(decide(claim) for claim in applicable if plan.claims or claim.paper)
             regions = _unprovable_regions(plan, swept.gains, speeds=(fastest.cruise, fastest.cap))
         with clock("runs"):
-            leg_runs = _simulate_legs(plan, legs, (law, sonar_laws), swept, progress)
+            leg_runs = _simulate_legs(plan, legs, (laws, sonar_laws), swept, progress)
         runs = tuple(run for _, run in leg_runs)
         deciding = tuple(leg.misfit is None and run.sensing == "truth" for leg, run in leg_runs)
-        sonar_runs = [run for leg, run in leg_runs if leg.misfit is None and run.sensing == "sonar"]
+        sonar_runs = [run for leg, run in leg_runs if leg.misfit is None and run.sensing == _sensing(plan)]
         replayed = tuple(run for run in sonar_runs if shipment.carries(run))
         with clock("pictures of the runs"):  # in parallel with the compiler
             data = ReportData(
@@ -219,7 +220,7 @@ def conduct(
     with clock("report"):
         data = replace(
             data,
-            export=_export_summary(shipment, replayed, sil),
+            export=_export_summary(plan, shipment, replayed, sil),
             seconds=dict(clock.seconds),
             summary=tuple(Check(note.passed, note.text, note.about) for note in notes),
         )
@@ -267,12 +268,20 @@ class _Clock:
         self.progress(f"{stage} done in {self.seconds[stage]:.1f} s")
 
 
-def _export_summary(shipment: Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]) -> ExportSummary:
+def _sensing(plan: Plan) -> Literal["truth", "sonar"]:
+    # what the exported law measures
+    return "truth" if plan.unheard else "sonar"
+
+
+def _export_summary(
+    plan: Plan, shipment: Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]
+) -> ExportSummary:
     from surctl.report import ExportSummary
 
-    status = (
-        "The exported law estimates its position and the obstacles from sonars, base station and IMU. Replayed runs: "
-    )
+    status = "The exported law estimates its position and the obstacles from sonars, base station and IMU."
+    if plan.unheard:
+        status = f"The exported law takes the pose, the velocity and the obstacles as inputs, because {plan.unheard}."
+    status += " Replayed runs: "
     status += "; ".join(f"{k}: {run.scenario.name} by {run.vehicle.name}" for k, run in enumerate(replayed, start=1))
     bundle = shipment.bundle
     return ExportSummary(name=bundle.name, id=bundle.id, files=shipment.files, sil=sil, status=f"{status}.")
@@ -291,12 +300,12 @@ def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTabl
 
 
 def _simulate_legs(
-    plan: Plan, legs: Sequence[Leg], laws: tuple[Law, Sequence[Law]], swept: SweepTable, progress: Progress
+    plan: Plan, legs: Sequence[Leg], laws: tuple[Sequence[Law], Sequence[Law]], swept: SweepTable, progress: Progress
 ) -> list[tuple[Leg, Run]]:
-    # with true positions by `laws[0]`, with sonar by the law in `laws[1]`
+    # with true positions by the law in `laws[0]`, with sonar by the law in `laws[1]`
     leg_runs = []
-    for leg, sonar_law in zip(legs, laws[1], strict=True):
-        for sensing, law in (("truth", laws[0]), ("sonar", sonar_law)):
+    for leg, law_of_truth, sonar_law in zip(legs, *laws, strict=True):
+        for sensing, law in (("truth", law_of_truth), ("sonar", sonar_law))[: 1 if plan.unheard else 2]:
             run = simulate(leg.scenario, leg.vehicle, gains=swept.gains, law=law, sensing=sensing, seed=plan.seed)
             m = run.metrics
             progress(f"{leg.scenario.name} {sensing}: {m.stopped_because} at {m.time_s:.1f} s")

@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Gains
+from surctl.control import Gains, build_law, law_source
 from surctl.study.plan import Plan
-from surctl.verification import LoopMargins, OverSpeeds, closed_loop_poles, loop_margins, over_speeds
+from surctl.verification import (
+    LawCorners,
+    LoopMargins,
+    OverSpeeds,
+    closed_loop_poles,
+    law_corners,
+    loop_margins,
+    over_speeds,
+)
 from surctl.verification.cascade import has_cascade
 from surctl.verification.linear import LinearSide, Mode, corners, linear_side, slowest_mode, worst_linear_side
 
@@ -34,6 +42,7 @@ class Loops:
         sides: analysis of all loops together, first for the nominal vehicle, then for the worst corner of its parameter
             ranges.
         responses: frequency responses of the loops.
+        law: sampled loop of a law that is linearised numerically, nominal and at the worst corner, or None.
     """
 
     margins: tuple[LoopMargins, ...] = ()
@@ -42,14 +51,17 @@ class Loops:
     mode: Mode | None = None
     sides: tuple[LinearSide, ...] = ()
     responses: tuple[LoopResponse, ...] = ()
+    law: LawCorners | None = None
 
     @property
     def stable(self) -> bool:
         """Whether every loop is stable."""
-        return all(loop.stable for loop in self.margins)
+        return all(loop.stable for loop in self.margins) and (self.law is None or self.law.stable)
 
     def to_dict(self) -> dict[str, Any] | None:
         """Return the analysis of all loops together as plain data; None if the law has no linear model."""
+        if self.law is not None:
+            return self.law.to_dict()
         if self.mode is None:
             return None
         nominal, worst = self.sides
@@ -59,6 +71,11 @@ class Loops:
 
 def loops_of(plan: Plan, gains: Gains, *, dt: float) -> Loops:
     """Return the linear analysis of a plan's vehicle with these gains; empty if the law has no linear model."""
+    if law_source(plan.law).steering is not None:
+        speed = max(leg.scenario.cruise for leg in plan.deciding)
+        law = build_law(plan.law, guidance=plan.guidance, dt=dt)
+        analysis = law_corners(law, plan.vehicle, gains, cruise=speed)
+        return Loops(analysis.nominal.margins, law=analysis)
     if not has_cascade(plan.law, plan.guidance):
         return Loops()
     from surctl.report import loop_responses  # loads matplotlib only now

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from surctl.export import SilReport
 from surctl.own_code import label
-from surctl.simulation import Run
+from surctl.simulation import Run, findings
 from surctl.study.loops import Loops
 from surctl.study.plan import Plan
 from surctl.tuning import SweepTable
-from surctl.verification import Inapplicable, Verdict, speeds_text
+from surctl.verification import Inapplicable, LawCorners, Verdict, speeds_text
 from surctl.verification.linear import Mode
 
 __all__ = ["Note", "left_out", "summary", "unstable_text"]
@@ -88,14 +88,30 @@ def summary(
     worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
     steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)
     passed = bool(sil) and all(r.conclusive for r in sil)
-    sonar_runs = f"{len(sil)} sonar run{'s' * (len(sil) != 1)}"
-    text = f"export of the law with perception: C and Python agree to {worst:.1e} over {steps} steps of {sonar_runs}; "
+    replays = f"{len(sil)} {'' if plan.unheard else 'sonar '}run{'s' * (len(sil) != 1)}"
+    which = "that takes obstacle positions" if plan.unheard else "with perception"
+    text = f"export of the law {which}: C and Python agree to {worst:.1e} over {steps} steps of {replays}; "
     notes.append(Note(passed, text + f"{cases} inputs with NaN or infinity tested", "export"))
-    return tuple(notes)
+    notes += [Note(None, f"no sonars are simulated, because {plan.unheard}")] if plan.unheard else []
+    return tuple(notes + _limits(plan, runs))
+
+
+def _limits(plan: Plan, runs: Sequence[tuple[Run, bool]]) -> list[Note]:
+    """Return what the craft of the plan can and cannot do, for a craft without sway force."""
+    if plan.vehicle["Fv_max"] > 0:
+        return []
+    crab = max((run.metrics.max_crab_angle_deg for run, decides in runs if decides), default=float("nan"))
+    scenario = plan.deciding[0].scenario
+    texts = [f.text for f in findings(scenario, plan.vehicle, gains=plan.gains) if f.level == "info"]
+    return [Note(None, f"limit: {text}") for text in texts] + [
+        Note(None, f"largest crab angle of the runs that count, outside avoidance: {crab:.1f} deg", "runs")
+    ]
 
 
 def _loop_notes(plan: Plan, loops: Loops, speed: float) -> list[Note]:
     margins, over, mode, notes = loops.margins, loops.over, loops.mode, list[Note]()
+    if loops.law is not None:
+        return [_law_note(loops.law, speed)]
     if not margins:
         return [Note(None, f"margins: not judged, because law {label(plan.law)} has no linear model", "margins")]
     least = min(margins, key=lambda m: m.delay_margin_s)
@@ -123,6 +139,16 @@ def _loop_notes(plan: Plan, loops: Loops, speed: float) -> list[Note]:
             margin_text = f"the linear loop is unstable at {speeds_text(lost)}{bearable}; {margin_text}"
         notes.append(Note(held, f"margins at {speeds_text(over.cruise)}: {margin_text}", "margins"))
     return notes
+
+
+def _law_note(law: LawCorners, speed: float) -> Note:
+    if not law.stable:
+        where = "" if not law.nominal.stable else f" at the corner {law.corner}"
+        return Note(False, f"the sampled loop at {speed:g} m/s is unstable{where}; lower the cruise speed", "margins")
+    least = min(law.nominal.margins, key=lambda m: m.delay_margin_s)
+    text = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), disk margin of "
+    text += f"all thrust loops {law.nominal.disk.guaranteed:.2f}, {law.disk:.2f} at the worst of {law.text}"
+    return Note(True, text, "margins")
 
 
 def unstable_text(mode: Mode) -> str:

@@ -9,11 +9,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from surctl.control import Gains, check_forces, default_law, law_ref, law_source, load_gains
+from surctl.control import SONARLESS, Gains, check_forces, default_law, law_ref, law_source, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Guidance
 from surctl.simulation import Case, Scenario, findings, load_scenario
+from surctl.study.scaled import scaled_axes, scaled_missions, write_missions
 from surctl.tuning import Axis, Derivation, Goal, GoalTable, goals_from_tables, load_goals, shared_gains
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import applicable_claims, check_held, cruise_speeds
@@ -23,6 +24,7 @@ __all__ = ["LIBRARY", "Leg", "Plan", "load_plan"]
 LIBRARY = Path(__file__).parent / "library"
 
 _CRUISE = "cruise_m_per_s"
+_SCALED_SEEDS = (0, 1)
 Seed = Annotated[int, Field(ge=0)]
 
 
@@ -85,7 +87,8 @@ class Plan:
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
     the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study can be tuned, but not
     conducted. `named` is false if the study names no gains; they are then the default gains of its vehicles
-    (`tuning.shared_gains`). `derivation` says how they were derived from the vehicle, if they were.
+    (`tuning.shared_gains`). `derivation` says how they were derived from the vehicle, if they were. `unheard` is the
+    reason why the study simulates no sonars, and exports the law that takes obstacle positions; empty if it does.
     """
 
     name: str
@@ -104,6 +107,7 @@ class Plan:
     cruise: tuple[float, ...] = ()
     named: bool = True
     derivation: Derivation | None = None
+    unheard: str = ""
 
     @property
     def deciding(self) -> tuple[Leg, ...]:
@@ -118,6 +122,8 @@ class Plan:
     def by(self, vehicles: Sequence[Vehicle]) -> Plan:
         """Return the plan in which every scenario is simulated with each of the vehicles; all other settings stay.
 
+        One vehicle that fits none of the scenarios of a built-in study gets missions scaled to it.
+
         Raises:
             InputError: no vehicle fits a scenario.
 
@@ -130,11 +136,19 @@ class Plan:
         """
         scenarios = {leg.scenario.name: leg.scenario for leg in self.legs}.values()
         legs = tuple(_leg(scenario, vehicle, lenient=True) for vehicle in vehicles for scenario in scenarios)
-        plan = _with_mission(replace(self, vehicle=vehicles[0], legs=legs))
+        plan = replace(self, vehicle=vehicles[0], legs=legs)
+        if len(vehicles) == 1 and Path(self.source).parent == LIBRARY and _needs_own(vehicles[0], legs):
+            return _about_vehicle(vehicles[0], vehicles[0].source or vehicles[0].name)
+        plan = _with_mission(plan)
         if self.named:
             return plan
         gains, derivation = shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)
         return replace(plan, gains=gains, derivation=derivation)
+
+    def written(self, folder: Path) -> Plan:
+        """Return the plan with its missions in files; those that are in no file are written to `folder`."""
+        missions = write_missions([leg.scenario for leg in self.legs], folder)
+        return replace(self, legs=tuple(replace(leg, scenario=m) for leg, m in zip(self.legs, missions, strict=True)))
 
     def check_sweep(self) -> None:
         """Raise InputError if the study file has no `[sweep]` table, from which `conduct` chooses the gains."""
@@ -151,8 +165,16 @@ class Plan:
         )
 
 
-def load_plan(file: str | None = None, *, trust: bool = False) -> Plan:
-    """Load the built-in study, a study file, or the built-in study with the vehicle of a vehicle file.
+def load_plan(file: str | None = None, *, vehicle: str | None = None, trust: bool = False) -> Plan:
+    """Load the built-in study, a study file, or the built-in study with another vehicle.
+
+    A vehicle that has no sway force, or fits none of the built-in scenarios, gets missions that are scaled to it
+    (`scaled_missions`), without sonars.
+
+    Args:
+        file: a study file or a vehicle file; None: the built-in study.
+        vehicle: name or file of the vehicle of the built-in study, in place of `file`.
+        trust: whether the code of a user's own law may be executed.
 
     A name inside a study file is a built-in name or a path relative to the study file. If the study file names a user's
     own law, FILE.py:FUNCTION, this Python file runs only if `trust` is true.
@@ -168,18 +190,18 @@ def load_plan(file: str | None = None, *, trust: bool = False) -> Plan:
         >>> [(axis.name, axis.values) for axis in plan.axes]
         [('lookahead', (0.3, 0.5, 0.8, 1.2)), ('k_v', (1.0, 1.5, 2.0, 2.5))]
     """
+    if vehicle is not None:
+        if file is not None:
+            problem = "has its own vehicle, so --vehicle does not go with it"
+            raise InputError(problem, key="FILE", value=file, remedy="give one of them")
+        return _about_vehicle(load_vehicle(vehicle), vehicle)
     if file is None:
         path = LIBRARY / "default.toml"
         return _plan(_study(read_toml(path), path), path)
     path = pick(file, LIBRARY, what="study")
     table = read_toml(path)
     if table.get("kind") == "vehicle":
-        default = LIBRARY / "default.toml"
-        study = _study(read_toml(default), default)
-        own = [run.model_copy(update={"vehicle": None}) for run in study.runs]
-        vehicle = str(path.resolve())
-        study = study.model_copy(update={"runs": tuple(own), "vehicle": vehicle, "name": path.stem, "note": ""})
-        return _plan(study, default, lenient=True)
+        return _about_vehicle(load_vehicle(str(path)), str(path.resolve()))
     if table.get("kind") != "study":
         raise InputError(
             "is neither a study nor a vehicle",
@@ -190,6 +212,49 @@ def load_plan(file: str | None = None, *, trust: bool = False) -> Plan:
         )
     named = table.pop("goals") if isinstance(table.get("goals"), str) else None
     return _plan(_study(table, path), path, goals=named, trust=trust)
+
+
+def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
+    """Return the built-in study with one vehicle, or with missions scaled to it; see `load_plan`."""
+    default = LIBRARY / "default.toml"
+    study = _study(read_toml(default), default)
+    legs = [_leg(load_scenario(run.scenario), vehicle, lenient=True) for run in study.runs]
+    name = Path(word).stem
+    if not _needs_own(vehicle, legs):
+        own = tuple(run.model_copy(update={"vehicle": None}) for run in study.runs)
+        return _plan(
+            study.model_copy(update={"runs": own, "vehicle": word, "name": name, "note": ""}), default, lenient=True
+        )
+    missions, gains, derivation = scaled_missions(vehicle)
+    law = default_law(vehicle)
+    why = "the missions are scaled to the vehicle, but sonars are not"
+    if "sonar" not in law_source(law).sensing:
+        why = f"law {law} takes obstacle positions: {SONARLESS}"
+    plan = Plan(
+        name,
+        f"The missions are scaled to {vehicle.name}, because it does not fit the built-in scenarios.",
+        vehicle.source or str(default),
+        vehicle,
+        gains,
+        law,
+        "los",
+        0,
+        tuple(_leg(mission, vehicle, lenient=True) for mission in missions),
+        scaled_axes(gains),
+        _SCALED_SEEDS,
+        None,
+        tuple(goal for goal in load_goals() if goal.kind == "hard"),  # the others have lengths and times of the tank
+        (),
+        False,
+        derivation,
+        why,
+    )
+    return _with_mission(plan)
+
+
+def _needs_own(vehicle: Vehicle, legs: Sequence[Leg]) -> bool:
+    # missions scaled to it
+    return vehicle["Fv_max"] == 0 or all(leg.left_out is not None for leg in legs)
 
 
 def _study(table: dict[str, Any], path: Path) -> _StudyFile:

@@ -31,13 +31,23 @@ __all__ = ["Shipment", "shipping", "with_perception"]
 def with_perception(plan: Plan, leg: Leg) -> Law:
     """Return the plan's law with perception, for the sensors of the mission's scenario on the hull of its vehicle.
 
+    If the plan simulates no sonars (`Plan.unheard`), the law takes obstacle positions. The law allocates its thrust to
+    the thrusters of the vehicle, if it has any.
+
     Raises:
         InputError: the law cannot use the sonars of the scenario.
     """
-    mission = leg.scenario
+    mission, actuators = leg.scenario, leg.vehicle.actuators
+    if plan.unheard:
+        return build_law(plan.law, guidance=plan.guidance, actuators=actuators)
     equipment = mission.sensors.on(leg.vehicle["radius"])
     return build_law(
-        plan.law, sonar=True, equipment=equipment, guidance=plan.guidance, depths=mission.depths is not None
+        plan.law,
+        sonar=True,
+        equipment=equipment,
+        guidance=plan.guidance,
+        depths=mission.depths is not None,
+        actuators=actuators,
     )
 
 

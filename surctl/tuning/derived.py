@@ -39,7 +39,7 @@ __all__ = [
 DERIVED_MARGIN = 0.4
 """Disk margin of all loops at once that derived gains must reach: all gains off by 33 %, or all phases by 23 deg."""
 
-TUNED_FOR = ("sur400", "sur540-flooded", "sur540-light")
+TUNED_FOR = ("sur400", "sur400-tilting", "sur540-flooded", "sur540-light", "sur540-tilting")
 """The built-in vehicles for which the gain set `default` was chosen."""
 
 _DT = 0.05  # [s] control period of the built-in laws
@@ -274,7 +274,7 @@ class _Hashed:
 
 @lru_cache(maxsize=64)
 def _derive(hashed: _Hashed, cruise: float, dt: float) -> Derivation:
-    vehicle = hashed.vehicle
+    vehicle = hashed.vehicle.at_speed(cruise)
     if vehicle["Fv_max"] == 0:
         return _steered(vehicle, cruise, dt)
     inner, _ = _searched(vehicle, cruise, dt)
@@ -299,7 +299,7 @@ def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
 
     def margin(speed: float) -> float:
         law = default_law(vehicle)
-        gains = _named(vehicle, inner_start(vehicle, cruise=speed, dt=dt), speed, dt, 1.0)
+        gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt, 1.0)
         loop = law_loop(build_law(law, dt=dt), vehicle, gains.with_own(law_source(law).gains), cruise=speed)
         return float(np.nan_to_num(loop.disk.guaranteed)) if loop.stable else 0.0
 

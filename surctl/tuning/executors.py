@@ -6,7 +6,9 @@ import logging
 import os
 import signal
 import threading
+import time
 import warnings
+from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -45,12 +47,18 @@ class Executor(Protocol):
 class LocalExecutor:
     """Executor on this machine: one worker runs in the calling process, several workers run in spawned processes.
 
+    Attributes:
+        workers: number of processes that evaluate chunks.
+        alone_s: work [s] that the calling process does before it starts other processes. Each of them needs seconds of
+            processor time to load its libraries, which is longer than most small sweeps take.
+
     Raises:
         InputError: `workers` is less than 1.
         SurctlError: a worker died.
     """
 
     workers: int = 1
+    alone_s: float = 2.0
 
     def __post_init__(self) -> None:
         if self.workers < 1:
@@ -58,10 +66,15 @@ class LocalExecutor:
 
     def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
         """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
-        chunks = list(chunks)
-        if self.workers == 1 or len(chunks) <= 1:
-            for index, points in chunks:
-                yield index, function(index, points)
+        chunks = deque(chunks)
+        worked = 0.0
+        while chunks and (self.workers == 1 or len(chunks) == 1 or worked < self.alone_s):
+            index, points = chunks.popleft()
+            began = time.perf_counter()
+            result = function(index, points)
+            worked += time.perf_counter() - began
+            yield index, result
+        if not chunks:
             return
         with ProcessPoolExecutor(
             min(self.workers, len(chunks)),

@@ -102,7 +102,8 @@ def default_tuned(base: Gains) -> tuple[str, ...]:
         >>> default_tuned(load_gains("default"))[:3]
         ('k1', 'lookahead', 'k_psi')
     """
-    return (*base.own, "k_v", "k_r") if base.own else TUNED
+    own = [name for name in base.own if name in base.specs]  # not what follows from the vehicle
+    return (*own, "k_v", "k_r") if base.own else TUNED
 
 
 def _default(name: str, base: Gains) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +52,7 @@ class SweepTable:
         """Whether the design is a full grid: every combination of the axes' values was evaluated."""
         return bool(self.dataset.attrs["design"] == "grid")
 
-    @property
+    @cached_property
     def axes(self) -> tuple[SweptAxis, ...]:
         """The parameters that the sweep varies, in the order of the dimensions."""
         axes = []
@@ -65,17 +66,22 @@ class SweepTable:
         """Shape of a column."""
         return tuple(self.dataset[self.columns[0]].shape)
 
-    @property
+    @cached_property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that cover all cases together."""
-        return tuple(str(name) for name, v in self.dataset.data_vars.items() if "case" not in v.dims)
+        return tuple(name for name, dims in self._dimensions.items() if "case" not in dims)
+
+    @cached_property
+    def _dimensions(self) -> Mapping[str, tuple[str, ...]]:
+        # of every data variable; xarray builds an object each time that it is asked for one
+        return {str(name): tuple(map(str, v.dims)) for name, v in self.dataset.data_vars.items()}
 
     @property
     def units(self) -> Mapping[str, str]:
         """Unit of every column."""
         return {name: str(self.dataset[name].attrs["units"]) for name in self.columns}
 
-    @property
+    @cached_property
     def cases(self) -> tuple[str, ...]:
         """Names of the cases that were simulated at every point."""
         return tuple(str(name) for name in self.dataset["case"].values)
@@ -93,14 +99,14 @@ class SweepTable:
         """
         known = self.columns
         if case is not None:
-            known = tuple(v.removeprefix("case_") for v in map(str, self.dataset.data_vars) if v.startswith("case_"))
+            known = tuple(v.removeprefix("case_") for v in self._dimensions if v.startswith("case_"))
         if name not in known:
             raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
         if case is None:
-            return np.asarray(self.dataset[name].values)
+            return np.asarray(self.dataset.variables[name].values)
         if case not in self.cases:
             raise InputError("no such case", key="case", value=case, remedy=nearest(case, self.cases))
-        return np.asarray(self.dataset["case_" + name][self.cases.index(case)].values)
+        return np.asarray(self.dataset.variables["case_" + name][self.cases.index(case)].values)
 
     @property
     def picked(self) -> tuple[int, ...] | None:
@@ -122,7 +128,7 @@ class SweepTable:
 
     def row(self, index: tuple[int, ...]) -> dict[str, float]:
         """Return the values of the axes and of every column at a point."""
-        return self.at(index) | {name: float(self.dataset[name][index]) for name in self.columns}
+        return self.at(index) | {name: float(self.dataset.variables[name][index].values) for name in self.columns}
 
     def rows(self) -> list[dict[str, float]]:
         """Return the values of the axes and of every column at every point, in C order."""

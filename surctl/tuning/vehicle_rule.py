@@ -91,7 +91,7 @@ def rule(vehicle: Vehicle, inner: Array, *, cruise: float, dt: float) -> dict[st
         "wait": lookahead,
         "patience": max(_PATIENCE, _LENGTHS * radius / cruise),
         "k_psi": k_psi,
-        "spin": min(0.45, vehicle.steady_yaw(1.0) / 2),
+        "spin": min(0.45, vehicle.steady_yaw(1.0, cruise) / 2),
         "k_v": k_v,
         "k_r": k_r,
         "k_i": 0.0,

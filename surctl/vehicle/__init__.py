@@ -1,6 +1,7 @@
 """The vehicle: parameters, equations (1)–(3) of the paper (kinematics, dynamics), linearisation, identification."""
 
 from surctl.vehicle.attainable import Attainable, attainable
+from surctl.vehicle.buoyancy import GRAVITY, WATER, floating_depth, missing_buoyancy
 from surctl.vehicle.dynamics import (
     PLANT_DISTURBANCE,
     PLANT_PARAMETERS,
@@ -17,18 +18,27 @@ from surctl.vehicle.dynamics import (
 from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, heading_velocity, swap_body, swap_pose
 from surctl.vehicle.gazebo import gazebo_vehicle
 from surctl.vehicle.geometry import sphere
+from surctl.vehicle.identification.consistency import velocity_notes
+from surctl.vehicle.identification.fitted import CONSTANT_FORCE, FITTED
 from surctl.vehicle.identification.identify import identify
-from surctl.vehicle.identification.model import CONSTANT_FORCE, FITTED
-from surctl.vehicle.identification.prediction import HELD_OUT, Prediction, held_out, predict, predict_with
+from surctl.vehicle.identification.prediction import (
+    HELD_OUT,
+    Prediction,
+    held_out,
+    held_out_windows,
+    predict,
+    predict_with,
+)
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
 from surctl.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
-from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, MotionLog, read_motion_log
+from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog, in_sequence, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
-from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Swivel, Thruster
+from surctl.vehicle.thruster_file import axis_ends, axis_limits
+from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Fin, Swivel, Thruster
 from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
@@ -37,17 +47,21 @@ __all__ = [
     "FITTED",
     "FRAMES",
     "FRAME_TEXT",
+    "GRAVITY",
     "HELD_OUT",
     "LIBRARY",
     "LOG_MOTION",
     "LOG_THRUST",
+    "LOG_TILT",
     "PARAMETERS",
     "PLANT_DISTURBANCE",
     "PLANT_PARAMETERS",
     "PLANT_STATE",
     "TERMS",
+    "WATER",
     "Actuators",
     "Attainable",
+    "Fin",
     "Frame",
     "Identified",
     "MotionLog",
@@ -60,16 +74,22 @@ __all__ = [
     "Thruster",
     "Vehicle",
     "attainable",
+    "axis_ends",
+    "axis_limits",
     "build_plant",
     "check_equation_3",
     "check_frame",
+    "floating_depth",
     "gazebo_vehicle",
     "heading_velocity",
     "held_out",
+    "held_out_windows",
     "identify",
+    "in_sequence",
     "jacobian",
     "linearise",
     "load_vehicle",
+    "missing_buoyancy",
     "parameter_spec",
     "planar_rotation",
     "plant_jacobians",
@@ -88,5 +108,6 @@ __all__ = [
     "swap_pose",
     "topic_lines",
     "trim_thrust",
+    "velocity_notes",
     "write_vehicle",
 ]

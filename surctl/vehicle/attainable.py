@@ -96,25 +96,34 @@ class Attainable:
         """
         low, high = self.bounds(working)
         turn = self.normals[:, 3] * (yaw / self.scale[3])
-        rows = np.vstack([self.normals[:, :2], -self.normals[:, :2]])
-        ends = np.concatenate([high - turn, turn - low])
-        flat = np.linalg.norm(rows, axis=1) < _FLAT
-        if np.any(ends[flat] < -_FLAT):
-            return np.zeros((0, 2))
-        rows, ends = rows[~flat], ends[~flat]
-        first, second = (k.ravel() for k in np.triu_indices(len(rows), 1))
-        area = rows[first, 0] * rows[second, 1] - rows[first, 1] * rows[second, 0]
-        crossing = np.abs(area) > _FLAT
-        first, second, area = first[crossing], second[crossing], area[crossing]
-        x = (ends[first] * rows[second, 1] - ends[second] * rows[first, 1]) / area
-        y = (rows[first, 0] * ends[second] - rows[second, 0] * ends[first]) / area
-        points = np.column_stack([x, y])
-        points = points[np.all(points @ rows.T <= ends + _FLAT, axis=1)]
-        points = np.unique(points.round(9), axis=0)
-        if len(points) == 0:
-            return points
-        middle = points - points.mean(axis=0)
-        return np.asarray(points[np.argsort(np.arctan2(middle[:, 1], middle[:, 0]))] * self.unit)
+        return _polygon(self.normals[:, :2], low - turn, high - turn) * self.unit
+
+    def outline(self, *, working: ArrayLike | None = None) -> Array:
+        """Return the corners (k, 2) [N, N m] of a set with two axes, counter-clockwise."""
+        return _polygon(self.normals, *self.bounds(working)) * self.scale
+
+
+def _polygon(normals: Array, low: Array, high: Array) -> Array:
+    """Return the corners (k, 2) of low ≤ normals · y ≤ high, counter-clockwise; none if the set is empty."""
+    rows = np.vstack([normals, -normals])
+    ends = np.concatenate([high, -low])
+    flat = np.linalg.norm(rows, axis=1) < _FLAT
+    if np.any(ends[flat] < -_FLAT):
+        return np.zeros((0, 2))
+    rows, ends = rows[~flat], ends[~flat]
+    first, second = (k.ravel() for k in np.triu_indices(len(rows), 1))
+    area = rows[first, 0] * rows[second, 1] - rows[first, 1] * rows[second, 0]
+    crossing = np.abs(area) > _FLAT
+    first, second, area = first[crossing], second[crossing], area[crossing]
+    x = (ends[first] * rows[second, 1] - ends[second] * rows[first, 1]) / area
+    y = (rows[first, 0] * ends[second] - rows[second, 0] * ends[first]) / area
+    points = np.column_stack([x, y])
+    points = points[np.all(points @ rows.T <= ends + _FLAT, axis=1)]
+    points = np.unique(points.round(9), axis=0)
+    if len(points) == 0:
+        return points
+    middle = points - points.mean(axis=0)
+    return np.asarray(points[np.argsort(np.arctan2(middle[:, 1], middle[:, 0]))])
 
 
 def attainable(actuators: Actuators, axes: tuple[int, ...] = (0, 1, 2, 3)) -> Attainable:

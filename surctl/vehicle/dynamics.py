@@ -107,7 +107,7 @@ def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
         "mass": vehicle.mass,
         "linear_drag": vehicle.linear_drag,
         "quadratic_drag": vehicle.quadratic_drag,
-        "thrust_limit": vehicle.thrust_range[1],
+        "thrust_limit": vehicle.delivered_limit,
         "thrust_lag": vehicle["thrust_lag"],
     }
     if form.terms:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,18 +15,21 @@ from surctl.recorded import Recorded, read_recorded
 from surctl.units import in_unit
 from surctl.vehicle.frames import FRAME_TEXT, Frame, check_frame, swap_body, swap_pose
 
-__all__ = ["LOG_MOTION", "LOG_THRUST", "MotionLog", "read_motion_log"]
+__all__ = ["LOG_MOTION", "LOG_THRUST", "LOG_TILT", "MotionLog", "in_sequence", "read_motion_log"]
 
 LOG_MOTION = ("x_m", "y_m", "z_m", "psi_rad", "u_m_per_s", "v_m_per_s", "w_m_per_s", "r_rad_per_s")
 """Columns of η and ν; a log may have only some of them, and cells may be empty."""
+LOG_TILT = ("roll_rad", "pitch_rad", "p_rad_per_s", "q_rad_per_s")
+"""Columns of roll and pitch, and of the angular velocities p, q of the hull; a log may have none of them."""
 LOG_THRUST = ("Fu_N", "Fv_N", "Fw_N", "Fr_N_m")
 """Columns of the commanded thrust, which is constant from one row to the next."""
 
 _LEAST = 50  # rows
+_PAUSE = 10.0  # periods between two logs, twice the gap at which a fit splits a log
 _UNITS = dict(
     zip(
-        ("t_s", *LOG_MOTION, *LOG_THRUST),
-        ("s", "m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s", "N", "N", "N", "N m"),
+        ("t_s", *LOG_MOTION, *LOG_TILT, *LOG_THRUST),
+        ("s", "m", "m", "m", "rad", "m/s", "m/s", "m/s", "rad/s", *2 * ("rad",), *2 * ("rad/s",), *3 * ("N",), "N m"),
         strict=True,
     )
 )
@@ -52,7 +55,8 @@ class MotionLog:
     Attributes:
         time: (n,) [s], increasing.
         motion: (n, 8) pose η in the world frame {E}, then velocity over ground ν in the body frame {B}; NaN where there
-            is no measurement. The heading ψ is continuous, without jumps by a full turn.
+            is no measurement. The heading ψ is continuous, without jumps by a full turn. With roll and pitch, (n, 12):
+            then roll, pitch [rad], and the angular velocities p, q of the hull [rad/s].
         thrust: (n, 4) commanded thrust in {B} [N, N m]; each command is constant until the next sample.
         source: name of the file.
     """
@@ -85,6 +89,8 @@ class MotionLog:
 def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLog:
     """Read time `t_s`, thrust, and any motion columns of a log file (CSV, .mat, netCDF); ignore other columns.
 
+    With any of the columns roll_rad, pitch_rad, p_rad_per_s and q_rad_per_s, the log has roll and pitch.
+
     A column may have the ending of another unit: t_ns, t_us or t_ms, x_cm or x_mm, psi_deg, u_cm_per_s, r_deg_per_s,
     Fu_kgf. Times in such a unit count from the first row.
 
@@ -108,21 +114,59 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
     """
     table = read_recorded(path)
     written = _frame(table, frame)
-    columns = {name: _written_as(table, name) for name in ("t_s", *LOG_MOTION, *LOG_THRUST)}
+    columns = {name: _written_as(table, name) for name in _UNITS}
     table.need(name for name in ("t_s", *LOG_THRUST) if columns[name] is None)
     time = _numbers(table, "t_s", columns)
     if not np.isfinite(time).all():
         row = int(np.flatnonzero(~np.isfinite(time))[0])
         key = (columns["t_s"] or ("t_s", ""))[0]
         raise InputError("is not a time", file=table.at(row), key=key, remedy="fill it in or remove the row")
-    motion = np.column_stack([_numbers(table, c, columns) for c in LOG_MOTION])
+    tilts = any(columns[c] is not None for c in LOG_TILT)
+    motion = np.column_stack([_numbers(table, c, columns) for c in (*LOG_MOTION, *(LOG_TILT if tilts else ()))])
     heading = motion[:, 3]
     known = np.isfinite(heading)
     heading[known] = np.unwrap(heading[known])
     thrust = np.column_stack([_numbers(table, c, columns) for c in LOG_THRUST])
     if written == "ned":
-        motion, thrust = np.hstack([swap_pose(motion[:, :4]), swap_body(motion[:, 4:])]), swap_body(thrust)
+        motion, thrust = swapped(motion), swap_body(thrust)
     return MotionLog(time, motion, thrust, table.name)
+
+
+def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
+    """Return several logs of one vehicle as one log: one after the other, with a gap in between.
+
+    A fit gives each part between two gaps its own initial motion, so the runs need not have the same origin.
+
+    Args:
+        logs: the logs, in the order in which they are to follow each other.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import MotionLog, in_sequence
+        >>> run = MotionLog(0.1 * np.arange(60), np.zeros((60, 8)), np.zeros((60, 4)), "run.csv")
+        >>> both = in_sequence([run, run])
+        >>> len(both.time), round(float(both.time[60] - both.time[59]), 2), both.source
+        (120, 2.0, 'run.csv, run.csv')
+    """
+    if len(logs) == 1:
+        return logs[0]
+    pause = 2.0 * max(1.0, *(_PAUSE * float(np.median(np.diff(log.time))) for log in logs))
+    times: list[NDArray[np.float64]] = []
+    for log in logs:
+        begin = times[-1][-1] + pause if times else log.time[0]
+        times.append(log.time - log.time[0] + begin)
+    return MotionLog(
+        np.concatenate(times),
+        np.vstack([log.motion for log in logs]),
+        np.vstack([log.thrust for log in logs]),
+        ", ".join(log.source for log in logs),
+    )
+
+
+def swapped(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return motion (n, 8) or (n, 12) of a log in ENU/FLU from NED/FRD, or back; pitch and q change their signs."""
+    tilt = motion[:, 8:] * np.array([1.0, -1.0, 1.0, -1.0])[: motion.shape[1] - 8]
+    return np.hstack([swap_pose(motion[:, :4]), swap_body(motion[:, 4:8]), tilt])
 
 
 def _written_as(table: Recorded, name: str) -> tuple[str, str] | None:

@@ -16,12 +16,16 @@ from pydantic import Field, ValidationError
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
 from surctl.vehicle.specs import NEEDED_TO_TILT, PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
-from surctl.vehicle.thruster_file import common_lag, largest_forces, read_actuators
+from surctl.vehicle.thruster_file import axis_limits, common_lag, largest_forces, read_actuators
 from surctl.vehicle.thrusters import Actuators
 
 __all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
 
 LIBRARY = Path(__file__).parent / "library"
+
+_YAW = 3
+_SLOWEST = 1e-3  # [m/s] least speed for the limits of fins, which vanish at rest
+_FASTEST = 20.0  # [m/s] no craft of this project is faster
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,8 @@ class Vehicle:
 
     The parameters are those of equation (3) of the paper, followed by the vehicle's optional terms (see `TERMS`).
     `actuators` holds the thrusters and the order of their allocation; None: the vehicle file describes no thrusters,
-    and each axis has its own force limit.
+    and each axis has its own force limit. `speed` is the forward speed [m/s] at which the thrust limits of a vehicle
+    with fins hold: those of its file hold at 1 m/s (see `at_speed`).
     """
 
     name: str
@@ -48,6 +53,7 @@ class Vehicle:
     parameters: Mapping[str, Parameter]
     source: str = ""
     actuators: Actuators | None = None
+    speed: float = 1.0
 
     def __getitem__(self, name: str) -> float:
         """Return the value of a parameter in its SI unit; for an unknown name, raise InputError with a similar name."""
@@ -125,14 +131,70 @@ class Vehicle:
         """Bounds (4,) of the thrust that reaches the plant: the thrust limits, or the most that the thrusters give."""
         return self.thrust_limit if self.actuators is None else self.actuators.most
 
-    def steady_yaw(self, share: float) -> float:
-        """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case."""
+    def at_speed(self, speed: float) -> Vehicle:
+        """Return the vehicle with the thrust limits that hold at a forward speed [m/s]; without fins, the vehicle.
+
+        The yaw moment of a rudder or another fin grows with the square of the speed.
+
+        Example:
+            >>> from surctl.vehicle import load_vehicle
+            >>> craft = load_vehicle("remus100")
+            >>> [round(craft.at_speed(u)["Fr_max"], 3) for u in (0.5, 1.0, 2.0)]
+            [0.365, 1.46, 5.839]
+        """
+        if self.actuators is None or not self.actuators.fins or speed == self.speed:
+            return self
+        before, after = (axis_limits(self.actuators, max(u, _SLOWEST))[3] for u in (self.speed, speed))
+        factor, known = float(after / before), self.parameters["Fr_max"]
+        ends = None if known.range is None else (factor * known.range[0], factor * known.range[1])
+        moment = replace(known, value=factor * known.value, range=ends)
+        return replace(self, parameters={**self.parameters, "Fr_max": moment}, speed=max(speed, _SLOWEST))
+
+    def fin_share(self, speed: float) -> float:
+        """Return the share of the largest yaw moment that rudders and other fins give at a forward speed [m/s]."""
+        if self.actuators is None or not self.actuators.fins:
+            return 0.0
+        alone, most = (axis_limits(self.actuators, u)[3] for u in (0.0, max(speed, _SLOWEST)))
+        return float(1 - alone / most)
+
+    def munk(self, cruise: float) -> float:
+        """Return μ = m22 − m11 + Nuv + Nv/U [kg]: the moment μ u v turns a craft that drifts at the sway speed v.
+
+        It is the Munk moment and the lift of body and fins; U is the cruise speed [m/s].
+        """
+        return self["m22"] - self["m11"] + self._term("Nuv") + self._term("Nv") / cruise
+
+    def centripetal(self, cruise: float) -> float:
+        """Return m = m11 + Yur + Yr/U [kg], at least 0: a turn at the yaw rate r needs the sway force m u r."""
+        return max(self["m11"] + self._term("Yur") + self._term("Yr") / cruise, 0.0)
+
+    def _term(self, name: str) -> float:
+        return self[name] if name in self.parameters else 0.0
+
+    @property
+    def delivered_limit(self) -> NDArray[np.float64]:
+        """Bounds (4,) of the thrust that the plant accepts ahead: the thrust range, or what thrusters with fins reach.
+
+        The allocation limits each fin by the present speed, so the plant must not limit the sum again.
+        """
+        most: NDArray[np.float64] = self.thrust_range[1]
+        if self.actuators is None or not self.actuators.fins:
+            return most
+        finned = np.maximum(most, _FASTEST**2 * self.actuators.most)
+        return np.where(self.actuators.finned, finned, most).astype(float)
+
+    def steady_yaw(self, share: float, cruise: float = 0.0) -> float:
+        """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case.
+
+        At a forward speed `cruise` [m/s], the drag in yaw contains the part that grows with this speed.
+        """
 
         def worst(name: str, which: int) -> float:
             known = self.parameters[name].range
             return self[name] if known is None else known[which]
 
         moment, linear, quadratic = share * worst("Fr_max", 0), worst("Nr", 1), worst("Nrr", 1)
+        linear += sum(worst(name, 1) * cruise for axis, name in self.form.ahead() if axis == _YAW)
         return float(2 * moment / max(linear + np.sqrt(linear**2 + 4 * quadratic * moment), 1e-6))
 
     def digest(self) -> str:

@@ -7,19 +7,22 @@ from math import degrees, isclose, radians
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, quoted, validate
-from surctl.vehicle.attainable import attainable
-from surctl.vehicle.thrusters import DEFAULT_ORDER, ORDERS, Actuators, Swivel, Thruster
+from surctl.vehicle.attainable import Attainable, attainable
+from surctl.vehicle.thrusters import DEFAULT_ORDER, ORDERS, Actuators, Fin, Swivel, Thruster
 
-__all__ = ["common_lag", "largest_forces", "read_actuators", "thruster_text"]
+__all__ = ["axis_ends", "axis_limits", "common_lag", "largest_forces", "read_actuators", "thruster_text"]
 
 _MOST = 16
 _AXES = ("surge", "sway", "heave", "yaw")
 _UNIT = 0.01  # allowed error of the length of a unit vector, because files round its entries
 _FORM = 'write "44 N"'
+_LIFT = "N s^2/m^2"
+_STALL = 45.0  # [deg] beyond it no blade has lift in proportion to its deflection
 
 
 class _SwivelTable(Strict):
@@ -28,16 +31,22 @@ class _SwivelTable(Strict):
     rate_deg_per_s: float | None = Field(default=None, gt=0)
 
 
+class _FinTable(Strict):
+    lift: Quantity
+    limit_deg: float
+
+
 class _ThrusterTable(Strict):
     name: str = Field(min_length=1)
     at_m: tuple[float, float, float]
     direction: tuple[float, float, float] = Field(alias="push")
-    forward: Quantity
-    reverse: Quantity
+    forward: Quantity | None = None
+    reverse: Quantity | None = None
     dead_band: float = Field(default=0.0, ge=0, lt=1)
     curve: tuple[tuple[float, float], ...] | None = None
     lag: Quantity | None = None
     swivel: _SwivelTable | None = None
+    fin: _FinTable | None = None
     provenance: str = Field(min_length=1)
 
 
@@ -108,14 +117,54 @@ def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) ->
 def largest_forces(actuators: Actuators) -> Mapping[str, float]:
     """Return `Fu_max`, `Fv_max`, `Fw_max` [N] and `Fr_max` [N m]: the largest value on each axis alone.
 
-    All other axes are 0 meanwhile, and the force is available in both directions.
+    All other axes are 0 meanwhile, and the force is available in both directions. Fins count in yaw only, with their
+    forces at 1 m/s (`axis_limits`).
     """
-    ends = attainable(actuators).intervals()
-    ends[np.abs(ends) < 1e-9 * actuators.largest] = 0.0
-    return {name: float(min(-low, high)) for name, (low, high) in zip(_LIMITS, ends.tolist(), strict=True)}
+    return dict(zip(_LIMITS, axis_limits(actuators, 1.0).tolist(), strict=True))
+
+
+def axis_limits(actuators: Actuators, speed: float) -> NDArray[np.float64]:
+    """Return the largest value (4,) [N, N m] on each axis alone, in both directions, at a forward speed [m/s].
+
+    Example:
+        >>> from surctl.vehicle import axis_limits, load_vehicle
+        >>> axis_limits(load_vehicle("remus100").actuators, 0.5).round(3).tolist()
+        [10.1, 0.0, 0.0, 0.365]
+    """
+    ends = axis_ends(actuators, speed)
+    return np.minimum(-ends[:, 0], ends[:, 1])
+
+
+def axis_ends(actuators: Actuators, speed: float = 1.0, *, failed: Sequence[str] = ()) -> NDArray[np.float64]:
+    """Return (4, 2): least and largest force or moment on each axis alone [N, N m], at a forward speed [m/s].
+
+    Fins count in yaw only: at rest they give no force. A rudder pushes sideways when it turns the craft, so yaw is the
+    largest moment with 0 on the axes that other thrusters serve, whatever the force on the others.
+
+    Example:
+        >>> from surctl.vehicle import axis_ends, load_vehicle
+        >>> axis_ends(load_vehicle("otter").actuators)[0].round(1).tolist()
+        [-133.4, 239.4]
+    """
+    on = np.array([float(name not in failed) for name in actuators.names])
+    shares = on * actuators.shares(speed)
+    if not actuators.fins:
+        return _alone(attainable(actuators), shares)
+    fixed = np.array([float(thruster.fin is None) for thruster in actuators.thrusters])
+    ends = _alone(attainable(actuators), on * fixed)
+    axes = tuple(axis for axis in range(4) if ends[axis, 0] < 0 < ends[axis, 1] or axis == _YAW)
+    ends[_YAW] = _alone(attainable(actuators, axes), shares)[axes.index(_YAW)]
+    return ends
+
+
+def _alone(forces: Attainable, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    ends = forces.intervals(working=shares)
+    ends[np.abs(ends) < 1e-9 * forces.unit] = 0.0
+    return ends
 
 
 _LIMITS = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
+_YAW = 3
 
 
 def thruster_text(actuators: Actuators | None) -> list[str]:
@@ -130,9 +179,7 @@ def thruster_text(actuators: Actuators | None) -> list[str]:
             f"name = {quoted(one.name)}",
             f"at_m = {list(one.at)!r}",
             f"push = {list(one.direction)!r}",
-            f"forward = {quoted(f'{one.forward!r} N')}",
-            f"reverse = {quoted(f'{one.reverse!r} N')}",
-            f"curve = {[list(point) for point in one.curve]!r}",
+            *_force_lines(one),
         ]
         if one.swivel is not None:
             low, high = (degrees(end) for end in one.swivel.range)
@@ -142,12 +189,29 @@ def thruster_text(actuators: Actuators | None) -> list[str]:
     return lines
 
 
+def _force_lines(one: Thruster) -> list[str]:
+    if one.fin is not None:
+        lift = quoted(f"{one.fin.lift!r} {_LIFT}")
+        return [f"fin = {{ lift = {lift}, limit_deg = {degrees(one.fin.limit)!r} }}"]
+    return [
+        f"forward = {quoted(f'{one.forward!r} N')}",
+        f"reverse = {quoted(f'{one.reverse!r} N')}",
+        f"curve = {[list(point) for point in one.curve]!r}",
+    ]
+
+
 def _thruster(table: _ThrusterTable, *, names: Sequence[str]) -> Thruster:
     if table.name in names:
         raise InputError("names two thrusters", key="name", value=table.name, remedy="rename one of them")
     if not table.name.isprintable() or set(table.name) & set(":,= "):
         raise InputError("is not a name", key="name", value=table.name, remedy="use letters and digits, such as T1")
     direction = _unit(table.direction, "push")
+    if table.fin is not None:
+        return _finned(table, table.fin, direction)
+    if table.forward is None or table.reverse is None:
+        raise InputError(
+            "is missing", key="forward" if table.forward is None else "reverse", remedy=f'{_FORM}; a rudder has "fin"'
+        )
     forward, reverse = _newtons(table.forward, "forward"), _newtons(table.reverse, "reverse")
     if forward <= 0:
         raise InputError(
@@ -160,6 +224,38 @@ def _thruster(table: _ThrusterTable, *, names: Sequence[str]) -> Thruster:
     swivel = None if table.swivel is None else _swivel(table.swivel, direction, reverse)
     curve = _curve(table, forward, reverse)
     return Thruster(table.name, table.at_m, direction, forward, reverse, curve, swivel, table.provenance)
+
+
+def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float, float]) -> Thruster:
+    for key in ("forward", "reverse", "curve", "swivel", "dead_band"):
+        if getattr(table, key) not in (None, 0.0):
+            raise InputError(
+                "does not go with a fin, whose force follows from its lift and its deflection",
+                key=key,
+                value=key,
+                remedy=f"remove {key}",
+            )
+    try:
+        lift = fin.lift.within(_LIFT).value
+    except InputError as error:
+        raise error.inside(None, "fin.lift") from None
+    if lift <= 0:
+        remedy = "give the force per (m/s)^2 and rad, and turn `push` round if it is negative"
+        raise InputError("pushes nowhere: it must be greater than 0", key="fin.lift", value=lift, remedy=remedy)
+    if not 0 < fin.limit_deg <= _STALL:
+        raise InputError(
+            f"must be greater than 0 and at most {_STALL:g}",
+            key="fin.limit_deg",
+            value=fin.limit_deg,
+            remedy="give the largest deflection to one side, below the stall angle",
+        )
+    if abs(direction[0]) > _UNIT:
+        remedy = "give the normal of the blade in its middle position, such as [0, 1, 0]"
+        raise InputError("is not across the hull", key="push", value=list(direction), remedy=remedy)
+    blade = Fin(lift, radians(fin.limit_deg))
+    most = blade.lift * blade.limit
+    curve = ((-1.0, -most), (0.0, 0.0), (1.0, most))
+    return Thruster(table.name, table.at_m, direction, most, most, curve, None, table.provenance, blade)
 
 
 def _newtons(quantity: Quantity, key: str) -> float:

@@ -5,6 +5,12 @@ pushes in a plane: its force lies in a sector of a disc, which is replaced by an
 is linear and no force exceeds the jet's limit. All thrusters of a vehicle share the vehicle's `thrust_lag`: a
 first-order lag with one time constant on every thruster equals the same lag of the total force and moment, because the
 total is a linear function of the thrusters' forces.
+
+A rudder or another fin pushes along a fixed direction too, with the force `lift` u² δ, in which u is the forward speed
+through the water and δ the deflection. So its limits grow with u²; `forward` and `reverse` hold at 1 m/s. At rest and
+astern it gives nothing. The force is normal to the blade in its middle position; the drag of the deflected blade and
+the propeller's stream are left out. What the fin does as a fixed part of the hull belongs to the drag of the vehicle
+(`Yuv`, `Nur`, …).
 """
 
 from __future__ import annotations
@@ -21,7 +27,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 
-__all__ = ["DEFAULT_ORDER", "ORDERS", "Actuators", "Swivel", "Thruster"]
+__all__ = ["DEFAULT_ORDER", "ORDERS", "Actuators", "Fin", "Swivel", "Thruster"]
 
 Array = NDArray[np.float64]
 
@@ -62,17 +68,33 @@ class Swivel:
 
 
 @dataclass(frozen=True)
+class Fin:
+    """The blade of a rudder or another fin.
+
+    Attributes:
+        lift: force per squared speed and deflection [N s²/m²]; the deflection is in rad.
+        limit: largest deflection to both sides [rad]: the stop of the servo, or the stall angle.
+    """
+
+    lift: float
+    limit: float
+
+
+@dataclass(frozen=True)
 class Thruster:
-    """A thruster.
+    """A thruster, a rudder or another fin.
 
     Attributes:
         name: name in messages and ports.
         at: place in the body frame {B} [m]: x forward, y to the left, z up.
         direction: unit vector of the force on the vehicle at a positive command, in {B}.
-        forward, reverse: largest force along and against `direction` [N]; a water jet has reverse = 0.
-        curve: (command, force [N]) points of the piecewise linear characteristic, from command −1 to 1.
+        forward, reverse: largest force along and against `direction` [N]; a water jet has reverse = 0. Those of a fin
+            hold at a forward speed of 1 m/s.
+        curve: (command, force [N]) points of the piecewise linear characteristic, from command −1 to 1. The command of
+            a fin is its deflection as a share of the largest one.
         swivel: the joint of a vectored jet, or None.
         provenance: where the numbers come from.
+        fin: the blade of a rudder or another fin, or None.
     """
 
     name: str
@@ -83,6 +105,7 @@ class Thruster:
     curve: tuple[tuple[float, float], ...]
     swivel: Swivel | None = None
     provenance: str = ""
+    fin: Fin | None = None
 
     @cached_property
     def directions(self) -> Array:
@@ -189,6 +212,22 @@ class Actuators:
         return tuple(k for k, thruster in enumerate(self.thrusters) if thruster.swivel is not None)
 
     @property
+    def fins(self) -> tuple[int, ...]:
+        """Indices of the rudders and other fins."""
+        return tuple(k for k, thruster in enumerate(self.thrusters) if thruster.fin is not None)
+
+    @property
+    def finned(self) -> NDArray[np.bool_]:
+        """Whether a fin pushes on each axis (4,)."""
+        columns = [self.matrix[:, self.slices[k]] for k in self.fins]
+        return np.any(np.abs(np.hstack(columns)) > _SAME, axis=1) if columns else np.zeros(4, dtype=bool)
+
+    def shares(self, speed: float) -> Array:
+        """Return (n,): each thruster's limits at a forward speed [m/s] over `forward` and `reverse`, 1 unless a fin."""
+        grown = max(speed, 0.0) ** 2
+        return np.array([1.0 if thruster.fin is None else grown for thruster in self.thrusters])
+
+    @property
     def largest(self) -> float:
         """Largest force of any thruster [N]."""
         return max(max(thruster.forward, thruster.reverse) for thruster in self.thrusters)
@@ -219,6 +258,8 @@ class Actuators:
         data = self.to_dict()
         for one in data["thrusters"]:
             del one["provenance"]
+            if one["fin"] is None:  # as before there were fins, so that the digest of a vehicle stays
+                del one["fin"]
         return json.dumps(data, sort_keys=True)
 
     def index(self, name: str) -> int:
@@ -250,8 +291,9 @@ class Actuators:
 def _thruster_from(data: Mapping[str, Any]) -> Thruster:
     joint = data["swivel"]
     swivel = None if joint is None else Swivel(tuple(joint["axis"]), tuple(joint["range"]), joint["rate"])
+    fin = None if data.get("fin") is None else Fin(**data["fin"])
     lists = {key: tuple(data[key]) for key in ("at", "direction")} | {"curve": tuple(map(tuple, data["curve"]))}
-    return Thruster(**{**data, **lists, "swivel": swivel})
+    return Thruster(**{**data, **lists, "swivel": swivel, "fin": fin})
 
 
 def _line(thruster: Thruster) -> str:
@@ -260,4 +302,8 @@ def _line(thruster: Thruster) -> str:
     if thruster.swivel is not None:
         low, high = map(degrees, thruster.swivel.range)
         joint = f", swivels {low:.0f} to {high:.0f} deg"
+    if thruster.fin is not None:
+        fin = thruster.fin
+        force = f"{fin.lift:.4g} N s^2/m^2 times u^2 and deflection, up to {degrees(fin.limit):.3g} deg"
+        return f"{thruster.name}: fin at ({at}) m, push ({along}), {force}"
     return f"{thruster.name}: at ({at}) m, push ({along}), {thruster.forward:g} N, reverse {thruster.reverse:g}{joint}"

@@ -10,6 +10,7 @@ from surctl.verification.claim_file import load_claim, write_claim
 from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
 from surctl.verification.decide import decide
 from surctl.verification.falsifier import falsify
+from surctl.verification.law_corners import LawCorners, law_corners
 from surctl.verification.law_loop import LawLoop, law_loop
 from surctl.verification.library import applicable_claims, claims
 from surctl.verification.linear_table import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
@@ -37,6 +38,7 @@ __all__ = [
     "Claim",
     "Counterexample",
     "Inapplicable",
+    "LawCorners",
     "LawLoop",
     "Locus",
     "LoopMargins",
@@ -57,6 +59,7 @@ __all__ = [
     "decide",
     "evaluate",
     "falsify",
+    "law_corners",
     "law_loop",
     "linear_table",
     "load_claim",

@@ -20,13 +20,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Gains, Law, law_parameters
+from surctl.allocation import allocate
+from surctl.control import Gains, Law, law_parameters, law_source
 from surctl.errors import InputError
 from surctl.guidance import Path
 from surctl.ir import Layout, Port
 from surctl.own_code import label
 from surctl.system import Action, Controller, Linearisation, Plant, System, linearise
-from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
+from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
 from surctl.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_trim
 from surctl.verification.linear.disk import DiskMargin
 from surctl.verification.margins import LoopMargins
@@ -106,7 +107,7 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
     Args:
         law: a law for exact obstacle positions, without sonars.
         vehicle: the plant.
-        gains: the gains of the law.
+        gains: the gains of the law; gains of its own that are missing have their defaults.
         cruise: cruise speed U [m/s], > 0.
         model: the controller's model of the vehicle; default: the vehicle itself.
 
@@ -123,7 +124,7 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
     """
     if "samples" in law.inputs:
         raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
-    nu = np.array([cruise, 0.0, 0.0, 0.0])
+    nu, gains = np.array([cruise, 0.0, 0.0, 0.0]), gains.with_own(law_source(law.ref).gains)
     check_trim(vehicle, nu)
     system = _system(law, vehicle, law_numbers(law, model or vehicle, gains, cruise=cruise), nu)
     return LawLoop(label(law.ref), cruise, linearise(system))
@@ -139,6 +140,7 @@ def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Arr
 def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     form = vehicle.form
     (A,), (B,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], form=form)
+    B = B @ _delivered(vehicle, nu)
     Az, By, C, D = _differentiated(law, p, nu)
     acting = [bool(np.abs(row).max() > _COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
@@ -181,6 +183,24 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     return System(
         plant, Controller("law", law.dt, _layout(names, SIGNAL_UNITS), thrust, step, state=_layout(inner, {}))
     )
+
+
+def _delivered(vehicle: Vehicle, nu: Array) -> Array:
+    """Return the derivative (4, 4) of the force and yaw moment that the thrusters deliver by the command of the law.
+
+    It is the identity, unless a command moves another axis too: a rudder pushes sideways when it turns the craft.
+    """
+    if vehicle.actuators is None:
+        return np.eye(4)
+    trim = np.where(vehicle.thrust_limit > 0, trim_thrust(vehicle, nu), 0.0)
+    scale = 1e-4 * vehicle.actuators.largest
+    steps = [
+        allocate(vehicle.actuators, trim + sign * scale * e, speed=float(nu[0])).achieved
+        for e in np.eye(4)
+        for sign in (1.0, -1.0)
+    ]
+    J = np.column_stack([(steps[2 * k] - steps[2 * k + 1]) / (2 * scale) for k in range(4)])
+    return np.eye(4) if np.abs(J - np.eye(4)).max() < _COUPLED**0.5 else J
 
 
 def _differentiated(law: Law, p: Array, nu: Array) -> tuple[Array, Array, Array, Array]:

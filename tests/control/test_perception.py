@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from surctl.control import NONFINITE, build_law
+from surctl.control.decision import Scan, lower_levels
 from surctl.control.perception import CELLS_A_HULL, LAST_THRUST, build_perception
 from surctl.control.ports import SECTORS, scan_inputs, sonar_inputs
 from surctl.errors import InputError
@@ -82,6 +85,24 @@ def test_before_the_first_fix_it_knows_of_nothing():
     told = robot.step()
     assert told["placed"][0] == 1.0 and told["eta"][:2] == pytest.approx([1.0, 1.0])
     assert len(marks(robot.steps(4.0)))
+
+
+def test_without_any_echo_it_does_not_turn_to_scan():
+    """Turning would scan nothing; the first plausible firing starts the turn, and silence does not end it."""
+    robot = Robot(Equipment(), spin=0.0)
+    robot.wrong = {k: lambda honest, tick: None for k in range(4)}
+    assert robot.steps(3.0)["echoed"][0] == 0.0
+    robot.wrong = {k: lambda honest, tick: -1.0 + 0.0 * honest for k in range(4)}
+    assert robot.steps(3.0)["echoed"][0] == 0.0
+    robot.wrong = {}
+    assert robot.steps(0.2)["echoed"][0] == 1.0
+    robot.wrong = {k: lambda honest, tick: None for k in range(4)}
+    assert robot.steps(3.0)["echoed"][0] == 1.0
+    p = {"depth": 0.0, "k2": 0.3, "spin": ca.SX(0.45), "spin_limit": ca.SX(0.69)}
+    for heard, turn in ((1.0, 0.45), (0.0, 0.0)):
+        scan = Scan(ca.SX(0), ca.SX(0), ca.SX(1), ca.SX(heard))
+        level = lower_levels(ca.SX.sym("eta", 4), SimpleNamespace(heading=ca.SX(0)), p, scan)[1]
+        assert float(ca.evalf(ca.SX(level.reference))) == turn
 
 
 def test_it_is_told_the_truth_where_nothing_measures_it():

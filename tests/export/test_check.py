@@ -73,8 +73,8 @@ def compiled(law: object, run: Records, folder: Path, real: str) -> Controller:
 @pytest.mark.parametrize(
     ("real", "names"),
     [
-        ("float64", ("gcc-O0", "clang-native", "cortex-m7")),
-        ("float32", ("clang-O0", "gcc-O2", "cortex-m3", "cortex-m4f")),
+        ("float64", ("gcc-O0", "cortex-m7")),
+        ("float32", ("clang-O0", "cortex-m3", "cortex-m4f")),
     ],
 )
 def test_every_compiler_and_processor_gives_the_bytes_of_python(
@@ -85,10 +85,10 @@ def test_every_compiler_and_processor_gives_the_bytes_of_python(
     law, run = flight
     targets, untried = chosen_targets(names)
     assert not untried
-    report = check_builds(compiled(law, run, tmp_path, real), [run], targets, steps=4000)
+    report = check_builds(compiled(law, run, tmp_path, real), [run], targets, steps=1000)
     assert report.passed, report.summary()
-    assert report.simulated == len(run) and report.tried == 4000
-    assert {build.steps for build in report.builds} == {len(run) + 4000}
+    assert report.simulated == len(run) and report.tried == 1000
+    assert {build.steps for build in report.builds} == {len(run) + 1000}
     for build in report.builds:
         assert (build.instructions is not None) == (build.target in EMULATED)
         assert build.code_bytes is not None and (build.stack_bytes is not None) == (build.target in EMULATED)

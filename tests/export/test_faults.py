@@ -35,7 +35,7 @@ def test_every_entry_is_tried_with_every_bad_number() -> None:
     assert [case.status for case in after] == [-4, -4, -1, -1, -1, -1]
 
 
-REFUSED = "input)) {\n        return refuse("
+REFUSED = "input)) {\n        return standin_refuse("
 STATE = "for (int k = 0; k < 11; ++k) { if (!(fabs(state->x["  # the last six of 11 are the memory
 
 

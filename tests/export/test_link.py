@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -411,3 +413,28 @@ def test_a_closed_loop_flown_by_an_emulated_cortex_m4f_is_the_flight_in_python(
 def test_what_is_no_emulated_processor(name: str) -> None:
     with pytest.raises(InputError, match=r"is not an emulated processor; known: qemu:cortex-m3"):
         emulated_target(name)
+
+
+def test_a_compact_step_carries_status_and_thrust_only(line: Line) -> None:
+    law, identity = exact(), line.request()
+    for k in range(1, 6):
+        u = law.inputs.pack() + 0.1 * k
+        line.start(identity.id)
+        whole = line.step(1, u)
+        line.start(identity.id)
+        few = line.step(1, u, compact=True)
+        assert (few.status, few.tau.tolist()) == (whole.status, whole.tau.tolist())
+        assert few.tau.size == 4 and not few.state.size and not few.telemetry.size and len(few.raw) == 16
+
+
+def test_a_message_whose_bytes_drip_ends_the_connection_within_seconds(small: dict[Real, Path]) -> None:
+    with serving(small["float64"]) as (_, where):
+        host, port = where.removeprefix("tcp://").rsplit(":", 1)
+        began = time.monotonic()
+        with socket.create_connection((host, int(port)), timeout=20) as wire, contextlib.suppress(OSError):
+            for byte in HEAD.pack(b"SURL", 1, 1, 0, 0)[:-1] * 9:
+                wire.sendall(bytes([byte]))
+                time.sleep(0.25)
+        assert time.monotonic() - began < 20  # it closes after 2 s; not after the 34 s of all bytes
+        with connect(where) as opened:  # the next robot is served
+            opened.request()

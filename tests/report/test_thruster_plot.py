@@ -30,3 +30,14 @@ def test_every_corner_of_the_plot_is_on_the_edge_of_the_attainable_set(name: str
 def test_a_vehicle_without_thrusters_is_refused() -> None:
     with pytest.raises(InputError, match="describes no thrusters"):
         plot_attainable(load_vehicle("sur400"))
+
+
+def test_a_craft_without_sway_force_is_plotted_in_surge_and_yaw() -> None:
+    for name, half in (("otter", 52.6993), ("remus100", 1.4599 / 4)):
+        ax = plot_attainable(load_vehicle(name))
+        assert ax.get_ylabel() == "yaw moment F_r [N m]"
+        forces, moments = ax.lines[-1].get_data()
+        at_rest = np.abs(np.asarray(moments))[np.abs(forces) < 60]
+        assert np.max(moments) >= half * (1 - 1e-3) and (
+            name == "otter" or at_rest.max() == pytest.approx(half, rel=1e-3)
+        )

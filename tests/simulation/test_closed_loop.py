@@ -66,7 +66,7 @@ def test_with_true_positions_every_scenario_arrives_unharmed_and_in_time(name: s
     _check_seeds(name, "truth")
 
 
-def _flown(scenario: Scenario, seeds: int = 40) -> BatchResult:
+def _flown(scenario: Scenario, seeds: int = 12) -> BatchResult:
     need_compiler()
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
     return simulate_batch(case, seeds=np.arange(seeds), threads=2)

@@ -113,3 +113,9 @@ def test_a_large_matrix_of_large_numbers_is_tested_exactly() -> None:
     gram[0][0] = gram[1][1] = 10**66
     gram[0][1] = gram[1][0] = 10**66 + 1
     assert not is_semidefinite(gram)
+
+
+def test_a_nearly_singular_matrix_is_decided_by_its_exact_determinant() -> None:
+    many = 10**20
+    assert not is_semidefinite([[many, many + 1], [many + 1, many + 2]])  # -1
+    assert is_semidefinite([[many, many + 1], [many + 1, many + 3]])  # 10^20 - 1

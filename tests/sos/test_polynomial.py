@@ -2,7 +2,7 @@
 
 from fractions import Fraction
 
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from surctl.sos import Polynomial, gram_basis, monomials, parity_classes
@@ -15,7 +15,7 @@ POINTS = st.lists(NUMBERS, min_size=COUNT, max_size=COUNT)
 
 
 @given(POLYNOMIALS, POLYNOMIALS, POINTS, NUMBERS)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30, deadline=None, phases=[Phase.generate])
 def test_sums_and_products_have_the_values_of_numbers(p: Polynomial, q: Polynomial, x, c: Fraction) -> None:
     assert (p + q).value(x) == p.value(x) + q.value(x)
     assert (p - q).value(x) == p.value(x) - q.value(x)
@@ -27,27 +27,27 @@ def test_sums_and_products_have_the_values_of_numbers(p: Polynomial, q: Polynomi
 
 
 @given(POLYNOMIALS, POLYNOMIALS, st.integers(0, COUNT - 1))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, phases=[Phase.generate])
 def test_derivatives_follow_the_product_rule(p: Polynomial, q: Polynomial, k: int) -> None:
     assert (p * q).derivative(k) == p.derivative(k) * q + p * q.derivative(k)
 
 
 @given(POLYNOMIALS, POLYNOMIALS, POINTS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, phases=[Phase.generate])
 def test_a_substituted_polynomial_has_the_value_at_the_substituted_point(p: Polynomial, q: Polynomial, x) -> None:
     moved = p.substituted({0: q, 1: Polynomial.variable(0)})  # both at once
     assert moved.value(x) == p.value([q.value(x), x[0], x[2]])
 
 
 @given(st.lists(POLYNOMIALS, min_size=1, max_size=3))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, phases=[Phase.generate])
 def test_the_basis_contains_the_monomials_of_squares(roots: list[Polynomial]) -> None:
     total = sum((r * r for r in roots), Polynomial({}))
     assert {m for r in roots for m in r.terms} <= set(gram_basis(total))
 
 
 @given(POLYNOMIALS)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15, deadline=None, phases=[Phase.generate])
 def test_monomials_of_one_term_are_in_the_classes_of_their_symmetries(p: Polynomial) -> None:
     """A change of signs that leaves p unchanged multiplies all monomials of a class by the same sign."""
     classes = parity_classes(monomials(range(COUNT), 2), [p])

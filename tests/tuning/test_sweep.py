@@ -451,7 +451,7 @@ from surctl.tuning.executors import LocalExecutor
 from tests.tuning.stub import own_number
 
 if __name__ == "__main__":
-    done = LocalExecutor(2).map_chunks(own_number, [(k, np.ones((1, 1))) for k in range(10_000)])
+    done = LocalExecutor(2, alone_s=0.0).map_chunks(own_number, [(k, np.ones((1, 1))) for k in range(10_000)])
     print(int(next(done)[1][0, 0]), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -484,9 +484,18 @@ def test_workers_do_not_outlive_who_asked_for_them(tmp_path):
 def test_workers_give_the_same(tmp_path, monkeypatch):
     monkeypatch.setenv("SURCTL_TEST_TRACE", str(tmp_path / "trace"))
     one = dict(LocalExecutor(1).map_chunks(stub.slow_squares, CHUNKS))
-    two = dict(LocalExecutor(2).map_chunks(stub.slow_squares, CHUNKS))
+    two = dict(LocalExecutor(2, alone_s=0.005).map_chunks(stub.slow_squares, CHUNKS))  # some here, some in workers
     assert sorted(two) == list(range(40))
     assert all(np.array_equal(one[k], two[k]) for k in one)
+
+
+def test_workers_are_started_for_long_work_alone():
+    chunks = [(k, np.ones((1, 1))) for k in range(6)]
+    short = dict(LocalExecutor(2, alone_s=60.0).map_chunks(stub.own_number, chunks))
+    assert {int(found[0, 0]) for found in short.values()} == {os.getpid()}
+    long = dict(LocalExecutor(2, alone_s=0.015).map_chunks(stub.own_number, chunks))
+    own = [k for k, found in long.items() if int(found[0, 0]) == os.getpid()]
+    assert sorted(long) == list(range(6)) and own in ([0], [0, 1])  # at least 10 ms each
 
 
 def test_a_case_that_no_seed_changes_is_flown_once():

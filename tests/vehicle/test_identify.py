@@ -26,8 +26,18 @@ START = load_vehicle("sur540-flooded")
 TRUE = START.with_values({"m11": 88.0, "m22": 97.0, "Xuu": 70.0, "Nrr": 1.3, "thrust_lag": 0.25})
 
 
-def made_log(vehicle: Vehicle, *, seed: int, axes: tuple[int, ...] = (0, 1, 2, 3), rows: int = 200) -> MotionLog:
-    """Random steps of thrust on some axes, integrated finely, and noise of a few millimetres."""
+def made_log(
+    vehicle: Vehicle,
+    *,
+    seed: int,
+    axes: tuple[int, ...] = (0, 1, 2, 3),
+    rows: int = 200,
+    drift: np.ndarray | None = None,
+) -> MotionLog:
+    """Random steps of thrust on some axes, integrated finely, and noise of a few millimetres.
+
+    The slow force `drift` (rows, 4) acts too; it passes through the lag of the thrust.
+    """
     rng = np.random.default_rng(seed)
     thrust = np.zeros((rows, 4))
     for axis in axes:
@@ -35,7 +45,7 @@ def made_log(vehicle: Vehicle, *, seed: int, axes: tuple[int, ...] = (0, 1, 2, 3
         thrust[:, axis] = held * vehicle.thrust_limit[axis]
     ode, p, x = build_plant(vehicle.form).ode, plant_parameters(vehicle), np.zeros(12)
     motion = [x[:8]]
-    for command in thrust[:-1]:
+    for command in (thrust if drift is None else thrust + drift)[:-1]:
         for _ in range(8):
             h = 0.1 / 8
             k1 = np.asarray(ode(x, command, 0, p)).ravel()

@@ -138,6 +138,7 @@ MISTAKES = {
     ),
     "range without end": (_edited(M11, 'm11 = { value = 95.0, unit = "kg", range = [50, inf] }'), "inertia.m11", "inf"),
     "unknown key": (_edited("m44 =", "m45 ="), "inertia.m45", "did you mean 'm44'?"),
+    "number for a table": ("hull = 3\n" + re.sub(r"\[hull\](.|\n)*?\[", "[", TEXT, count=1), "hull", "must be a table"),
     "unknown table": (_edited("[hull]", "[hul]"), "hul", "did you mean 'hull'?"),
     "no provenance": (re.sub(r"provenance = .*\nm11", "m11", TEXT), "inertia.m11", "has no provenance"),
     "empty provenance": (

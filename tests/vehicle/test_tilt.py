@@ -16,12 +16,10 @@ from surctl.simulation.tilting import tilt_findings
 from surctl.vehicle import (
     PLANT_DISTURBANCE,
     TERMS,
-    MotionLog,
     Parameter,
     Vehicle,
     build_plant,
     heading_velocity,
-    identify,
     linearise,
     load_vehicle,
     plant_parameters,
@@ -234,9 +232,3 @@ def test_lint_finds_net_buoyancy_without_roll_and_pitch() -> None:
     (finding,) = tilt_findings(load_scenario("tank-static"), light)
     assert finding.text.startswith("bluerov2-wu rises: 41 N act on it vertically, and the heave thrust reaches 40 N")
     assert not tilt_findings(load_scenario("tank-static"), plain)
-
-
-def test_a_log_does_not_tell_roll_and_pitch() -> None:
-    log = MotionLog(0.1 * np.arange(200), np.zeros((200, 8)), np.zeros((200, 4)), "log.csv")
-    with pytest.raises(InputError, match="rolls and pitches, and a log"):
-        identify(log, boat(TILT), name="fit")

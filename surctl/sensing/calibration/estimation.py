@@ -202,7 +202,7 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
     everything = _fitted(x, y)
-    inlier, too_many = _without_outliers(x, y)
+    inlier, too_many = _without_outliers(x, y, everything)
     fit = everything if inlier.all() else _fitted(x[inlier], y[inlier])
     relative = np.interp(x, x[inlier], fit.relative)
     studentised = _studentised(x, y, relative, inlier)
@@ -262,15 +262,19 @@ def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> _Fit:
     return _Fit(bias=bias, scale=scale, level=_of_sd(plain.sd, n - 2), at_zero=None, shape=shape, relative=np.ones(n))
 
 
-def _without_outliers(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.bool_], bool]:
+def _without_outliers(
+    x: NDArray[np.float64], y: NDArray[np.float64], everything: _Fit
+) -> tuple[NDArray[np.bool_], bool]:
     """Return which readings (n,) are inliers, and whether more readings deviate than it may leave out.
+
+    `everything` is the fit to all readings.
 
     The readings that deviate most are left out first, because they may hide others or make good readings deviate. A
     reading that agrees with the fit to the others is taken back.
     """
     inlier = np.ones(len(x), dtype=bool)
     for _ in range(_ROUNDS):
-        fit = _fitted(x[inlier], y[inlier])
+        fit = everything if inlier.all() else _fitted(x[inlier], y[inlier])
         if fit.level.value == 0.0:
             deviation = np.abs(y - (fit.scale.value * x + fit.bias.value))
             return deviation <= _EXACT * float(x.max()), False

@@ -65,9 +65,10 @@ def counted(
     change = ca.if_else(first, 0, ca.fabs(tau - old["last_thrust"]))
     signs = ca.if_else(ca.fabs(tau) > SIGN * w["thrust_limit"], ca.if_else(tau > 0, 1, -1), old["last_signs"])
     past = ca.if_else(ca.logic_and(on_last, gap <= NEAR_TARGET), ca.dot(to_target, w["leg"]), 0)
-    # an axis without thrust has no share: its command is 0
+    # an axis without a limit of its own has no share: its force is 0, or that of a rudder that turns the craft
+    limited = w["thrust_limit"] > 0
+    share = ca.if_else(limited, ca.fabs(tau) / ca.if_else(limited, w["thrust_limit"], 1), 0)
     force = ca.fabs(tau[:3])
-    share = ca.fabs(tau) / ca.if_else(w["thrust_limit"] > 0, w["thrust_limit"], 1)
     return {
         "away": excluded,
         "last_thrust": tau,

@@ -32,6 +32,7 @@ from surctl.ir import (
 from surctl.sensing import NOISE_STATE, SLOT, FaultChances
 from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted, path_square, path_tangent
+from surctl.simulation.batch.driving import driven
 from surctl.simulation.batch.listening import Listening, flat, slots
 from surctl.simulation.batch.mission import Mission
 from surctl.simulation.batch.structure import Structure
@@ -92,7 +93,7 @@ def build_loop(structure: Structure) -> Loop:
         *(builder.mission.steps(state, parameters) if builder.mission else ()),
         Call(sense, ("s", "w"), outputs[0]),
         Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
-        Call(drive, ("w", "tau"), ("thrust",)),
+        Call(drive, tuple(name for name, _ in drive.inputs), ("thrust",)),
         Call(move, ("plant", "thrust", "d0", "plant_p"), ("plant_between",)),
         Call(between, tuple(name for name, _ in between.inputs), outputs[1]),
         Call(move, ("plant_between", "thrust", "d1", "plant_p"), ("plant_next",)),
@@ -219,10 +220,7 @@ class _Builder:
         return self.listening.late if self.sonar else Layout(())
 
     def drive(self) -> Program:
-        w, parameters = self.parameters.symbols("w")
-        tau = ca.SX.sym("tau", 4)
-        thrust = tau * parameters["thrust_gain"] + parameters["thrust_bias"]
-        return lower_named("drive", {"w": w, "tau": tau}, {"thrust": thrust})
+        return driven(self.structure, self.law, self.parameters)
 
     def between(self) -> Program:
         # second sonar firing and clearances, 25 ms after the beginning of the control step

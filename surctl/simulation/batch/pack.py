@@ -19,7 +19,7 @@ from surctl.simulation.batch.mission import capacity_for, mission_table
 from surctl.simulation.numbers import VISITED, law_numbers
 from surctl.simulation.scenario import check_spacing
 from surctl.simulation.world import WorldDraw, draw_world
-from surctl.vehicle import plant_layout, plant_state
+from surctl.vehicle import Vehicle, plant_layout, plant_state
 
 __all__ = ["Packed", "pack", "structure_of"]
 
@@ -174,19 +174,31 @@ class _Filler:
                 if vector == "linear_drag":
                     for name in [name for axis, name in model.form.ahead() if axis == k]:
                         column = column + self.believed(name) * self.number("scenario.cruise")  # as Vehicle.drag_at
+                if member == "Fr_max":
+                    column = column * self._grown(model)
                 out[:, layout.slice(vector).start + k] = column
         out[:, layout.slice("hull").start] = self.believed("radius")
+
+    def _grown(self, vehicle: Vehicle) -> Columns:
+        # yaw moment at the cruise speed over that of the vehicle file, as in Vehicle.at_speed
+        if vehicle.actuators is None or not vehicle.actuators.fins:
+            return np.ones(())
+        speeds, back = np.unique(self.number("scenario.cruise"), return_inverse=True)
+        return np.array([vehicle.at_speed(u)["Fr_max"] / vehicle["Fr_max"] for u in speeds.tolist()])[back]
 
     def _world(self) -> dict[str, list[Columns]]:
         scenario, draws = self.case.scenario, self._draws()
         plant = {vector: [self.actual(m) for m in members] for vector, members in _VECTORS.items()}
+        most = self.case.vehicle.delivered_limit
+        for axis in np.flatnonzero(most > self.case.vehicle.thrust_range[1]).tolist():  # fins act on it
+            plant["thrust_limit"][axis] = np.asarray(most[axis])
         plant["thrust_lag"] = [self.actual("thrust_lag")]
         form = self.loop.structure.form
         plant["terms"] = [self.actual(name) for name in form.terms]
         leg = scenario.target - scenario.path.waypoints[-2]
         leg = leg / np.linalg.norm(leg)
         force, slow = self.number("scenario.wave_force"), self.number("scenario.drift_force")
-        hull = self.actual("radius")
+        hull, grown = self.actual("radius"), [*([np.ones(())] * 3), self._grown(self.case.vehicle)]
         columns: dict[str, list[Columns]] = {
             "plant": [column for port in plant_layout(form) for column in plant[port.name]],
             "world_hull": [hull],
@@ -210,7 +222,7 @@ class _Filler:
             ],
             "thrust_gain": [1 + self.number("scenario.thrust_error") * draws.gain_error[:, k] for k in range(4)],
             "thrust_bias": [
-                self.number("scenario.thrust_bias") * draws.bias[:, k] * self.actual(name)
+                self.number("scenario.thrust_bias") * draws.bias[:, k] * self.actual(name) * grown[k]
                 for k, name in enumerate(_VECTORS["thrust_limit"])
             ],
         }

@@ -13,12 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.vehicle.identification.excitation import at_rest, few_thrusts, ill_excited, notes_of
+from surctl.vehicle.identification.consistency import velocity_notes
+from surctl.vehicle.identification.excitation import (
+    at_rest,
+    drift_note,
+    few_thrusts,
+    ill_excited,
+    notes_of,
+    slow_residuals,
+)
+from surctl.vehicle.identification.fitted import MASS_OF, OFFSETS, axes_of
 from surctl.vehicle.identification.intervals import Spread, spread_of
-from surctl.vehicle.identification.model import CONSTANT_FORCE, MASS_OF, Model, axes_of, sections_of
+from surctl.vehicle.identification.model import LONGEST_DRIFT, Model, sections_of
+from surctl.vehicle.identification.outliers import outliers, without_outliers
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.identification.solve import beginning, minimise, simulable
-from surctl.vehicle.motion_log import LOG_MOTION, MotionLog
+from surctl.vehicle.motion_log import LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Parameter, Vehicle
 from surctl.vehicle.specs import TERMS, parameter_spec
 
@@ -28,6 +38,8 @@ _NARROW = 0.5  # largest ratio of half-interval to value of an identified parame
 _SMALL_FORCE = 0.1  # share of the thrust limit below which a constant force counts as small
 _ROUNDS = 5  # largest number of alternations between fit and noise estimate
 _STEADY, _ROUGH = 0.02, 1e-3  # relative change of the noise that ends them; of the cost that ends each fit
+_MOST_TILT = np.radians(85.0)  # roll and pitch; at 90° the heading has no meaning
+_DRIFTS = 0.9  # sum of squares, relative to that with a constant force, below which the force counts as drifting
 _REFITS = 6  # largest number of fits with more and more parameters held
 
 Array = NDArray[np.float64]
@@ -50,15 +62,19 @@ class _Full:
 
 
 def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
-    """Fit masses, drag, thrust lag and a constant force to a log, together with the unknown initial motion.
+    """Fit masses, drag, couplings, thrust lag and a constant force to a log, together with the unknown initial motion.
+
+    If `start` rolls and pitches, its moments of inertia and drag in roll and pitch and its centre of gravity are fitted
+    too. Its weight, its buoyancy and the points of attack of buoyancy and thrust are those of `start`.
 
     The model assumes still water, and thrust that follows its command with a first-order lag. The log is split at its
     gaps; each section has its own initial motion and thrust. If `start` has no thrust lag, the fitted vehicle has no
     thrust lag. Thrust limits and radius are those of `start`, because they cannot be identified from a log.
 
     Raises:
-        InputError: `start` rolls and pitches; no simulated motion is finite, which shows that the columns of motion and
-            thrust do not match; or the log has no part of sufficient length without a gap.
+        InputError: `start` rolls and pitches, and the log has neither roll nor pitch, or they are near 90°; no
+            simulated motion is finite, which shows that the columns of motion and thrust do not match; or the log has
+            no part of sufficient length without a gap.
 
     Example:
         >>> import numpy as np
@@ -76,17 +92,14 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         (60.0, True, False)
     """
     if start.form.tilts:
-        raise InputError(
-            "rolls and pitches, and a log of x, y, z, psi and their rates does not contain roll and pitch",
-            file=start.source or start.name,
-            key="start",
-            remedy="start from a vehicle without weight and buoyancy",
-        )
+        _check_tilt(log, start)
     full = _full_fit(log, start)
     model, estimates = full.model, full.estimates
     rest = at_rest(model, full.theta, full.noise)
     excluded = {k for k in estimates if axes_of(k) & rest}
-    notes: list[str] = [] if full.converged else ["the fit has not converged: estimates and intervals are rough"]
+    notes: list[str] = _outlier_note(model, log)
+    notes += drift_note(model, full.theta)
+    notes += [] if full.converged else ["the fit has not converged: estimates and intervals are rough"]
     if "thrust_lag" in estimates:
         reason = few_thrusts(log, model.sections)
         if full.theta[model.names.index("thrust_lag")] <= model.low[model.names.index("thrust_lag")] + 1e-9:
@@ -96,7 +109,9 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
             notes.append(f"thrust_lag is not determined: {reason}")
     identified = tuple(k for k in estimates if k not in excluded and _ratio(model, estimates, k) <= 1.0)
     # a constant force that does not differ from 0 gets no entry in the vehicle
-    small = {k for k in CONSTANT_FORCE if abs(estimates[k][0]) <= estimates[k][1] and k not in start.parameters}
+    small = {
+        k for k in OFFSETS if k in estimates and abs(estimates[k][0]) <= estimates[k][1] and k not in start.parameters
+    }
     theta, held, zeroed = _consistent(full, excluded | small)
     notes += _negative_notes(zeroed, estimates)
     values = model.values(theta)
@@ -110,24 +125,57 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         held,
         zeroed,
         ill_excited(model, full.spread, estimates, rest),
-        {c: float(full.noise[k]) for k, c in enumerate(LOG_MOTION) if present[:, k].any()},
-        (*notes, *notes_of(model, full.left)),
+        {c: float(full.noise[k]) for k, c in enumerate(model.columns) if present[:, k].any()},
+        (*velocity_notes(log), *notes, *notes_of(model, full.left)),
         len(model.sections),
     )
 
 
+def _check_tilt(log: MotionLog, start: Vehicle) -> None:
+    tilt = log.motion[:, 8:10]
+    if not np.isfinite(tilt).any():
+        raise InputError(
+            "rolls and pitches, and the log contains neither roll nor pitch",
+            file=start.source or start.name,
+            key="start",
+            remedy=f"add columns ({', '.join(LOG_TILT)}), or start from a vehicle without weight and buoyancy",
+        )
+    for row, column in np.argwhere(np.abs(tilt) >= _MOST_TILT):
+        raise InputError(
+            f"at {log.time[row]:g} s; the model needs less than {np.degrees(_MOST_TILT):.0f} degrees",
+            file=log.source,
+            key=LOG_TILT[column],
+            value=round(float(tilt[row, column]), 3),
+            remedy="check the unit, or cut this part out of the log",
+        )
+
+
 def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
-    sections = sections_of(log)
-    model = Model(log, start, sections)
-    noise = np.array([_roughness(log.motion[p, k]) for k, p in enumerate(model.present.T)])
+    log = without_outliers(log)
+    full = _fit(Model(log, start, sections_of(log)))
+    if not slow_residuals(full.model, full.left):
+        return full
+    try:
+        drifting = _fit(Model(log, start, sections_of(log, longest=LONGEST_DRIFT), drift=True))
+    except InputError:  # no section has enough rows
+        return full
+    squares = [float(sum(np.sum((e / full.noise) ** 2) for e in one.left)) for one in (full, drifting)]
+    return drifting if squares[1] < _DRIFTS * squares[0] else full
+
+
+def _fit(model: Model) -> _Full:
+    sections = model.sections
+    noise = np.array([_roughness(model.motion[p, k]) for k, p in enumerate(model.present.T)])
     free = np.ones(model.size, dtype=bool)
     theta, converged = simulable(model, beginning(model, noise, free=free), noise, sections), False
-    count = np.sum([model.present[s.rows].sum(axis=0) for s in sections], axis=0)
-    freedom = 1.0 - len(theta) / max(int(count.sum()), len(theta) + 1)
-    for _ in range(_ROUNDS):
+    for attempt in range(_ROUNDS):
         theta, _ = minimise(model, theta, noise, sections, free=free, tolerance=_ROUGH)
-        left, before = model.misfit(theta, sections), noise
-        squares = np.sum([np.sum(e**2, axis=0) for e in left], axis=0)
+        if attempt == 0:
+            _omit_outliers(model, model.misfit(theta, sections))
+        count = np.sum([model.present[s.rows].sum(axis=0) for s in sections], axis=0)
+        freedom = 1.0 - len(theta) / max(int(count.sum()), len(theta) + 1)
+        before = noise
+        squares = np.sum([np.sum(e**2, axis=0) for e in model.misfit(theta, sections)], axis=0)
         noise = np.where(count > 0, np.maximum(np.sqrt(squares / np.maximum(count, 1) / freedom), 1e-9), 1.0)
         if np.allclose(noise, before, rtol=_STEADY):
             break
@@ -136,24 +184,43 @@ def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
     prior = model.prior(sections)[1]
     parts = model.slopes(theta, noise, sections)
     spread = spread_of(
-        parts, [model.present[s.rows] for s in sections], prior[: model.size], prior[model.size : model.size + 12]
+        parts,
+        [model.present[s.rows] for s in sections],
+        prior[: model.size],
+        prior[model.size : model.size + model.local],
     )
     return _Full(model, theta, noise, spread, left, converged)
+
+
+def _omit_outliers(model: Model, left: list[Array]) -> None:
+    # a glitch that is smaller than the motion shows in the residuals alone
+    for section, e in zip(model.sections, left, strict=True):
+        present = model.present[section.rows]
+        values = np.where(present, e, np.nan)
+        model.present[section.rows] = present & ~np.column_stack([outliers(column) for column in values.T])
+
+
+def _outlier_note(model: Model, log: MotionLog) -> list[str]:
+    measured = np.isfinite(log.motion[:, : len(model.columns)])
+    number = (measured & ~model.present).sum(axis=0)
+    listed = ", ".join(f"{k} of {column}" for k, column in zip(number, model.columns, strict=True) if k)
+    return [f"outliers are not used: {listed}"] if listed else []
 
 
 def _ratio(model: Model, estimates: Mapping[str, tuple[float, float]], name: str) -> float:
     """Return the half-interval of a parameter, relative to the largest one with which it counts as identified.
 
     The interval of a drag parameter, which may be 0, is relative to the larger of the estimate and the start value,
-    that of a constant force to the larger of the estimate and a tenth of the thrust limit. A motion shows only the
+    that of a constant force to the larger of the estimate and a tenth of the thrust limit, that of a coordinate of the
+    centre of gravity to the larger of the estimate and a fiftieth of the radius. A motion shows only the
     ratio of drag to mass. So if the mass of an axis is not identified, its drag is not identified either.
     """
     value, half = estimates[name]
     scale = float(model.scale[model.names.index(name)])
-    if name in MASS_OF or (name in TERMS and name not in CONSTANT_FORCE):
+    if name not in model.masses and (name in MASS_OF or (name in TERMS and name not in OFFSETS)):
         own = half / (_NARROW * max(abs(value), scale))
         return max([own, *(_ratio(model, estimates, mass) for mass in axes_of(name))])
-    reference = max(abs(value), _SMALL_FORCE * scale) if name in CONSTANT_FORCE else value
+    reference = max(abs(value), _SMALL_FORCE * scale) if name in OFFSETS else value
     return half / (_NARROW * max(reference, 1e-12))
 
 
@@ -168,7 +235,7 @@ def _consistent(full: _Full, excluded: set[str]) -> tuple[Array, tuple[str, ...]
     covariance = full.spread.covariance
     for _ in range(_REFITS):
         values = model.values(theta)
-        wrong = {k for k in MASS_OF if values[k] < 0.0 and k not in held} - zeroed
+        wrong = {k for k in MASS_OF if values.get(k, 0.0) < 0.0 and k not in held} - zeroed
         worse = _to_hold(full, held | zeroed | wrong, covariance, values)
         if not wrong and not worse and (held | zeroed) == _fixed(model, theta, held, zeroed):
             break

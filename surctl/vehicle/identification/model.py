@@ -6,45 +6,34 @@ error of the model does not accumulate over the whole log.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.vehicle.dynamics import plant_parameters
-from surctl.vehicle.identification.rates import FITTED, places, stepper
-from surctl.vehicle.motion_log import MotionLog
-from surctl.vehicle.parameters import Parameter, Vehicle
-from surctl.vehicle.specs import TERMS
+from surctl.vehicle.dynamics import plant_parameters, plant_state
+from surctl.vehicle.identification.fitted import CONSTANT_FORCE, masses_of, names_of, scale_of, with_all_constants
+from surctl.vehicle.identification.rates import places, stepper
+from surctl.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
+from surctl.vehicle.parameters import Vehicle
 
-__all__ = [
-    "CONSTANT_FORCE",
-    "FITTED",
-    "MASS_OF",
-    "Model",
-    "Section",
-    "axes_of",
-    "names_of",
-    "sections_of",
-    "with_all_constants",
-]
+__all__ = ["LONGEST", "LONGEST_DRIFT", "Model", "Section", "sections_of"]
 
-CONSTANT_FORCE = ("X0", "Y0", "Z0", "N0")
-"""Constant force on the vehicle along its own axes [N] and constant yaw moment [N m]: net buoyancy, trim, a tether."""
+LONGEST, LONGEST_DRIFT = 60.0, 20.0
+"""Longest section [s], and longest section if the constant force drifts."""
 
-MASS_OF = dict(zip(FITTED[4:12], 2 * FITTED[:4], strict=True))
-"""The mass on the axis of each drag parameter."""
-
-_STEP = 0.05  # [s] longest integration step
+_STEP = 0.05  # [s] integration step
+_STEPS_PER_ROW, _LONGEST_STEP = 5, 0.2  # of a log with few rows per second, whose steps are longer; and their limit [s]
 _LEAST_LAG = 0.02  # [s] smallest thrust lag; a smaller one would need shorter integration steps
 _PRIOR = 2.0  # prior standard deviation of the relative change of a parameter
 _LOOSE = 1e3  # [m, rad, m/s, rad/s] prior standard deviation of the motion at the start of a section
 _GAP, _GAP_FACTOR = 0.5, 5.0  # a gap is longer than this [s] and than this many median periods
-_LONGEST = 60.0  # [s] longest section
 _LEAST_ROWS = 20  # rows of a section
+_DRIFT = 0.2  # prior standard deviation of a drifting constant force, as a share of the largest thrust
+_THRUST = slice(8, 12)  # places of the thrust in the state
 _AT_ONCE = 60_000  # integration steps whose sensitivities are in memory at the same time
-_COUPLING = 0.1  # scale of a coupling whose start value is 0, as a share of the parameters on the axes
 
 Array = NDArray[np.float64]
 
@@ -73,8 +62,8 @@ class Section:
         return Section(slice(start, start + len(at)), self.dt[steps], self.thrust[steps], at - at[0])
 
 
-def sections_of(log: MotionLog) -> tuple[Section, ...]:
-    """Return the sections of a log that have enough rows with motion.
+def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[Section, ...]:
+    """Return the sections of a log that have enough rows with motion, each of at most `longest` seconds.
 
     Raises:
         InputError: no part of the log between its gaps is long enough.
@@ -84,7 +73,7 @@ def sections_of(log: MotionLog) -> tuple[Section, ...]:
     sections = []
     for start, stop in _runs(gap, len(log.time)):
         duration = float(log.time[stop - 1] - log.time[start])
-        parts = max(int(np.ceil(duration / _LONGEST)), 1)
+        parts = max(int(np.ceil(duration / longest)), 1)
         cuts = np.searchsorted(log.time[start:stop], log.time[start] + duration * np.arange(parts + 1) / parts)
         cuts[-1] = stop - start
         for one, other in zip(start + cuts[:-1], start + cuts[1:], strict=True):
@@ -107,7 +96,8 @@ def _runs(gap: NDArray[np.bool_], rows: int) -> list[tuple[int, int]]:
 
 def _section(log: MotionLog, start: int, stop: int) -> Section:
     step = np.diff(log.time[start:stop])
-    parts = np.maximum(np.ceil(step / _STEP - 1e-9).astype(int), 1)
+    longest = min(max(_STEP, float(np.median(step)) / _STEPS_PER_ROW), _LONGEST_STEP)
+    parts = np.maximum(np.ceil(step / longest - 1e-9).astype(int), 1)
     return Section(
         slice(start, stop),
         np.repeat(step / parts, parts),
@@ -119,25 +109,35 @@ def _section(log: MotionLog, start: int, stop: int) -> Section:
 class Model:
     """The residuals of a log as a function of the vector θ of fitted quantities.
 
-    θ contains the changes of the parameters `names`, in units of `scale`, and for each section the motion (8,) and the
-    thrust (4,) at its start.
+    θ contains the changes of the parameters `names`, in units of `scale`, and for each section the state (s,) of the
+    plant at its start. The measured motion has c columns. Without roll and pitch, s is 12 and c is 8; with them, s is
+    16 and c is 12. If the constant force drifts, the state is followed by the difference (4,) of the section's constant
+    force from that of the vehicle in its middle, and by the further difference (4,) at its end [N, N m].
     """
 
-    def __init__(self, log: MotionLog, start: Vehicle, sections: tuple[Section, ...]) -> None:
-        self.log, self.sections = log, sections
+    def __init__(self, log: MotionLog, start: Vehicle, sections: tuple[Section, ...], *, drift: bool = False) -> None:
+        self.log, self.sections, self.drift = log, sections, drift
         whole = with_all_constants(start)
-        self.names = names_of(whole)
+        self.names, self.masses = names_of(whole), masses_of(whole)
+        layout = plant_state(whole.form)
+        self.order = layout.size
+        self.local = self.order + (8 if drift else 0)  # entries of θ for each section
+        self._force = np.array([self.names.index(k) for k in CONSTANT_FORCE])
+        self.columns = (*LOG_MOTION, *LOG_TILT) if whole.form.tilts else LOG_MOTION
+        self.outputs = np.r_[0:8, 12:16] if whole.form.tilts else np.arange(8)  # places of the columns in the state
+        self.motion = log.motion[:, : len(self.columns)]
         self.thrust = np.abs(start.thrust_range).max(axis=0)
         self.thrust[self.thrust == 0.0] = 1.0
         self.start = np.array([whole[k] for k in self.names])
-        self.scale = np.array([_scale(whole, k, self.thrust) for k in self.names])
-        self.present = np.isfinite(log.motion)
+        self.scale = np.array([scale_of(whole, k, self.thrust) for k in self.names])
+        self.present = np.isfinite(self.motion)
+        self._couplings = [(i, j, self.names.index(k)) for i, j, k in whole.form.inertia() if i != j]
         self._step, self._slope = stepper(whole.form, self.names)
         flat = plant_parameters(_unlimited(whole))
         self._known = flat[places(whole.form, self.names)[1]]
         # masses are positive; an estimate of a drag may be negative, otherwise its interval would be wrong
         self.low = np.full(len(self.names), -np.inf)
-        self.low[:4] = -0.95
+        self.low[[self.names.index(k) for k in self.masses]] = -0.95
         if "thrust_lag" in self.names:
             self.low[self.names.index("thrust_lag")] = min(_LEAST_LAG / start["thrust_lag"] - 1.0, -1e-3)
 
@@ -154,63 +154,82 @@ class Model:
         """Return θ with unchanged parameters, and each section's first measured motion and first command."""
         parts = [np.zeros(self.size)]
         for section in sections:
-            motion, present = self.log.motion[section.rows], self.present[section.rows]
-            first = [motion[p, k][0] if p.any() else 0.0 for k, p in enumerate(present.T)]
-            parts += [np.array(first), self.log.thrust[section.rows.start]]
+            motion, present = self.motion[section.rows], self.present[section.rows]
+            state = np.zeros(self.order)
+            state[self.outputs] = [motion[p, k][0] if p.any() else 0.0 for k, p in enumerate(present.T)]
+            state[_THRUST] = self.log.thrust[section.rows.start]
+            parts.append(np.pad(state, (0, self.local - self.order)))
         return np.concatenate(parts)
 
     def states(self, theta: Array, sections: tuple[Section, ...]) -> list[Array]:
-        """Return for each section the simulated states (m + 1, 12) after each integration step."""
+        """Return for each section the simulated states (m + 1, s) after each integration step."""
         lengths = np.array([len(s.dt) for s in sections])
         total = int(lengths.sum())
-        p = self._parameters(theta)
-        flag, start, initial = np.zeros((total, 1)), np.zeros((total, 12)), self._initial(theta, sections)
+        p = self._rows(theta, sections)
+        flag, start, initial = np.zeros((total, 1)), np.zeros((total, self.order)), self._initial(theta, sections)
         firsts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
         flag[firsts], start[firsts] = 1.0, initial
         thrust, dt = np.vstack([s.thrust for s in sections]), np.concatenate([s.dt for s in sections])
-        (after,) = self._step(np.zeros(12), flag, start, thrust, np.broadcast_to(p, (total, len(p))), dt[:, None])
+        (after,) = self._step(np.zeros(self.order), flag, start, thrust, p, dt[:, None])
         return [
             np.vstack([begin, after[k : k + n]])
             for k, n, begin in zip(firsts.tolist(), lengths.tolist(), initial, strict=True)
         ]
 
     def misfit(self, theta: Array, sections: tuple[Section, ...]) -> list[Array]:
-        """Return for each section simulated minus measured motion (n, 8); 0 where no measurement exists."""
+        """Return for each section simulated minus measured motion (n, c); 0 where no measurement exists."""
         return [self._difference(s, x) for s, x in zip(sections, self.states(theta, sections), strict=True)]
 
     def _difference(self, section: Section, states: Array) -> Array:
         present = self.present[section.rows]
-        measured = np.where(present, self.log.motion[section.rows], 0.0)
-        return np.where(present, states[section.at, :8] - measured, 0.0)
+        measured = np.where(present, self.motion[section.rows], 0.0)
+        return np.where(present, states[section.at][:, self.outputs] - measured, 0.0)
 
     def cost(self, theta: Array, noise: Array, sections: tuple[Section, ...]) -> float:
-        """Return half the sum of the squared residuals, with the prior; inf if the simulation diverges."""
+        """Return half the sum of the squared residuals, with the prior.
+
+        The cost is inf if the simulation diverges, or if the inertia matrix is not positive definite.
+        """
+        if not self._possible(theta):
+            return float("inf")
         with np.errstate(over="ignore", invalid="ignore"):
             data = sum(float(np.sum((e / noise) ** 2)) for e in self.misfit(theta, sections))
             mean, weight = self.prior(sections)
             cost = 0.5 * (data + float(np.sum((theta - mean) ** 2 * weight)))
         return cost if np.isfinite(cost) else float("inf")
 
+    def _possible(self, theta: Array) -> bool:
+        if not self._couplings:
+            return True
+        p = self._parameters(theta)
+        inertia = np.diag(p[[self.names.index(k) for k in self.masses]])
+        for i, j, at in self._couplings:
+            inertia[i, j] = inertia[j, i] = p[at]
+        return bool(np.linalg.eigvalsh(inertia)[0] > 0)
+
     def prior(self, sections: tuple[Section, ...]) -> tuple[Array, Array]:
         """Return the mean of θ before the log is known, and the weight 1/σ² of each entry.
 
         The prior holds unobservable entries near their start: unchanged parameters, initial thrust as commanded.
         """
-        weight = np.concatenate([np.full(8, _LOOSE**-2.0), self.thrust**-2.0])
+        weight = np.full(self.order, _LOOSE**-2.0)
+        weight[_THRUST] = self.thrust**-2.0
+        weight = np.concatenate([weight, np.tile((_DRIFT * self.thrust) ** -2.0, (self.local - self.order) // 4)])
         return self.begin(sections), np.concatenate([np.full(self.size, _PRIOR**-2.0), np.tile(weight, len(sections))])
 
     def slopes(self, theta: Array, noise: Array, sections: tuple[Section, ...]) -> list[tuple[Array, Array]]:
-        """Return for each section the residuals (n, 8) and their derivatives (n, 8, p + 12), divided by the noise.
+        """Return for each section the residuals (n, c) and their derivatives (n, c, p + local), divided by the noise.
 
-        The derivatives are those by the parameters and by the initial state of the section; where no measurement
+        The derivatives are those by the parameters and by the section's own entries of θ; where no measurement
         exists, both are 0.
         """
-        p = self._parameters(theta)
         results: dict[int, tuple[Array, Array]] = {}
         states = self.states(theta, sections)
         for group in _groups(sections):
+            chosen = tuple(sections[k] for k in group)
+            p = self._rows(theta, sections, only=group)
             over_x, over_p = self._sensitivities([(sections[k], states[k]) for k in group], p)
-            for k, rows in zip(group, self._propagated([sections[k] for k in group], over_x, over_p), strict=True):
+            for k, rows in zip(group, self._propagated(chosen, over_x, over_p), strict=True):
                 present = self.present[sections[k].rows]
                 left = self._difference(sections[k], states[k]) / noise
                 results[k] = (left, np.where(present[:, :, None], rows / noise[:, None], 0.0))
@@ -220,43 +239,68 @@ class Model:
         # the fitted parameters, then the other entries of the plant's parameter vector
         return np.concatenate([self.start + self.scale * theta[: self.size], self._known])
 
+    def _rows(self, theta: Array, sections: tuple[Section, ...], only: Sequence[int] | None = None) -> Array:
+        # the parameters of each step of some sections, by default of all
+        p = self._parameters(theta)
+        chosen = range(len(sections)) if only is None else only
+        rows = np.tile(p, (sum(len(sections[k].dt) for k in chosen), 1))
+        if self.drift:
+            own = theta[self.size :].reshape(-1, self.local)[:, self.order :]
+            force = [own[k, :4] + np.outer(_through(sections[k]), own[k, 4:]) for k in chosen]
+            rows[:, self._force] += np.vstack(force)
+        return rows
+
     def _initial(self, theta: Array, sections: tuple[Section, ...]) -> Array:
-        return theta[self.size : self.size + 12 * len(sections)].reshape(-1, 12)
+        return theta[self.size : self.size + self.local * len(sections)].reshape(-1, self.local)[:, : self.order]
 
     def _sensitivities(self, parts: list[tuple[Section, Array]], p: Array) -> tuple[list[Array], list[Array]]:
-        """Return ∂x⁺/∂x (m, 12, 12) and ∂x⁺/∂θ (m, 12, p) of each step of each section.
+        """Return ∂x⁺/∂x (m, s, s) and ∂x⁺/∂θ (m, s, p) of each step, with drift (m, s, p + 8) of each section.
 
         Within a step, the derivatives of the rate are those in its middle, so the results have second order in dt.
         """
         x = np.vstack([(states[:-1] + states[1:]) / 2 for _, states in parts])
         thrust, dt = np.vstack([s.thrust for s, _ in parts]), np.concatenate([s.dt for s, _ in parts])
-        rate_x, rate_p = self._slope(x, thrust, np.broadcast_to(p, (len(x), len(p))))
+        rate_x, rate_p = self._slope(x, thrust, p)
+        if self.drift:
+            force = rate_p[:, :, self._force]
+            through = np.concatenate([_through(s) for s, _ in parts])[:, None, None]
+            rate_p = np.concatenate([rate_p * self.scale, force, force * through], axis=-1)
+        else:
+            rate_p *= self.scale
         rate_x *= dt[:, None, None]
-        rate_p *= self.scale * dt[:, None, None]
+        rate_p *= dt[:, None, None]
         half = rate_x @ rate_x / 2
-        over_x = np.eye(12) + rate_x + half + half @ rate_x / 3
-        integral = np.eye(12) + rate_x / 2 + half / 3
+        over_x = np.eye(self.order) + rate_x + half + half @ rate_x / 3
+        integral = np.eye(self.order) + rate_x / 2 + half / 3
         cuts = np.cumsum([len(s.dt) for s, _ in parts])[:-1]
         return np.split(over_x, cuts), np.split(integral @ rate_p, cuts)
 
-    def _propagated(self, sections: list[Section], over_x: list[Array], over_p: list[Array]) -> list[Array]:
-        # derivatives (n, 8, p + 12) of the motion at the rows of each section, all sections at the same time
-        order = sorted(range(len(sections)), key=lambda k: -len(sections[k].dt))
-        longest, size = len(sections[order[0]].dt), self.size + 12
-        here = np.zeros((len(order), 12, size))
-        here[:, :, self.size :] = np.eye(12)
-        stack_x, stack_p = np.zeros((longest, len(order), 12, 12)), np.zeros((longest, len(order), 12, self.size))
+    def _propagated(self, sections: tuple[Section, ...], over_x: list[Array], over_p: list[Array]) -> list[Array]:
+        # derivatives (n, c, p + local) of the motion at the rows of each section, all sections at the same time
+        order, states = sorted(range(len(sections)), key=lambda k: -len(sections[k].dt)), self.order
+        longest, size = len(sections[order[0]].dt), self.size + self.local
+        here = np.zeros((len(order), states, size))
+        here[:, :, self.size : self.size + states] = np.eye(states)
+        stack_x, stack_p = (np.zeros((longest, len(order), states, width)) for width in (states, size - states))
         for place, k in enumerate(order):
             stack_x[: len(over_x[k]), place], stack_p[: len(over_p[k]), place] = over_x[k], over_p[k]
         active = [sum(len(sections[k].dt) > m for k in order) for m in range(longest)]
-        history = np.empty((longest + 1, len(order), 8, size))
-        history[0] = here[:, :8]
+        history = np.empty((longest + 1, len(order), len(self.columns), size))
+        history[0] = here[:, self.outputs]
         for m in range(longest):
             n = active[m]
             here[:n] = stack_x[m, :n] @ here[:n]
-            here[:n, :, : self.size] += stack_p[m, :n]
-            history[m + 1] = here[:, :8]
+            here[:n, :, : self.size] += stack_p[m, :n, :, : self.size]
+            if self.drift:
+                here[:n, :, self.size + states :] += stack_p[m, :n, :, self.size :]
+            history[m + 1] = here[:, self.outputs]
         return [history[sections[k].at, order.index(k)] for k in range(len(sections))]
+
+
+def _through(section: Section) -> Array:
+    # (m,) the middle of each step, from −1 at the start of the section to 1 at its end
+    end = np.cumsum(section.dt)
+    return np.asarray(2.0 * (end - section.dt / 2) / end[-1] - 1.0)
 
 
 def _groups(sections: tuple[Section, ...]) -> list[list[int]]:
@@ -267,49 +311,6 @@ def _groups(sections: tuple[Section, ...]) -> list[list[int]]:
             groups.append([])
         groups[-1].append(k)
     return groups
-
-
-def with_all_constants(vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle with all constant forces as terms; those that it does not have are 0."""
-    zeros = {k: Parameter(0.0, TERMS[k].unit, None, "") for k in CONSTANT_FORCE}
-    parameters = zeros | dict(vehicle.parameters)
-    order = [k for k in (*vehicle.parameters, *CONSTANT_FORCE) if k in parameters]
-    return replace(vehicle, parameters={k: parameters[k] for k in dict.fromkeys(order)})
-
-
-def names_of(vehicle: Vehicle) -> tuple[str, ...]:
-    """Return the names of all parameters of a vehicle that are fitted: equation (3), couplings, constant force.
-
-    A vehicle without thrust lag keeps a lag of 0.
-    """
-    couplings = [k for k in vehicle.form.terms if TERMS[k].table in ("inertia", "drag")]
-    lagged = vehicle["thrust_lag"] > 0
-    return (*(k for k in FITTED if k != "thrust_lag" or lagged), *couplings, *CONSTANT_FORCE)
-
-
-def axes_of(name: str) -> frozenset[str]:
-    """Return the names of the masses on the axes whose motion a mass, drag or coupling needs; none for other names."""
-    if name in CONSTANT_FORCE or name == "thrust_lag":
-        return frozenset()
-    if name[0] == "m":
-        return frozenset(f"m{axis}{axis}" for axis in name[1:])
-    letters = {"X": 1, "Y": 2, "Z": 3, "N": 4} | dict(zip("uvwr", range(1, 5), strict=True))
-    return frozenset(f"m{letters[c]}{letters[c]}" for c in name)
-
-
-def _scale(vehicle: Vehicle, name: str, thrust: Array) -> float:
-    # size of a change of a parameter
-    value = abs(vehicle[name])
-    if name in CONSTANT_FORCE:
-        return float(thrust[CONSTANT_FORCE.index(name)])
-    if value > 0:
-        return value
-    quadratic = {"X": "Xuu", "Y": "Yvv", "Z": "Zww", "N": "Nrr"}
-    if name[0] == "m":
-        of_axes = np.sqrt(vehicle["m" + 2 * name[1]] * vehicle["m" + 2 * name[2]])
-    else:  # a drag whose start value is 0 is scaled by the quadratic drag of its axis
-        of_axes = vehicle[quadratic[name[0]]]
-    return max(_COUPLING * float(of_axes), 1e-3)
 
 
 def _unlimited(vehicle: Vehicle) -> Vehicle:

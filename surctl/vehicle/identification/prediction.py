@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
+from surctl.vehicle.identification.fitted import names_of, with_all_constants
 from surctl.vehicle.identification.identify import identify
-from surctl.vehicle.identification.model import Model, Section, names_of, sections_of, with_all_constants
-from surctl.vehicle.motion_log import LOG_MOTION, MotionLog
+from surctl.vehicle.identification.model import Model, Section, sections_of
+from surctl.vehicle.identification.outliers import without_outliers
+from surctl.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Vehicle
 
-__all__ = ["HELD_OUT", "Prediction", "held_out", "predict", "predict_with"]
+__all__ = ["HELD_OUT", "Prediction", "held_out", "held_out_windows", "predict", "predict_with"]
 
 HELD_OUT = 0.4
 """Share of a log, at its end, that is predicted by a fit to the rest."""
 
 _WINDOW = 5.0  # [s]
-_BEFORE = 1.0  # [s] motion before a window from which a velocity without measurement is computed
+_BEFORE, _BEFORE_ROWS = 1.0, 8  # [s] motion before a window for a velocity without measurement, at least these rows
 _LEAST_ROWS = 4  # rows of a window
 _LAGS = 5.0  # thrust lags after which the thrust no longer depends on its start
 
@@ -38,9 +41,9 @@ class Prediction:
         windows: number of windows.
         time: (n,) [s] of the rows of all windows.
         starts: (windows,) index of the first row of each window in `time`.
-        measured: (n, 8) measured motion; NaN where there is no measurement.
-        predicted: (n, 8) motion of the model.
-        held: (n, 8) motion with the velocity held.
+        measured: (n, 8) measured motion; NaN where there is no measurement. If the vehicle rolls and pitches, (n, 12).
+        predicted: motion of the model, like `measured`.
+        held: motion with the velocity held, like `measured`.
     """
 
     model: Mapping[str, float]
@@ -58,7 +61,8 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = _WINDOW) -> Pre
     """Predict the motion of a log over successive windows with the model of a vehicle.
 
     Each window starts with the measured motion of its first row. A velocity that the log does not contain follows from
-    the measured poses of the second before. The thrust has the lag of the vehicle.
+    the measured poses of the second before, or of eight rows if they take longer. The thrust has the lag of the
+    vehicle.
 
     Args:
         log: the log.
@@ -97,9 +101,9 @@ def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *,
         True
     """
     lag = values.get("thrust_lag", 0.0)
-    windows = [
-        w for section in sections_of(log) for w in _windows(log, section, window, after=min(_LAGS * lag, window))
-    ]
+    log = without_outliers(_columns(log, 12 if start.form.tilts else 8))
+    after = max(min(_LAGS * lag, window), _before(log))
+    windows = [w for section in sections_of(log) for w in _windows(log, section, window, after=after)]
     states = [(w, x) for w in windows if (x := _first_state(log, *w, lag=lag)) is not None]
     if not states:
         raise InputError(
@@ -111,7 +115,7 @@ def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *,
     theta[: model.size] = (np.array([values[k] for k in model.names]) - model.start) / model.scale
     theta[model.size :] = np.concatenate([x for _, x in states])
     with np.errstate(over="ignore", invalid="ignore"):
-        predicted = [x[s.at, :8] for s, x in zip(sections, model.states(theta, sections), strict=True)]
+        predicted = [x[s.at][:, model.outputs] for s, x in zip(sections, model.states(theta, sections), strict=True)]
     held = [_held(x, log.time[s.rows]) for s, (_, x) in zip(sections, states, strict=True)]
     rows = np.concatenate([np.arange(s.rows.start, s.rows.stop) for s in sections])
     measured, all_predicted, all_held = log.motion[rows], np.vstack(predicted), np.vstack(held)
@@ -144,16 +148,58 @@ def held_out(log: MotionLog, start: Vehicle, *, share: float = HELD_OUT, window:
         >>> held_out(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat) is None
         True
     """
+    predictions = held_out_windows(log, start, [window], share=share)
+    return predictions[0] if predictions else None
+
+
+def held_out_windows(
+    log: MotionLog, start: Vehicle, windows: Sequence[float], *, share: float = HELD_OUT
+) -> tuple[Prediction, ...]:
+    """Predict the last part of a log over windows of several lengths with one fit to the part before.
+
+    Lengths for which the log has no window are omitted.
+
+    Args:
+        log: the log.
+        start: vehicle with the initial values of the fit.
+        windows: lengths of the windows [s].
+        share: share of the time that is predicted.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle import MotionLog, held_out_windows, load_vehicle
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
+        >>> held_out_windows(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat, [1.0, 5.0])
+        ()
+    """
     cut = int(np.searchsorted(log.time, log.time[0] + (1.0 - share) * (log.time[-1] - log.time[0])))
+    results = []
     try:
         parts = [
             MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
             for rows in (slice(0, cut), slice(cut, len(log.time)))
         ]
-        fit = identify(parts[0], start, name=start.name)
-        return predict(parts[1], fit.vehicle, window=window)
+        fitted = identify(parts[0], start, name=start.name).vehicle
     except InputError:  # one part is too short, or has no motion
-        return None
+        return ()
+    for window in windows:
+        with suppress(InputError):  # no part of the log is so long
+            results.append(predict(parts[1], fitted, window=window))
+    return tuple(results)
+
+
+def _before(log: MotionLog) -> float:
+    # [s] motion before a window from which velocities follow that the log does not contain
+    present = np.atleast_1d(np.isfinite(log.motion).any(axis=0))
+    if not (present[:4] & ~present[4:8]).any():
+        return 0.0
+    return max(_BEFORE, _BEFORE_ROWS * float(np.median(np.diff(log.time))))
+
+
+def _columns(log: MotionLog, count: int) -> MotionLog:
+    # with roll and pitch or without, as the vehicle
+    missing = np.full((len(log.time), max(count - log.motion.shape[1], 0)), np.nan)
+    return replace(log, motion=np.hstack([log.motion[:, :count], missing]))
 
 
 def _windows(log: MotionLog, section: Section, window: float, *, after: float) -> list[tuple[Section, Section]]:
@@ -169,26 +215,29 @@ def _windows(log: MotionLog, section: Section, window: float, *, after: float) -
 
 
 def _first_state(log: MotionLog, section: Section, part: Section, *, lag: float) -> Array | None:
-    """Return the state (12,) at the first row of a window, or None if a velocity cannot be computed."""
+    """Return the state (12,) or (16,) at the first row of a window, or None if a velocity cannot be computed."""
     row, origin = part.rows.start, section.rows.start
     motion = log.motion[row].copy()
     measured = np.atleast_1d(np.isfinite(log.motion).any(axis=0))
     if not np.isfinite(motion[measured]).all():
         return None
-    before = slice(max(origin, int(np.searchsorted(log.time, log.time[row] - _BEFORE))), row + 1)
-    poses, time = log.motion[before, :4], log.time[before]
-    if np.isnan(motion[4:]).any() and len(time) > 1:
-        speed = np.full(4, np.nan)
+    pose, rate = (np.array(p)[: len(motion) // 2] for p in ((0, 1, 2, 3, 8, 9), (4, 5, 6, 7, 10, 11)))
+    first = min(int(np.searchsorted(log.time, log.time[row] - _BEFORE)), row + 1 - _BEFORE_ROWS)
+    before = slice(max(origin, first), row + 1)
+    poses, time = log.motion[before][:, pose], log.time[before]
+    if np.isnan(motion[rate]).any() and len(time) > 1:
+        speed = np.full(len(pose), np.nan)
         for k in np.flatnonzero(np.isfinite(poses).all(axis=0)):
             speed[k] = np.polyfit(time - time[-1], poses[:, k], 1)[0]
         psi = motion[3] if np.isfinite(motion[3]) else 0.0
         c, s = np.cos(psi), np.sin(psi)
-        body = np.array([c * speed[0] + s * speed[1], c * speed[1] - s * speed[0], speed[2], speed[3]])
-        motion[4:] = np.where(np.isnan(motion[4:]), body, motion[4:])
-    needed = np.isfinite(motion[4:]) | ~(measured[:4] | measured[4:])
+        speed[:2] = c * speed[0] + s * speed[1], c * speed[1] - s * speed[0]
+        motion[rate] = np.where(np.isnan(motion[rate]), speed, motion[rate])
+    needed = np.isfinite(motion[rate]) | ~(measured[pose] | measured[rate])
     if not needed.all():
         return None
-    return np.concatenate([np.nan_to_num(motion), _thrust(log, slice(origin, row + 1), lag)])
+    motion = np.nan_to_num(motion)
+    return np.concatenate([motion[:8], _thrust(log, slice(origin, row + 1), lag), motion[8:]])
 
 
 def _thrust(log: MotionLog, rows: slice, lag: float) -> Array:
@@ -203,7 +252,7 @@ def _thrust(log: MotionLog, rows: slice, lag: float) -> Array:
 
 
 def _held(state: Array, time: Array) -> Array:
-    # motion (n, 8) with constant velocity in the body frame
+    # motion (n, 8) or (n, 12) with constant velocity in the body frame
     t = (time - time[0])[:, None]
     u, v, w, r = state[4:8]
     turn = r * t[:, 0]
@@ -212,12 +261,15 @@ def _held(state: Array, time: Array) -> Array:
     x = state[0] + along * (u * np.cos(direction) - v * np.sin(direction))
     y = state[1] + along * (u * np.sin(direction) + v * np.cos(direction))
     pose = np.column_stack([x, y, state[2] + w * t[:, 0], state[3] + turn])
-    return np.hstack([pose, np.tile(state[4:8], (len(time), 1))])
+    rates = np.tile(state[4:8], (len(time), 1))
+    if len(state) == 12:
+        return np.hstack([pose, rates])
+    return np.hstack([pose, rates, state[12:14] + state[14:] * t, np.tile(state[14:], (len(time), 1))])
 
 
 def _errors(difference: Array) -> dict[str, float]:
     return {
         column: float(np.sqrt(np.mean(e[np.isfinite(e)] ** 2)))
-        for column, e in zip(LOG_MOTION, difference.T, strict=True)
+        for column, e in zip((*LOG_MOTION, *LOG_TILT), difference.T, strict=False)
         if np.isfinite(e).any()
     }

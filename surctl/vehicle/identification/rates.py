@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant_layout
+from surctl.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant_layout, plant_state
 from surctl.vehicle.specs import PlantForm
 
 __all__ = ["FITTED", "Repeated", "Slope", "places", "stepper"]
@@ -61,8 +61,8 @@ class Slope:
         self._nonzeros = Repeated(whole, chain=False)
 
     def __call__(self, x: Array, thrust: Array, p: Array) -> tuple[Array, Array]:
-        """Return the derivatives by x (m, 12, 12) and by p (m, 12, k) at m states."""
-        over_x, over_p = (np.zeros((len(x), 12, width)) for width in self._widths)
+        """Return the derivatives by x (m, s, s) and by p (m, s, k) at m states."""
+        over_x, over_p = (np.zeros((len(x), x.shape[1], width)) for width in self._widths)
         for full, flat, (rows, columns) in zip(
             (over_x, over_p), self._nonzeros(x, thrust, p), self._places, strict=True
         ):
@@ -85,12 +85,13 @@ def places(form: PlantForm, names: tuple[str, ...]) -> tuple[list[int], list[int
 def stepper(form: PlantForm, names: tuple[str, ...]) -> tuple[Repeated, Slope]:
     """Return one integration step (RK4) of the plant in still water, and the slopes of the rate.
 
-    The step has the arguments of a chain: the state x (12,), a flag and a new initial state (12,), which replaces x if
+    The step has the arguments of a chain: the state x (s,), a flag and a new initial state (s,), which replaces x if
     the flag is 1, thrust (4,), p and dt; it returns the next state. The vector p holds the parameters `names`, then the
     other entries of the plant's parameter vector. The slopes are those by x and by the parameters `names`.
     """
     fitted, others = places(form, names)
-    x, thrust, dt = ca.SX.sym("x", 12), ca.SX.sym("thrust", 4), ca.SX.sym("dt")
+    order = plant_state(form).size
+    x, thrust, dt = ca.SX.sym("x", order), ca.SX.sym("thrust", 4), ca.SX.sym("dt")
     p, known = ca.SX.sym("p", len(fitted)), ca.SX.sym("known", len(others))
     entries = dict(zip((*fitted, *others), (*ca.vertsplit(p), *ca.vertsplit(known)), strict=True))
     plant = ca.vertcat(*(entries[k] for k in range(len(entries))))
@@ -104,7 +105,7 @@ def stepper(form: PlantForm, names: tuple[str, ...]) -> tuple[Repeated, Slope]:
     k3 = rate(x + dt / 2 * k2)
     k4 = rate(x + dt * k3)
     after = ca.Function("after", [x, thrust, p, known, dt], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)], {"cse": True})
-    flag, begin = ca.SX.sym("flag"), ca.SX.sym("begin", 12)
+    flag, begin = ca.SX.sym("flag"), ca.SX.sym("begin", order)
     chosen = ca.if_else(flag > 0, begin, x)
     both = ca.vertcat(p, known)
     inputs = [x, flag, begin, thrust, ca.SX.sym("all", both.numel()), dt]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.vehicle.identification.model import CONSTANT_FORCE
+from surctl.vehicle.identification.fitted import CONSTANT_FORCE
 from surctl.vehicle.parameters import Vehicle
 from surctl.vehicle.specs import parameter_spec
 

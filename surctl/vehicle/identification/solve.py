@@ -33,13 +33,13 @@ def minimise(
     Args:
         model: the residuals.
         theta: initial value, with a finite cost.
-        noise: (8,) standard deviation of the measurements by column.
+        noise: (c,) standard deviation of the measurements by column.
         sections: sections of the log.
         free: (p,) parameters that may change; the initial states always may.
         tolerance: relative change of the cost at which the iteration ends.
     """
-    free = np.concatenate([free, np.ones(12 * len(sections), dtype=bool)])
-    low = np.concatenate([model.low, np.full(12 * len(sections), -np.inf)])
+    free = np.concatenate([free, np.ones(model.local * len(sections), dtype=bool)])
+    low = np.concatenate([model.low, np.full(model.local * len(sections), -np.inf)])
     cost, damping = model.cost(theta, noise, sections), _DAMPING
     for _ in range(_TRIES):
         information, gradient = _normal(model, theta, noise, sections)
@@ -71,8 +71,8 @@ def _normal(model: Model, theta: Array, noise: Array, sections: tuple[Section, .
     information, gradient = np.diag(weight), weight * (theta - mean)
     size = model.size
     for k, (left, slope) in enumerate(model.slopes(theta, noise, sections)):
-        flat = slope.reshape(-1, size + 12)
-        places = np.concatenate([np.arange(size), size + 12 * k + np.arange(12)])
+        flat = slope.reshape(-1, size + model.local)
+        places = np.concatenate([np.arange(size), size + model.local * k + np.arange(model.local)])
         information[np.ix_(places, places)] += flat.T @ flat
         gradient[places] += flat.T @ left.reshape(-1)
     return information, gradient

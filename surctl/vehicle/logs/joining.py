@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.units import in_unit
-from surctl.vehicle.frames import swap_body, swap_pose
+from surctl.vehicle.frames import swap_body
 from surctl.vehicle.logs.log_map import LogMap, Source
 from surctl.vehicle.logs.recording import Recording, Topic
-from surctl.vehicle.motion_log import MotionLog
+from surctl.vehicle.motion_log import MotionLog, swapped
 
 __all__ = ["heading_frame", "joined", "roll_pitch_heading"]
 
@@ -58,44 +58,47 @@ def joined(recording: Recording, log_map: LogMap, *, map_name: str) -> MotionLog
 
     The common times are those of the velocity, else of the position, else of the attitude, else of the rates; or a
     constant period. Motion is interpolated between its messages, but not across a gap. A command counts until the next
-    one.
+    one. An attitude of 3 or 4 fields gives roll and pitch too, and rates of 3 fields p and q.
 
     Raises:
         InputError: a topic or field is missing, a unit is wrong, or topics have no common time.
     """
     sources = _Sources(recording, log_map, map_name)
     time = sources.times()
-    motion = np.full((len(time), 8), np.nan)
+    tilts = len(getattr(log_map.attitude, "fields", ())) > 1
+    motion = np.full((len(time), 12 if tilts else 8), np.nan)
     if log_map.position is not None:
         position = sources.motion("position", log_map.position, time, log_map.position.unit, "m")
         motion[:, : position.shape[1]] = position
     angles = _angles(sources, log_map, time)
     if angles is not None:
         motion[:, 3] = angles[:, 2]
+        if tilts:
+            motion[:, 8:10] = angles[:, :2]
     roll, pitch = (np.zeros(len(time)),) * 2 if angles is None else (angles[:, 0], angles[:, 1])
     if log_map.velocity is not None:
         velocity = sources.motion("velocity", log_map.velocity, time, log_map.velocity.unit, "m/s")
-        depthless = velocity.shape[1] == 2
-        velocity = np.column_stack([velocity, np.zeros(len(time))]) if depthless else velocity
+        absent = np.array([not name for name in [*log_map.velocity.fields, ""][:3]])
+        velocity = np.where(absent, 0.0, np.column_stack([velocity, np.zeros(len(time))])[:, :3])
         if log_map.velocity.frame == "body":
             velocity = heading_frame(velocity, roll, pitch)
         elif log_map.velocity.frame == "world":
             c, s = np.cos(motion[:, 3]), np.sin(motion[:, 3])
             x, y, z = velocity.T
             velocity = np.column_stack([c * x + s * y, c * y - s * x, z])
-        motion[:, 4:7] = velocity
-        if depthless:
-            motion[:, 6] = np.nan
+            absent[:2] = absent[:2].any()
+        motion[:, 4:7] = np.where(absent, np.nan, velocity)
     if log_map.rates is not None:
         rates = sources.motion("rates", log_map.rates, time, log_map.rates.unit, "rad/s")
         motion[:, 7] = rates[:, 0]
         if rates.shape[1] == 3:
             motion[:, 7] = (rates[:, 1] * np.sin(roll) + rates[:, 2] * np.cos(roll)) / np.cos(pitch)
+            motion[:, 10:] = rates[:, :2]
     thrust = sources.thrust(time)
     known = np.isfinite(thrust).all(axis=1)
     time, motion, thrust = time[known], motion[known], thrust[known]
     if log_map.log.frame == "ned":
-        motion, thrust = np.hstack([swap_pose(motion[:, :4]), swap_body(motion[:, 4:])]), swap_body(thrust)
+        motion, thrust = swapped(motion), swap_body(thrust)
     return MotionLog(time, motion, thrust, recording.source)
 
 
@@ -140,12 +143,12 @@ class _Sources:
             raise error.inside(self.map_name) from None
 
     def fields(self, name: str, part: Source) -> Array:
-        # (n, fields); an empty name is a column of zeros
+        # (n, fields); an empty name is an axis without thrust, or motion that was not measured
         topic = self.topic(name, part)
-        zeros = np.zeros(len(topic.time))
+        absent = np.full(len(topic.time), 0.0 if name == "thrust" else np.nan)
         try:
             return np.column_stack(
-                [self.recording.column(part.topic, k, key=f"{name}.fields") if k else zeros for k in part.fields]
+                [self.recording.column(part.topic, k, key=f"{name}.fields") if k else absent for k in part.fields]
             )
         except InputError as error:
             raise error.inside(self.map_name) from None
@@ -208,7 +211,8 @@ class _Sources:
         order = np.argsort(at, kind="stable")
         at, values = at[order], values[order]
         if part.matrix is not None:
-            force = self.factor("thrust", part.unit, "N") if part.command is None else 1.0
+            plain = part.command is not None or part.unit == "1"
+            force = 1.0 if plain else self.factor("thrust", part.unit, "N")
             values = part.body_force(values * force)
         else:
             force, moment = self.factor("thrust", part.unit, "N"), self.factor("thrust", part.moment_unit, "N m")

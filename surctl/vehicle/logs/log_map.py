@@ -25,7 +25,7 @@ class Source(Strict):
 
 
 class Position(Source):
-    """Position x, y, z in the world frame; without z, x and y."""
+    """Position x, y, z in the world frame; without z, x and y; "" for a coordinate that was not measured."""
 
     fields: list[str] = Field(min_length=2, max_length=3)
     unit: str = "m"
@@ -46,7 +46,10 @@ class Attitude(Source):
 
 
 class Velocity(Source):
-    """Velocity over ground: in the body frame, in the heading frame (turned by the heading alone), or in the world."""
+    """Velocity over ground: in the body frame, in the heading frame (turned by the heading alone), or in the world.
+
+    A component that was not measured has the name "".
+    """
 
     fields: list[str] = Field(min_length=2, max_length=3)
     unit: str = "m/s"
@@ -70,7 +73,8 @@ class Thrust(Source):
 
     Attributes:
         fields: Fu, Fv, Fw, Fr, "" for an axis without thrust; or with `matrix`, the command of each thruster.
-        unit: unit of the forces; of commands, the texts pwm or 1 for plain numbers, or N for forces of thrusters.
+        unit: unit of the forces; of commands, the texts pwm or 1 for plain numbers, or N for forces of thrusters. Plain
+            numbers need a curve, or a matrix in N and N m per command.
         moment_unit: unit of Fr.
         command: commands of the curve, increasing.
         force_N: force of a thruster for each command [N].
@@ -119,6 +123,8 @@ class Clock(Strict):
         frame: world and body axes of all sources: enu (ENU/FLU) or ned (NED/FRD).
         time: column of the time, in a table.
         time_unit: its unit.
+        columns: names of the columns of a table without a header, from the left.
+        skip_lines: lines above the numbers of such a table.
         stamp: topics whose time is the field of this name instead of the recorder's (`header.stamp`).
         shift_s: seconds to add to the time of a topic, for a clock of its own.
         period_s: common period; default: the times of the velocity, else of the position, else of the attitude.
@@ -127,9 +133,20 @@ class Clock(Strict):
     frame: Frame
     time: str = "t_s"
     time_unit: str = "s"
+    columns: list[str] | None = Field(default=None, min_length=2)
+    skip_lines: int = Field(default=0, ge=0)
     stamp: dict[str, str] = Field(default_factory=dict)
     shift_s: dict[str, float] = Field(default_factory=dict)
     period_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _named(self) -> Clock:
+        twice = sorted({name for name in self.columns or () if (self.columns or []).count(name) > 1})
+        if twice:
+            raise ValueError(f"columns names {twice[0]} twice; rename one of them")
+        if self.skip_lines and self.columns is None:
+            raise ValueError("skip_lines needs columns, the names of the columns; add them")
+        return self
 
 
 class LogMap(Strict):

@@ -55,8 +55,10 @@ def read_recording(path: Path, topics: Collection[str] | None = None, *, log_map
         if topics is None and not recording.topics:
             raise InputError("has no messages with numbers", file=shown(path), remedy="check the file")
         return recording
-    clock = None if log_map is None else log_map.log
-    return read_table(path, time=clock.time if clock else "t_s", unit=clock.time_unit if clock else "s")
+    if log_map is None:
+        return read_table(path, time="t_s", unit="s")
+    clock = log_map.log
+    return read_table(path, time=clock.time, unit=clock.time_unit, columns=clock.columns, skip_lines=clock.skip_lines)
 
 
 def read_mapped_log(path: Path, map_path: Path) -> MotionLog:

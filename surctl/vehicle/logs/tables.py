@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from surctl.errors import InputError, nearest
-from surctl.recorded import Recorded, read_recorded
+from surctl.recorded import Recorded, read_recorded, read_unnamed
 from surctl.units import in_unit
 from surctl.vehicle.logs.recording import Recording, Topic
 
 __all__ = ["read_table"]
 
 
-def read_table(path: Path, *, time: str, unit: str) -> Recording:
+def read_table(
+    path: Path, *, time: str, unit: str, columns: Sequence[str] | None = None, skip_lines: int = 0
+) -> Recording:
     """Read the numeric columns of a table as the fields of one topic with an empty name.
 
     Args:
-        path: a file .csv, .mat or .nc.
+        path: a file .csv, .mat or .nc; with `columns`, a text file of numbers without a header.
         time: column of the time.
         unit: unit of the time.
+        columns: names of the columns of a file without a header.
+        skip_lines: lines above its numbers.
 
     Raises:
         InputError: the file cannot be read, the time is missing or not a number, or its unit is unknown.
     """
-    table = read_recorded(path)
+    table = read_recorded(path) if columns is None else read_unnamed(path, columns, skip=skip_lines)
     if time not in table.columns:
         raise InputError(
             "is no column", file=table.name, key="log.time", value=time, remedy=nearest(time, table.columns)

@@ -41,7 +41,9 @@ class Corners:
         return self.labels[at] if self.labels else vehicle.name
 
 
-def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool = True) -> Corners:
+def corners(
+    vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool = True, drag: float | None = None
+) -> Corners:
     """Return the nominal vehicle and the corners of its uncertainty.
 
     If `uncertainty` is given, all masses are multiplied by 1 ± uncertainty, and all drag coefficients likewise.
@@ -54,6 +56,7 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
         alike: whether to vary the masses of surge and sway together if the vehicle file gives them equal values and
             equal ranges. False varies the two masses independently; a difference matters, because the Munk moment turns
             a body broadside if its sway mass exceeds its surge mass.
+        drag: relative uncertainty of the drag, if it differs from `uncertainty`.
 
     Raises:
         InputError: the uncertainty is out of range.
@@ -77,12 +80,17 @@ def corners(vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool =
         raise InputError(
             "must be at least 0 and less than 1", key="uncertainty", value=uncertainty, remedy="write 0.2 for ±20 %"
         )
-    factors = (1 - uncertainty, 1 + uncertainty) if uncertainty > 0 else ()
-    scaled = [_scaled(vehicle, m, d) for m in factors for d in factors]
-    labels = tuple(f"mass {m - 1:+.0%}, drag {d - 1:+.0%}" for m in factors for d in factors)
-    return Corners(
-        (vehicle, *scaled), f"the corners with mass and drag off by ±{uncertainty:.0%}", ("nominal", *labels)
-    )
+    masses, drags = (_factors(share) for share in (uncertainty, uncertainty if drag is None else drag))
+    scaled = [_scaled(vehicle, m, d) for m in masses for d in drags]
+    labels = tuple(f"mass {m - 1:+.0%}, drag {d - 1:+.0%}" for m in masses for d in drags)
+    off = f"mass and drag off by ±{uncertainty:.0%}"
+    if drag is not None:
+        off = f"mass off by ±{uncertainty:.0%} and drag by ±{drag:.0%}"
+    return Corners((vehicle, *scaled), f"the corners with {off}", ("nominal", *labels))
+
+
+def _factors(share: float) -> tuple[float, ...]:
+    return (1 - share, 1 + share) if share > 0 else ()
 
 
 def _label(vehicle: Vehicle, groups: list[list[str]]) -> str:

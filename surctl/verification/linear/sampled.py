@@ -6,6 +6,8 @@ and needs no Padé approximation. The integral state ξ is computed inside the c
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -14,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, SurctlError
+from surctl.ir import cached_bytes, source_digest
 from surctl.vehicle import Vehicle
 from surctl.verification.cascade import Cascade, build_cascade
 
@@ -118,8 +121,28 @@ def largest_period(
 def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
     """Return the sampling limits of a cascade that was built with `delay=0`, for the control period `period` [s].
 
-    If the cascade has a leading axis with several cascades, each limit is the worst over these cascades.
+    If the cascade has a leading axis with several cascades, each limit is the worst over these cascades, and the result
+    is cached on disk: for the corners of a vehicle's ranges it takes seconds.
     """
+    if undelayed.A.ndim == 2:
+        return _sampled_limits(undelayed, period)
+    try:
+        parts = [source_digest("surctl.verification.linear.sampled").encode(), repr(period).encode()]
+    except SurctlError:  # without a digest of the sources nothing is cached
+        return _sampled_limits(undelayed, period)
+    for name in ("A", "B", "C", "K"):
+        matrix = np.ascontiguousarray(getattr(undelayed, name), dtype=float)
+        parts += [repr(matrix.shape).encode(), matrix.tobytes()]
+    stored = cached_bytes(
+        hashlib.sha256(b"\0".join(parts)).hexdigest(),
+        ".sampled",
+        lambda: json.dumps(asdict(_sampled_limits(undelayed, period))).encode(),
+    )
+    found = json.loads(stored)
+    return SampledLimits(**{**found, "largest_period_s": tuple(found["largest_period_s"])})
+
+
+def _sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
     held = cache(partial(_held, undelayed))  # each delay tries the same periods
     borne = -1
     for delay in range(_MOST + 1):

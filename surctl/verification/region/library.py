@@ -8,11 +8,12 @@ from typing import Any
 from surctl.control import Gains
 from surctl.errors import InputError, NotApplicable, nearest
 from surctl.vehicle import Vehicle
-from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.heading import HeadingClaim
 from surctl.verification.region.heading_proof import prove_heading
 from surctl.verification.region.proof import RegionProof, prove_region
 from surctl.verification.region.statement import RegionStatement
+from surctl.verification.region.steering import SteeringClaim
+from surctl.verification.region.steering_proof import prove_steering
 from surctl.verification.region.turning import TurningClaim
 from surctl.verification.region.turning_proof import prove_turning
 
@@ -89,6 +90,19 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 150},
     ),
     (
+        "region-turning-20-curved",
+        "as region-turning-20-scale, at 0.1 m/s on curved paths with a radius of at least 3 m",
+        {
+            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
+            "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 100,
+        },
+    ),
+    (
+        "region-steered-20",
+        "heading loop of a craft without sway force: drag off by ±20 %, each mass by ±2.5 %, surge speed by ±10 %",
+        {"loop": "steered", "mass_share": 0.025, "rate_per_s": 0.02},
+    ),
+    (
         "region-heading-20",
         "heading-steered loop of 8 states with its own soft gains, all parameters uncertain by ±20 %, thrust limits",
         {"loop": "heading", "attempts": 3, "cells": 250},
@@ -155,9 +169,11 @@ def prove_statement(
     Raises:
         InputError, NotApplicable: `RegionStatement.claim` raises this error.
     """
-    claim: RegionClaim | HeadingClaim | TurningClaim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+    claim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
     if isinstance(claim, HeadingClaim):
         return prove_heading(claim, rounds=statement.attempts, cells=statement.cells)
+    if isinstance(claim, SteeringClaim):
+        return prove_steering(claim)
     if isinstance(claim, TurningClaim):
         return prove_turning(claim, attempts=statement.attempts, seed=seed)
     return prove_region(claim, attempts=statement.attempts, seed=seed)

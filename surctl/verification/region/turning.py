@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from surctl.certcheck.turning_claim import EXCLUDES
+from surctl.certcheck.turning_claim import EXCLUDES, read_claim
+from surctl.certcheck.turning_claim import TurningClaim as Stated
 from surctl.control import Gains, build_law
 from surctl.errors import InputError, NotApplicable
-from surctl.vehicle import Vehicle, check_equation_3
+from surctl.vehicle import Vehicle
 from surctl.verification.assumptions import check_no_integral
 
 __all__ = ["TurningClaim", "turning_claim"]
 
 Pair = tuple[float, float]
+
+HEAVE: Pair = (0.1, 0.1)
+"""Largest heave velocity [m/s] (the law commands no more) and heave acceleration [m/s²] that the claims assume."""
+
+TURN_RATE = 1.0
+"""Largest yaw acceleration [rad/s²] that the claims assume."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,10 @@ class TurningClaim:
         rate: decay rate a [1/s] of the Lyapunov function V: V̇ ≤ −a V.
         rest: whether the region must also contain a vehicle at rest.
         digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
+        terms: the vehicle's terms beside equation (3), by name; inertia is off by `mass_factor`, the others by
+            `drag_factor`.
+        heave, turn_rate: largest heave velocity and acceleration [m/s, m/s²], and largest yaw acceleration [rad/s²].
+        curvature: largest curvature of the path [1/m].
     """
 
     name: str
@@ -56,6 +67,10 @@ class TurningClaim:
     rate: float
     rest: bool = False
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
+    terms: Mapping[str, float] = field(default_factory=dict)
+    heave: Pair = HEAVE
+    turn_rate: float = TURN_RATE
+    curvature: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise InputError for a number out of bounds, NotApplicable for integral action or a cruise speed ≥ cap."""
@@ -83,6 +98,10 @@ class TurningClaim:
                 "thrust_n": list(self.thrust),
                 "yaw_rate_rad_per_s": self.yaw_rate,
                 "munk_moment_nm": munk_moment,
+                "terms": dict(self.terms),
+                "heave_m_per_s": self.heave[0],
+                "heave_m_per_s2": self.heave[1],
+                "yaw_rad_per_s2": self.turn_rate,
             },
             "law": {
                 "mass_kg": list(self.mass),
@@ -97,10 +116,15 @@ class TurningClaim:
                 "offset_m": offset,
                 "rest_offset_m": rest_offset,
                 "ultimate_bound_m": list(ultimate_bound),
+                "curvature_per_m": self.curvature,
             },
             "sha256_vehicle": self.digests[0],
             "sha256_law": self.digests[1],
         }
+
+    def stated(self) -> Stated:
+        """Return the claim as the checker reads it, with a region that is not yet known."""
+        return read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
 
 
 def turning_claim(
@@ -118,6 +142,7 @@ def turning_claim(
     cap: float = 0.22,
     rate: float = 0.05,
     rest: bool = False,
+    curvature: float = 0.0,
 ) -> TurningClaim:
     """Return the claim about the cruise of a vehicle under the exported law; surge and sway may differ.
 
@@ -135,20 +160,19 @@ def turning_claim(
         cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
         rate: decay rate of the Lyapunov function V [1/s].
         rest: whether the region must also contain a vehicle at rest.
+        curvature: largest curvature of the path [1/m].
 
     Raises:
-        NotApplicable: the vehicle has terms beyond equation (3), integral action is on, or the cruise speed is not
-            below the cap.
+        NotApplicable: the vehicle has no sway force, or rolls and pitches, or has sway drag that grows with the surge
+            speed; or integral action is on, or the cruise speed is not below the cap.
         InputError: a number is out of bounds.
     """
-    check_equation_3(vehicle)
+    _check_form(vehicle)
     check_no_integral(gains)
+    limits = vehicle.thrust_limit * (1 - thrust_share)
 
     def factors(error: float) -> Pair:
         return round(1 - error, 9), round(1 + error, 9)
-
-    def pair(first: str, second: str, factor: float = 1.0) -> Pair:
-        return round(vehicle[first] * factor, 9), round(vehicle[second] * factor, 9)
 
     return TurningClaim(
         name=name,
@@ -156,8 +180,8 @@ def turning_claim(
         drag_factor=factors(share),
         mass_asymmetry=(asymmetry if mass_asymmetry is None else mass_asymmetry) if mass_share else 0.0,
         drag_asymmetry=asymmetry if share else 0.0,
-        thrust=pair("Fu_max", "Fv_max", 1 - thrust_share),
-        yaw_limit=vehicle["Fr_max"] * (1 - thrust_share),
+        thrust=(round(float(limits[0]), 9), round(float(limits[1]), 9)),
+        yaw_limit=float(limits[3]),
         yaw_rate=yaw_rate,
         mass=(vehicle["m11"], vehicle["m22"]),
         linear=(vehicle["Xu"], vehicle["Yv"]),
@@ -168,4 +192,18 @@ def turning_claim(
         rate=rate,
         rest=rest,
         digests=(vehicle.digest(), build_law().block.digest()),
+        terms={name: vehicle[name] for name in vehicle.form.terms},
+        curvature=curvature,
     )
+
+
+def _check_form(vehicle: Vehicle) -> None:
+    """Raise NotApplicable for a vehicle whose motion the claim does not describe."""
+    form = vehicle.form
+    if vehicle["Fv_max"] == 0:
+        raise NotApplicable("it has no sway force, and the claim is about a law that moves in any direction")
+    if form.tilts:
+        raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
+    by_surge = [name for axis, name in form.ahead() if axis == 1]
+    if by_surge:
+        raise NotApplicable(f"it has {by_surge[0]}, and the law's model of the sway drag depends on the cruise speed")

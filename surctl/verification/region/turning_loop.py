@@ -7,16 +7,21 @@ parameters ξ̇ = A ξ + B w with w wᵀ ⪯ Q; `certcheck.turning_cells` derive
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
+from surctl.certcheck.turning_terms import other_forces
 from surctl.verification.region.turning import TurningClaim
 
 __all__ = ["Cruise", "Vertices", "corner_factors", "steady_turning", "vertices"]
 
 Array = NDArray[np.float64]
+
+_TURNING = np.kron(np.eye(2), [[0.0, -1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -38,8 +43,11 @@ class Vertices:
 
     Attributes:
         bodies: n_i n_iᵀ (headings, 2, 2, 2) of the body axes i.
-        masses: 1/m (masses, 2) [1/kg].
+        crossed: n_j n_iᵀ (headings, 2, 2, 2) with the other axis j.
+        masses: 1/m of both axes and the entry β of M⁻¹ beside them (masses, 3) [1/kg].
         coriolis: r R [[0, e1], [e2, 0]] Rᵀ (headings, terms, 2, 2) [1/s].
+        bends: turn rate of the path frame (terms,) [rad/s].
+        loose: norm [1/s] of the Coriolis terms that m12 adds.
         loops: stiffness and damping (headings, 2, loops, 2) of each body axis [N s/m].
         plans: κ and s/Δ (laws, 2) [1/s].
         Q: bound on w wᵀ (headings, masses, terms, 2, 2).
@@ -48,8 +56,11 @@ class Vertices:
     """
 
     bodies: Array
+    crossed: Array
     masses: Array
     coriolis: Array
+    bends: Array
+    loose: float
     loops: Array
     plans: Array
     Q: Array
@@ -65,30 +76,37 @@ class Vertices:
     def select(self, chosen: NDArray[np.intp] | list[int]) -> tuple[Array, Array]:
         """Return A (k, 4, 4) and Q (k, 2, 2) of the vertices with the numbers (k,)."""
         h, m, t, one, two, p = np.unravel_index(np.asarray(chosen, dtype=int), self.shape)
-        pairs = np.stack([self.loops[h, 0, one], self.loops[h, 1, two]], 1) * self.masses[m][:, :, None]
-        stiff, damped = np.einsum("nic,nijk->cnjk", pairs, self.bodies[h])
+        pairs = np.stack([self.loops[h, 0, one], self.loops[h, 1, two]], 1)
+        stiff, damped = np.einsum("nic,nijk->cnjk", pairs, self._driven()[m, h])
         A = np.zeros((len(h), 4, 4))
         A[:, 0, 2] = A[:, 1, 3] = 1
         A[:, 2:, :2] = -stiff * self.plans[p][:, None, :]
         A[:, 2:, 2:] = -damped - self.coriolis[h, t]
-        return A, self.Q[h, m, t]
+        return A - self.bends[t][:, None, None] * _TURNING, self.Q[h, m, t]
+
+    def _driven(self) -> Array:
+        """Return n_i n_iᵀ/m_i + β n_j n_iᵀ (masses, headings, 2, 2, 2): what a force on each axis i accelerates."""
+        own = np.einsum("mi,hijk->mhijk", self.masses[:, :2], self.bodies)
+        return np.asarray(own + np.einsum("m,hijk->mhijk", self.masses[:, 2], self.crossed))
 
     def matrices(self, P: Array, rate: float, growth: float, low: float) -> Array:
         """Return T (Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low)) Tᵀ (4, 4, n) of all vertices, where T P Tᵀ = I."""
         change = np.linalg.inv(np.linalg.cholesky(P))
         side, place, speed = change @ P[:, 2:], change[:, :2].T, change[:, 2:].T
         kinematic = change @ P[:, :2] @ speed
-        fixed = kinematic + kinematic.T + (rate + growth) * np.eye(4)
-        turned = side @ self.coriolis @ speed
+        loose = 2 * self.loose * np.linalg.norm(side) * np.linalg.norm(speed)
+        fixed = kinematic + kinematic.T + (rate + growth + loose) * np.eye(4)
+        turned = side @ self.coriolis @ speed + self.bends[:, None, None] * (change @ P @ _TURNING @ change.T)
         base = (
             fixed - (turned + turned.swapaxes(-1, -2))[:, None] + side @ self._weighted(side) @ side.T / (growth * low)
         )
-        led = side @ (self.bodies[:, :, None] * self.plans[:, None, :]) @ place  # (h, 2, p, 4, 4)
-        slowed = side @ self.bodies @ speed  # (h, 2, 4, 4)
+        driven = self._driven()
+        led = side @ (driven[:, :, :, None] * self.plans[:, None, :]) @ place  # (m, h, 2, p, 4, 4)
+        slowed = side @ driven @ speed  # (m, h, 2, 4, 4)
         led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
         whole = (
-            np.einsum("mi,hila,hipjk->ihmlpjk", self.masses, self.loops[..., :1], led)
-            + np.einsum("mi,hil,hijk->ihmljk", self.masses, self.loops[..., 1], slowed)[:, :, :, :, None]
+            np.einsum("hil,mhipjk->ihmlpjk", self.loops[..., 0], led)
+            + np.einsum("hil,mhijk->ihmljk", self.loops[..., 1], slowed)[:, :, :, :, None]
         )
         base, one, two = (np.moveaxis(part, (-2, -1), (0, 1)) for part in (base, *whole))
         return np.asarray(
@@ -162,26 +180,21 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     loops = _loops(claim, cruise, covariance * high * 1.002, turn, plans)
     if loops is None:
         return None
-    masses = 1 / (_mass_factors(claim) * claim.mass)
-    cross = np.array([[[0.0, a], [b, 0.0]] for a, b in _turns(claim)])
+    stated = claim.stated()
+    coupling = coupling_of(stated)
+    loose, masses = float(coupling.loose), np.array(inverse_masses(stated, coupling))
+    turns = np.array(turn_points(stated))
+    cross = np.array([[[0.0, a], [b, 0.0]] for a, b, _ in turns])
     coriolis = turn[:, None] @ cross @ turn.swapaxes(-1, -2)[:, None]
-    bodies = np.einsum("hji,hki->hijk", turn, turn)
-    effect, lack = coriolis[..., 0] * claim.cruise, cruise.lack[:, None, :] * masses
-    return Vertices(bodies, masses, coriolis, loops, plans, _forces(bodies, effect, lack), effect, lack)
-
-
-def _mass_factors(claim: TurningClaim) -> Array:
-    """Return the vertices (k, 2) of the factors of the two masses, without those between two others."""
-    corners = corner_factors(claim.mass_factor, claim.mass_asymmetry)
-    outer = (corners[:, 0] != corners[:, 1]) | np.isin(corners[:, 0], claim.mass_factor)
-    return np.asarray(corners[outer])
-
-
-def _turns(claim: TurningClaim) -> list[tuple[float, float]]:
-    ratio = min((2 + claim.mass_asymmetry) / (2 - claim.mass_asymmetry), claim.mass_factor[1] / claim.mass_factor[0])
-    low, top = claim.mass[0] / claim.mass[1] / ratio, claim.mass[0] / claim.mass[1] * ratio
-    points = {(1 - 1 / low, low - 1), (1 - 1 / top, top - 1), (1 - 2 / (low + top), 2 * low * top / (low + top) - 1)}
-    return sorted({(k * claim.yaw_rate * a, k * claim.yaw_rate * b) for a, b in points for k in (1, -1)})
+    bodies, crossed = np.einsum("hji,hki->hijk", turn, turn), np.einsum("hji,hki->hijk", turn[..., ::-1], turn)
+    effect = (coriolis[..., 0] + np.outer(turns[:, 2], [0.0, 1.0])) * claim.cruise
+    fastest = v + np.sqrt(np.linalg.eigvalsh(covariance[2:, 2:])[-1] * max(high, 1.0))
+    others = np.array([float(force) for force in other_forces(stated, Fraction(float(fastest)))])
+    heavy = masses[:, :2] + np.abs(masses[:, 2:])
+    lack = (cruise.lack + others)[:, None, :] * heavy + loose * v
+    return Vertices(
+        bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans, _forces(bodies, effect, lack), effect, lack
+    )
 
 
 def _forces(bodies: Array, effect: Array, lack: Array) -> Array:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from surctl.certcheck import check_document, seal
+from surctl.certcheck.turning_terms import other_moment
 from surctl.verification.region.proof import RegionProof
 from surctl.verification.region.turning import TurningClaim
 from surctl.verification.region.turning_loop import corner_factors
@@ -72,12 +74,13 @@ def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str
     away = max(map(abs, candidate.cruise.omega)) / claim.gains["k1"]
     fastest = claim.cruise + np.sqrt(np.linalg.eigvalsh(covariance[2:, 2:])[-1])
     apart = np.abs(corner_factors(claim.mass_factor, claim.mass_asymmetry) @ (claim.mass * np.array([1, -1]))).max()
+    moment = apart * fastest**2 / 2 + float(other_moment(claim.stated(), Fraction(float(fastest))))
     start, still = (_down(rounded.start(claim, speed)) for speed in (0.0, -claim.cruise))
     stated = claim.document(
         offset=start,
         rest_offset=still if still > 0 else None,
         ultimate_bound=(_up(float(floor[0]) + away), _up(float(floor[1]))),
-        munk_moment=_up(float(1.0001 * apart * fastest**2 / 2)),
+        munk_moment=_up(float(1.0001 * moment)),
     )
     proof = {
         "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(4)],

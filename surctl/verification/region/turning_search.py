@@ -22,7 +22,7 @@ __all__ = ["turning_search"]
 
 Array = NDArray[np.float64]
 
-_UNITS = np.array([0.3, 0.3, 0.15, 0.15])  # typical sizes of the states, to scale the inequalities
+_USUAL = np.array([0.3, 0.8, 0.15])  # k1 [1/s], look-ahead [m] and cruise speed [m/s] of the first start values
 _BASIS = np.zeros((6, 4, 4))
 for _k, (_i, _j) in enumerate(((0, 0), (2, 0), (2, 2), (1, 1), (3, 1), (3, 3))):
     _BASIS[_k, _i, _j] = _BASIS[_k, _j, _i] = 1
@@ -42,6 +42,7 @@ _ENOUGH = 4  # number of regions after which the search refines the best one
 _HIGHEST = 0.9  # largest floor in the search
 _PRICE, _FREE = 0.8, 0.2  # a floor above 0.2 counts as a smaller region
 _TRIED = 3  # number of candidates that the checker sees at most
+_LOOSE = 4.0  # reserve of the decay rate for each 1/s of the Coriolis terms that m12 adds
 _MARGIN = 0.006  # [1/s] reserve of the decay rate, for points between the grid points
 
 
@@ -64,9 +65,10 @@ def _improve(
     known = [one for one in shells if one is not None]
     if len(known) < len(shells):
         return None
-    fixed = _extents(extent) + _starts(claim, cruise)
+    units = np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim)
+    fixed = _extents(extent / units) + _starts(claim, cruise, units)
     cost = np.append(1e-3 * np.einsum("kii->k", _BASIS), 1.0)
-    cost[3] += (beside / _UNITS[1]) ** 2
+    cost[3] += (beside / units[1]) ** 2
     rng = np.random.default_rng(0)
     chosen = []
     for one, some in zip(known, active.known, strict=True):
@@ -75,15 +77,15 @@ def _improve(
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
-            _decay(shell, some, claim.rate, growth, low)
+            _decay(shell, some, claim.rate, growth, low, units)
             for shell, some, growth, low in zip(known, chosen, growths, levels[:-1], strict=True)
         ]
         decay = (np.concatenate([one[0] for one in own]), np.concatenate([one[1] for one in own]))
         x = minimise(cost, [decay, *fixed], tolerance=1e-7)
         if x is None:
             return None
-        P = np.einsum("k,kij->ij", x[:6], _BASIS) / (_UNITS[:, None] * _UNITS)
-        if np.linalg.eigvalsh(P * _UNITS[:, None] * _UNITS)[0] <= 0:
+        P = np.einsum("k,kij->ij", x[:6], _BASIS) / (units[:, None] * units)
+        if np.linalg.eigvalsh(P * units[:, None] * units)[0] <= 0:
             return None
         fine = True
         for shell, some, growth, low in zip(known, chosen, growths, levels[:-1], strict=True):
@@ -100,33 +102,39 @@ def _improve(
     return None
 
 
+def _sizes(claim: TurningClaim) -> Array:
+    """Return the typical size of each state, divided by its size for the usual gains and cruise speed."""
+    k1, ahead, v = np.array([claim.gains["k1"], claim.gains["lookahead"], claim.cruise]) / _USUAL
+    return np.array([v / k1, ahead, v, v])
+
+
 def _extents(extent: Array) -> list[Inequality]:
     """Return [P e; eᵀ extent²] ⪰ 0 for each unit vector e."""
     corner, wide = np.zeros((4, 5, 5)), np.zeros((4, 7, 5, 5))
     corner[:, :4, 4] = corner[:, 4, :4] = np.eye(4)
-    corner[:, 4, 4] = (extent / _UNITS) ** 2
+    corner[:, 4, 4] = extent**2
     wide[:, :6, :4, :4] = _BASIS
     return [(corner, wide)]
 
 
-def _starts(claim: TurningClaim, cruise: Cruise) -> list[Inequality]:
+def _starts(claim: TurningClaim, cruise: Cruise, units: Array) -> list[Inequality]:
     """Return x_7 ≥ zᵀ P z for the deviation z along the path at the start, for each ω."""
     rows = []
     for omega in sorted(set(cruise.omega)):
-        z = np.array([omega / claim.gains["k1"], 0, -claim.cruise if claim.rest else 0, 0]) / _UNITS
+        z = np.array([omega / claim.gains["k1"], 0, -claim.cruise if claim.rest else 0, 0]) / units
         rows.append(np.append(-np.einsum("i,kij,j->k", z, _BASIS, z), 1.0)[:, None, None])
     return [(np.zeros((len(rows), 1, 1)), np.array(rows))]
 
 
-def _decay(shell: Vertices, some: set[int], rate: float, growth: float, low: float) -> Inequality:
+def _decay(shell: Vertices, some: set[int], rate: float, growth: float, low: float, units: Array) -> Inequality:
     """Return −(Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low)) ⪰ 0 with a margin, by its Schur complement."""
     A, Q = shell.select(sorted(some))
-    half = np.einsum("kij,njl->nkil", _BASIS, A * _UNITS / _UNITS[:, None])
+    half = np.einsum("kij,njl->nkil", _BASIS, A * units / units[:, None])
     whole = np.zeros((len(A), 7, 6, 6))
-    whole[:, :6, :4, :4] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN) * _BASIS)
+    whole[:, :6, :4, :4] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * _BASIS)
     values, vectors = np.linalg.eigh(Q)
     entry = np.zeros((len(A), 4, 2))
-    entry[:, 2:] = vectors * np.sqrt(np.maximum(values, 0))[:, None] / _UNITS[2]
+    entry[:, 2:] = vectors * np.sqrt(np.maximum(values, 0))[:, None] / units[2]
     side = np.einsum("kij,njl->nkil", _BASIS, entry)
     whole[:, :6, :4, 4:], whole[:, :6, 4:, :4] = side, side.swapaxes(-1, -2)
     constant = np.zeros((len(A), 6, 6))
@@ -149,7 +157,9 @@ def _remember(
 
 
 def _first_steps(claim: TurningClaim, away: float, rng: np.random.Generator, k: int) -> Array:
-    start = _FIRST[k % len(_FIRST)] * (1, 1, claim.cruise * (_REST if claim.rest else 1), 1, 1, 1, 1)
+    along, beside, fast, _ = _sizes(claim)
+    speed = claim.cruise * (_REST if claim.rest else 1)
+    start = _FIRST[k % len(_FIRST)] * (along, beside, speed, fast / beside, 1, 1, beside)
     start = start * np.exp(rng.normal(scale=_SPREAD) * (k >= len(_FIRST)))
     start[0] += away
     return np.asarray(start)

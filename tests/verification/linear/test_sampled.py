@@ -1,3 +1,6 @@
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from surctl.verification.linear import (
     corners,
     largest_period,
     linear_side,
+    sampled,
     sampled_limits,
     sampled_poles,
     worst_linear_side,
@@ -87,6 +91,20 @@ def test_the_sides_of_corners_are_the_least_of_each() -> None:
     assert worst.sampled.largest_period_s[1] == min(s.sampled.largest_period_s[1] for s in sides)
     assert worst.stable and "±20%" in worst.lines()[0]
     assert sides[0].slowest_per_s == pytest.approx(closed_loop_poles(VEHICLE, GAINS, dt=0.05, **ABOUT)[0].real)
+
+
+def test_limits_of_corners_are_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))
+    one, other = integrators(2.0), integrators(3.0)
+    pair = Cascade(*(np.stack([getattr(one, name), getattr(other, name)]) for name in ("A", "B", "C", "K")))
+    first = sampled_limits(pair, 0.05)
+    assert first == sampled._sampled_limits(pair, 0.05)
+    longer = sampled_limits(pair, 0.06)
+    monkeypatch.setattr(sampled, "_sampled_limits", None)  # what is called now ends the test
+    assert sampled_limits(pair, 0.05) == first and sampled_limits(pair, 0.06) == longer != first
+    for name in ("A", "B", "C", "K"):
+        with pytest.raises(TypeError):
+            sampled_limits(replace(pair, **{name: 0.01 + getattr(pair, name)}), 0.05)
 
 
 def test_corners_with_and_without_lag_are_tried_together() -> None:

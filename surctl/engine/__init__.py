@@ -1,0 +1,26 @@
+"""The same closed loop in MuJoCo, a rigid-body engine with contacts, rays and pictures (extra `mujoco`)."""
+
+from surctl.engine.batch import Flight, simulate_seeds
+from surctl.engine.exported import write_mjcf
+from surctl.engine.fluid import Body, body_of, fluid_program
+from surctl.engine.mjcf import mjcf
+from surctl.engine.options import EngineOptions, parse_plant
+from surctl.engine.physics import MujocoPhysics, mujoco_physics
+from surctl.engine.pictures import CAMERAS, Moment, Scene
+
+__all__ = [
+    "CAMERAS",
+    "Body",
+    "EngineOptions",
+    "Flight",
+    "Moment",
+    "MujocoPhysics",
+    "Scene",
+    "body_of",
+    "fluid_program",
+    "mjcf",
+    "mujoco_physics",
+    "parse_plant",
+    "simulate_seeds",
+    "write_mjcf",
+]

@@ -1,0 +1,143 @@
+"""How MuJoCo simulates a vehicle: degrees of freedom, drag model, water surface, and rays of the sonars."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+from surctl.errors import InputError, nearest
+from surctl.vehicle import Vehicle
+
+__all__ = ["EngineOptions", "parse_plant"]
+
+PLANTS = ("own", "mujoco")
+_FORM = "write --plant mujoco or --plant mujoco:KEY=VALUE,..."
+_WORDS = {"drag": ("axis", "speed", "ellipsoid"), "rays": ("cone", "fan"), "ballast": ("path", "none")}
+_SWITCHES = ("floor", "surface_echo")
+
+
+@dataclass(frozen=True)
+class EngineOptions:
+    """The choices of a simulation in MuJoCo that a vehicle file does not make.
+
+    Attributes:
+        dof: degrees of freedom: 6, or 4 without roll and pitch. 0: 6 for a vehicle file with `[attitude]`, else 4.
+        drag: `axis`: the drag of the vehicle file; `speed`: its quadratic drag on each axis of translation grows with
+            the speed |v| instead of that axis' own velocity; `ellipsoid`: MuJoCo's fluid model of a sphere instead of
+            the quadratic drag of the file.
+        surface: share in [0, 1] of the displacement of the part of the hull above the water that is missing as
+            buoyancy: 1 if the hull keeps its water, the dry mass over the displaced mass if it drains, 0 without a
+            surface.
+        ballast: `path`: the vehicle is ballasted to float at the depth of the path; `none`: it is not.
+        rays: `cone`: rays in a cone in space, which rolls and pitches with the hull; `fan`: rays in a horizontal fan.
+        count: number of rays of a sonar.
+        floor, surface_echo: whether the sonars receive echoes from the floor and from the water surface.
+        step: longest step of the integration [s].
+
+    Example:
+        >>> from surctl.engine import EngineOptions
+        >>> EngineOptions(surface=1.0).text()
+        'surface=1.0'
+    """
+
+    dof: int = 0
+    drag: str = "axis"
+    surface: float = 0.0
+    ballast: str = "path"
+    rays: str = "cone"
+    count: int = 200
+    floor: bool = False
+    surface_echo: bool = False
+    step: float = 0.0125
+
+    def __post_init__(self) -> None:
+        """Raise InputError for a value that is not possible."""
+        if self.dof not in (0, 4, 6):
+            raise InputError("is not possible", key="dof", value=self.dof, remedy="use 4 or 6")
+        for key, known in _WORDS.items():
+            if getattr(self, key) not in known:
+                raise InputError(
+                    "is not known", key=key, value=getattr(self, key), remedy=nearest(getattr(self, key), known)
+                )
+        for key, low, high in (("surface", 0.0, 1.0), ("count", 8, 100_000), ("step", 1e-4, 0.025)):
+            if not low <= getattr(self, key) <= high:
+                raise InputError(
+                    "is not possible", key=key, value=getattr(self, key), remedy=f"give {low:g} to {high:g}"
+                )
+
+    def of(self, vehicle: Vehicle) -> EngineOptions:
+        """Return the options for a vehicle, with its degrees of freedom.
+
+        Raises:
+            InputError: the vehicle has no roll and pitch, but `dof` is 6.
+        """
+        if self.dof == 6 and not vehicle.form.tilts:
+            raise InputError(
+                f"needs weight, buoyancy and inertia of roll and pitch, which {vehicle.name} does not state",
+                key="dof",
+                value=6,
+                remedy="add [attitude], mpp and mqq to the file, use sur540-tilting or sur400-tilting, or dof=4",
+            )
+        return replace(self, dof=self.dof or (6 if vehicle.form.tilts else 4))
+
+    def text(self) -> str:
+        """Return all options that differ from their defaults as one text, which `parse_plant` reads."""
+        usual = EngineOptions()
+        pairs = [(f.name, getattr(self, f.name)) for f in fields(self)]
+        return ",".join(f"{key}={_written(value)}" for key, value in pairs if value != getattr(usual, key))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the options as plain data for JSON."""
+        return asdict(self)
+
+
+def _written(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def parse_plant(text: str) -> EngineOptions | None:
+    """Return the options of a plant on the command line: `mujoco`, `mujoco:KEY=VALUE,…`; None for `own`.
+
+    Raises:
+        InputError: the plant, a key or a value is unknown.
+
+    Example:
+        >>> from surctl.engine import parse_plant
+        >>> parse_plant("mujoco:dof=4,surface=0.1").surface
+        0.1
+        >>> parse_plant("own") is None
+        True
+    """
+    name, _, rest = text.partition(":")
+    if name not in PLANTS:
+        raise InputError("is not known", key="--plant", value=text, remedy=nearest(name, PLANTS))
+    if name == "own":
+        if rest:
+            raise InputError("has no options", key="--plant", value=text, remedy="write --plant own")
+        return None
+    values: dict[str, Any] = {}
+    known = [f.name for f in fields(EngineOptions)]
+    for part in filter(None, rest.split(",")):
+        key, equals, value = part.partition("=")
+        if not equals or key not in known:
+            remedy = nearest(key, known) if equals else _FORM
+            raise InputError("is not an option of this plant", key="--plant", value=part, remedy=remedy)
+        values[key] = _value(key, value)
+    try:
+        return EngineOptions(**values)
+    except InputError as error:
+        raise error.inside(None, f"--plant mujoco:{error.key}") from None
+
+
+def _value(key: str, text: str) -> Any:
+    if key in _WORDS:
+        return text
+    if key in _SWITCHES:
+        if text not in ("true", "false"):
+            raise InputError("is neither true nor false", key=f"--plant mujoco:{key}", value=text, remedy="use true")
+        return text == "true"
+    try:
+        return int(text) if key in ("dof", "count") else float(text)
+    except ValueError:
+        remedy = "give a whole number" if key in ("dof", "count") else "give a number"
+        raise InputError("is not a number", key=f"--plant mujoco:{key}", value=text, remedy=remedy) from None

@@ -1,0 +1,122 @@
+"""Evidence of an exported controller: what was run, compared, measured and proved, in the manifest and the README."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+from surctl.export.bundle import Bundle, manifest_with
+from surctl.export.check import CheckReport
+from surctl.export.prove import ProofReport
+from surctl.export.sil import SilReport
+
+__all__ = ["evidence_of", "with_evidence"]
+
+_MARK = "## Evidence\n"
+
+
+def evidence_of(
+    *, run: Mapping[str, Any], sil: SilReport, check: CheckReport | None = None, proof: ProofReport | None = None
+) -> dict[str, Any]:
+    """Return what was checked as plain data: the simulated run, the comparison with Python, builds and proof.
+
+    Args:
+        run: scenario, vehicle, sensing and seed of the simulated run, its result, and `failure` (None if it arrived
+            without contact).
+        sil: comparison of the compiled controller with Python over this run.
+        check: comparison over several compilers and processors, or None.
+        proof: proof of the absence of run-time errors, or None.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.export import Records, build_bundle, build_controller, compare_runs, evidence_of, with_evidence
+        >>> from surctl.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
+        >>> run = simulate(mission, vehicle, gains=gains, law=law)
+        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> bundle = build_bundle(law, law.gains.unpack(p))
+        >>> [sil] = compare_runs(build_controller(law, bundle, Path("closed_form")), [recording])
+        >>> flight = {"scenario": mission.name, "vehicle": vehicle.name, "sensing": "truth", "seed": 0, "failure": None}
+        >>> evidence = evidence_of(run=flight, sil=sil)
+        >>> evidence["sil"]["passed"], "arrived without contact" in with_evidence(bundle, evidence).files["README.md"]
+        (True, True)
+    """
+    return {
+        "run": dict(run),
+        "sil": sil.to_dict(),
+        "check": None if check is None else check.to_dict(),
+        "proof": None if proof is None else {k: v for k, v in proof.to_dict().items() if k != "alarms"},
+        "instruction_bound": None,  # instructions are measured; no bound of them is proved
+    }
+
+
+def with_evidence(
+    bundle: Bundle, evidence: Mapping[str, Any], *, binaries: Mapping[str, bytes] | None = None
+) -> Bundle:
+    """Return the bundle with the evidence in its manifest and README, and with further files such as an FMU.
+
+    Args:
+        bundle: the exported files.
+        evidence: see `evidence_of`.
+        binaries: bytes of further files by name, whose hashes the manifest states too.
+
+    Example:
+        >>> import json
+        >>> from surctl.control import build_law
+        >>> from surctl.export import build_bundle, with_evidence
+        >>> sil = {"steps": 100, "tau": 0.0, "status_mismatches": 0, "fault_cases": 9, "fault_failures": []}
+        >>> sil |= {"passed": True, "compiler": "gcc"}
+        >>> flight = {"scenario": "mine", "vehicle": "mine", "sensing": "truth", "seed": 0, "failure": "it collides"}
+        >>> evidence = {"run": flight, "sil": sil, "check": None, "proof": None}
+        >>> bundle = with_evidence(build_bundle(build_law("closed_form"), {}), evidence, binaries={"mine.fmu": b"PK"})
+        >>> json.loads(bundle.files["manifest.json"])["evidence"]["run"]["failure"], "mine.fmu" in bundle.binaries
+        ('it collides', True)
+    """
+    files = {name: text for name, text in bundle.files.items() if name != "manifest.json"}
+    head, mark, _ = files["README.md"].rpartition(_MARK)
+    files["README.md"] = head + mark + "\n".join(_lines(evidence)) + "\n"
+    table = json.loads(bundle.files["manifest.json"])
+    whole = MappingProxyType({**bundle.binaries, **(binaries or {})})
+    table["evidence"] = dict(evidence)
+    manifest = manifest_with(table, files, proof=table["proof"], binaries=whole)
+    return replace(bundle, files=MappingProxyType({**files, "manifest.json": manifest}), binaries=whole)
+
+
+def _lines(evidence: Mapping[str, Any]) -> list[str]:
+    run, sil, check, proof = (evidence[name] for name in ("run", "sil", "check", "proof"))
+    result = "arrived without contact" if run.get("failure") is None else f"FAILED: {run['failure']}"
+    lines = [
+        f"- Simulated run: {run['scenario']} by {run['vehicle']}, {run['sensing']}, seed {run['seed']}: {result}.",
+        f"- The compiled C over {sil['steps']} steps of this run, against Python: largest difference of the thrust "
+        f"{sil['tau']:.1e}, {sil['status_mismatches']} other statuses; {sil['fault_cases']} bad inputs, "
+        f"{len(sil['fault_failures'])} not refused ({sil['compiler']}).",
+    ]
+    if check is None:
+        lines.append("- Other compilers and processors: not tried (`surctl export --check`).")
+    else:
+        verdict = "same bytes as Python" if check["passed"] else "DIFFERENT from Python"
+        steps = check["simulated_steps"] + check["single_steps"]
+        lines += [f"- Compilers and processors, {steps} steps each: {verdict}.", "", *_builds(check), ""]
+        lines.append("  Instructions are measured over these steps; they are not a proved bound.")
+    claim = "not tried (`surctl export --prove`)" if proof is None else f"{proof['status']}: {proof['claim']}"
+    return [*lines, f"- No run-time error, thrust within its limits: {claim}."]
+
+
+def _builds(check: Mapping[str, Any]) -> list[str]:
+    rows = [
+        "| target | result | code without self-test [B] | stack [B] | instructions min / mean / max |",
+        "|---|---|---|---|---|",
+    ]
+    for build in check["builds"]:
+        counted = build["instructions"]
+        numbers = "–" if counted is None else f"{counted[0]} / {counted[1]:.0f} / {counted[2]}"
+        cells = (build["target"], "same" if build["same"] else build["failure"] or f"{build['differing']} steps differ")
+        sizes = ("–" if build[key] is None else str(build[key]) for key in ("runtime_bytes", "stack_bytes"))
+        rows.append(f"| {' | '.join((*cells, *sizes, numbers))} |")
+    return rows

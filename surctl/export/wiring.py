@@ -1,0 +1,129 @@
+"""Wiring of an exported law, for the README of its bundle: where every input comes from, and what a status demands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import degrees
+from types import MappingProxyType
+from typing import Any
+
+from surctl.export.contract import Exportable, is_robot_law
+from surctl.export.elapsed import RESTART, longest_gap
+from surctl.export.origin import Origin
+from surctl.sensing import Equipment, SonarArray
+from surctl.vehicle import Actuators
+
+__all__ = ["DEMANDS", "wiring_values"]
+
+DEMANDS: Mapping[str, str] = MappingProxyType(
+    {
+        "OK": "Apply the command.",
+        "SATURATED": "Apply it. If the bit stays for seconds, the robot cannot follow: lower `cruise`, or surface.",
+        "SWITCHED": "Apply it, and log.",
+        "DEGRADED": "Apply it, and log. If the bit stays, an obstacle is too near or too fast: be ready to stop.",
+        "TRAPPED": "Apply it: the robot holds its place. An operator gives another mission, then `initialize`.",
+        "RESTARTED": "Apply it, and log: the board that counts samples was started again.",
+        "NULL": "Thrusters to zero. A mistake in the program: stop.",
+        "NONFINITE": "Thrusters to zero in this period. Go on calling the step; find the input that is no number.",
+        "RANGE": "Thrusters to zero in this period. Go on calling the step. `gains_check` reports whether a gain is "
+        "wrong; otherwise an input is out of its range or jumped.",
+        "STALE": "Thrusters to zero in this period. The sample number did not rise: the sensor task stands still.",
+        "ITER": "Thrusters to zero in this period. Go on calling the step, and report it: the law must not return it.",
+    }
+)
+"""What a program does after a step with this status."""
+
+_PLAIN: Mapping[str, str] = MappingProxyType(
+    {
+        "eta": "Pose of the hull's centre at this instant, from an estimator. Angles may include whole turns.",
+        "nu": "Velocity over ground (not through the water) in the body frame, and yaw rate, from the same estimator.",
+        "contacts": "One row per obstacle; an unused row is all zeros (valid = 0). Order and number may change.",
+        "contacts_fresh": "1 in the one step after a message arrived, else 0. The rows may keep their old numbers.",
+        "fix": "The last position that arrived. Any finite numbers before the first one, with `fix_fresh` = 0.",
+        "fix_fresh": "1 in the one step after a fix arrived, else 0. Never 1 twice for one fix.",
+        "yaw": "The IMU's heading at this instant. Its zero is the x axis of the world frame, not north.",
+        "yaw_rate": "The IMU's yaw rate at this instant, counter-clockwise seen from above.",
+        "fresh": "1 for a sonar whose firing is complete since the last step, else 0. Never 1 twice for one firing.",
+        "working": "1 for each thruster that works, in the order of the table below; 0 for one that is known to fail.",
+        "column": "Water above and below the hull from echo sounders that look up and down; 0 if there are none.",
+    }
+)
+
+
+def wiring_values(law: Exportable, origin: Origin | None) -> dict[str, Any]:
+    """Return the values of the template of the wiring section."""
+    equipment = None if origin is None else origin.equipment
+    array = None if equipment is None else equipment.array
+    return {
+        "demands": {k: v if is_robot_law(law) else v.replace("Thrusters", "Actuators") for k, v in DEMANDS.items()},
+        "wires": [(port.name, _source(port.name, array)) for port in law.inputs],
+        "sonar_lines": _sonars(array) if array is not None and "samples" in law.inputs else [],
+        "rate_lines": _rates(law, equipment),
+        "thruster_rows": _thrusters(origin) if "working" in law.inputs else [],
+        "ages": [port.name for port in law.state if port.gap == "age"],
+        "restart_samples": RESTART + 1,
+        "gap_s": f"{longest_gap(law.dt) * law.dt:.3g}",
+        "safe_periods": max(1, round(1.0 / law.dt)),
+        "input_defaults": [port.name for port in law.inputs if port.default != 0.0],
+    }
+
+
+def _source(name: str, array: SonarArray | None) -> str:
+    if name == "samples":
+        count = "all columns" if array is None else f"all {array.samples} columns"
+        return (
+            f"One row per sonar. A row is one echo: {count} are conversions of the same firing. A module that gives "
+            "one number per firing fills all columns with it, or is exported with `samples = 1`. Without an echo, "
+            f"every column is {'the longest range' if array is None else f'{array.maximum:g}'}, not 0 and not −1."
+        )
+    return _PLAIN.get(name, "See unit and meaning in the table of inputs.")
+
+
+def _sonars(array: SonarArray) -> list[str]:
+    apex = "at the sonar's place on the hull, not at the hull's centre"
+    if array.mounts is not None:
+        apex = "at the apex of each beam: " + "; ".join(f"({x:g}, {y:g}) m" for x, y in array.mounts)
+    axes = ", ".join(f"{k}: {degrees(a):.4g}°" for k, a in enumerate(array.azimuths))
+    step = f"{1000 * array.resolution:.4g} mm"
+    samples = f"{array.samples} {'sample' if array.samples == 1 else 'samples'} a firing"
+    return [
+        f"Origin of the ranges: {apex}. Axes, by row: {axes}, counter-clockwise from forward.",
+        f"Ranges: {array.blind:g} to {array.maximum:g} m; nearer than {array.blind:g} m reads {array.lowest:.4g} m; "
+        f"beam {degrees(array.beam_angle):.4g}° wide. No echo reads {array.maximum:g} m.",
+        f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "
+        f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
+        f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm, bias {1000 * array.bias:.3g} mm, "
+        f"{samples}. A row that repeats exactly is taken as a stuck sensor; export with the true "
+        "`step_m` and `samples` of the module (`step_m = 0.01`, `samples = 1` for whole centimetres, one number).",
+        f"Speed of sound {array.speed:.0f} m/s ({array.medium}, {array.temperature:g} °C); readings are "
+        f"{array.scale:.4g} times the true range.",
+    ]
+
+
+def _rates(law: Exportable, equipment: Equipment | None) -> list[str]:
+    lines = [f"Step: every {law.dt:g} s, from a timer; a period that is missed is counted, not caught up."]
+    if equipment is None:
+        return [*lines, "Inputs: measured within the period before the step; the law assumes no delay."]
+    if "fix" in law.inputs and equipment.own is not None:
+        fixes = equipment.own.fixes
+        lines.append(f"Fixes: every {fixes.period:g} s, {fixes.latency:g} s old when they arrive (`fix_fresh` = 1).")
+    if "contacts_fresh" in law.inputs:
+        messages = equipment.station.messages
+        lines.append(f"Messages with moving obstacles: every {messages.period:g} s, {messages.latency:g} s old.")
+    return lines
+
+
+def _thrusters(origin: Origin | None) -> Sequence[tuple[str, ...]]:
+    actuators: Actuators | None = None if origin is None else origin.vehicle.actuators
+    if actuators is None:
+        return []
+    return [
+        (
+            t.name,
+            ", ".join(f"{v:.3g}" for v in t.at),
+            ", ".join(f"{v:.3g}" for v in t.direction),
+            f"{t.forward:.4g}",
+            f"{t.reverse:.4g}",
+        )
+        for t in actuators.thrusters
+    ]

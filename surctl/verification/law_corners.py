@@ -1,0 +1,108 @@
+"""The sampled loop of any law at the corners of the uncertainty of its plant; the law keeps the nominal model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surctl.control import Gains, Law
+from surctl.errors import InputError
+from surctl.vehicle import Vehicle
+from surctl.verification.law_loop import LawLoop, law_loop
+from surctl.verification.linear.corners import corners
+
+__all__ = ["DRAG_SPREAD", "MASS_SPREAD", "LawCorners", "law_corners"]
+
+MASS_SPREAD, DRAG_SPREAD = 0.05, 0.2
+"""Relative uncertainty of all masses and of all drag coefficients of a vehicle whose file states no ranges (*chosen*).
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class LawCorners:
+    """The loop of a law for the nominal plant and for the worst corner of its uncertainty.
+
+    Attributes:
+        nominal: the loop with the nominal plant.
+        worst: the loop with the least disk margin, or an unstable one.
+        corner: the parameters of the worst corner, as text.
+        text: description of all corners.
+        unable: number of corners at which the thrust cannot hold the cruise speed; they are left out.
+    """
+
+    nominal: LawLoop
+    worst: LawLoop
+    corner: str
+    text: str
+    unable: int = 0
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop is stable at every corner."""
+        return self.nominal.stable and self.worst.stable
+
+    @property
+    def disk(self) -> float:
+        """Least disk margin of all thrust loops over the corners; 0 if one is unstable."""
+        return self.worst.disk.guaranteed if self.worst.stable else 0.0
+
+    def lines(self) -> list[str]:
+        """Return lines of text: the nominal loop, then the worst corner."""
+        left = f"; at {self.unable} of them the thrust cannot hold the speed" if self.unable else ""
+        word = f"disk margin of all thrust loops {self.disk:.2f}" if self.worst.stable else "UNSTABLE"
+        return [*self.nominal.lines(), f"  worst of {self.text}{left}: {word} at {self.corner}"]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the analysis as plain data for JSON."""
+        worst = {**self.worst.to_dict(), "disk_margin": self.disk, "corner": self.corner, "of": self.text}
+        return {**self.nominal.to_dict(), "disk_margin": self.nominal.disk.guaranteed, "worst": worst}
+
+
+def law_corners(
+    law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, uncertainty: float | None = None
+) -> LawCorners:
+    """Return the loop of a law about a straight cruise for the nominal plant and the worst corner of its parameters.
+
+    The corners are those of the ranges in the vehicle file. If the file states none, all masses are off by ±5 % and all
+    drag coefficients by ±20 %; with `uncertainty`, both by this share.
+
+    Args:
+        law, vehicle, gains, cruise: as for `law_loop`.
+        uncertainty: relative uncertainty, 0 ≤ uncertainty < 1, or None.
+
+    Raises:
+        InputError: the law uses sonars, or the nominal vehicle cannot cruise at that speed.
+
+    Example:
+        >>> from surctl.control import build_law
+        >>> from surctl.tuning import derived_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification import law_corners
+        >>> boat = load_vehicle("otter")
+        >>> result = law_corners(build_law("steered"), boat, derived_gains(boat, cruise=0.77), cruise=0.77)
+        >>> result.stable, round(result.nominal.disk.guaranteed, 2), result.corner
+        (True, 0.83, 'mass -5%, drag -20%')
+    """
+    nominal = law_loop(law, vehicle, gains, cruise=cruise)
+    stated = uncertainty is None and any(one.range is not None for one in vehicle.parameters.values())
+    spread = MASS_SPREAD if uncertainty is None else uncertainty
+    tried = corners(vehicle) if stated else corners(vehicle, spread, drag=DRAG_SPREAD if uncertainty is None else None)
+    worst, label, unable = nominal, "the nominal vehicle", 0
+    for plant in tried.vehicles[1:]:
+        try:
+            loop = law_loop(law, plant, gains, cruise=cruise, model=vehicle)
+        except InputError:  # the thrust cannot hold the speed
+            unable += 1
+            continue
+        if _severity(loop) > _severity(worst):
+            worst, label = loop, tried.label(plant)
+    return LawCorners(nominal, worst, label, tried.text, unable)
+
+
+def _severity(loop: LawLoop) -> float:
+    # beyond 1, an unstable loop; below, 1 − disk margin / 2
+    if not loop.stable:
+        return 1.0 + float(np.abs(loop.poles).max())
+    return 1.0 - loop.disk.guaranteed / 2

@@ -1,0 +1,155 @@
+"""MuJoCo with the force of the water against closed forms, to 1e-4."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi, sqrt
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from surctl.engine import EngineOptions, MujocoPhysics
+from surctl.simulation import Physics, build_world
+from surctl.vehicle import missing_buoyancy, plant_state, steady_speed
+from tests.engine.tools import MIDDLE, NO_DRAG, NO_TILT_DRAG, STILL, load_vehicle, own, physics, with_values
+
+TILTING = load_vehicle("sur540-tilting")
+FREE = with_values(TILTING, NO_DRAG | NO_TILT_DRAG)  # no drag
+LOOSE = with_values(FREE, {"zg": 0.0, "zt": 0.0})  # nor a righting moment
+COUPLED = {  # positive definite, anisotropic, with couplings of all kinds
+    **{"m11": 60.0, "m22": 95.0, "m33": 120.0, "m44": 3.0, "mpp": 1.5, "mqq": 2.5},
+    **{"m24": 4.0, "m12": 3.0, "m34": -1.0, "muq": -2.5, "mvp": 2.0, "mpq": 0.2},
+}
+STATE = plant_state(TILTING.form)
+
+
+def begun(system: Physics, form: object = None, **parts: object) -> Physics:
+    layout = plant_state(FREE.form if form is None else form)  # type: ignore[arg-type]
+    system.state = layout.pack({"eta": [*MIDDLE, 0.4], **parts})
+    return system
+
+
+def moved(system: Physics, seconds: float, thrust: tuple[float, ...] = (0, 0, 0, 0)) -> NDArray[np.float64]:
+    for k in range(round(seconds / 0.025)):
+        system.advance(np.array(thrust, dtype=float), k * 0.025)
+    return system.state
+
+
+def momenta(
+    system: MujocoPhysics, inertia: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Linear and angular momentum in the world, about its origin, and kinetic energy."""
+    rotation = system.data.xmat[system.model.body("hull").id].reshape(3, 3)
+    velocity, spin = rotation.T @ system.data.qvel[:3], system.data.qvel[3:]
+    nu = np.array([*velocity, spin[2], spin[0], spin[1]])
+    momentum = inertia @ nu
+    linear, angular = rotation @ momentum[:3], rotation @ momentum[[4, 5, 3]]
+    return linear, angular + np.cross(system.data.qpos[:3], linear), float(nu @ momentum / 2)
+
+
+def period_of(system: Physics, entry: int, rest: float, *, about: float) -> float:
+    """Mean period of an entry of the state about its rest, by ten half periods; crossings by cubic interpolation."""
+    steps = range(round(5.4 * about / 0.025))
+    values = np.array([float(system.advance(np.zeros(4), k * 0.025)[entry]) - rest for k in steps])
+    times = CubicSpline(np.arange(len(values)) * 0.025, values).roots(extrapolate=False)
+    return float(2 * np.diff(times).mean())
+
+
+def test_without_drag_momentum_and_energy_stay_for_any_inertia_matrix() -> None:
+    vehicle = with_values(LOOSE, COUPLED)
+    assert np.linalg.eigvalsh(vehicle.inertia)[0] > 0
+    system = physics(vehicle)
+    begun(system, vehicle.form, nu=[0.3, -0.2, 0.1, 0.4], tilt=[0.2, -0.1, 0.5, -0.3])
+    before = momenta(system, vehicle.inertia)
+    moved(system, 5.0)
+    after = momenta(system, vehicle.inertia)
+    for then, now in zip(before, after, strict=True):
+        assert now == pytest.approx(then, rel=1e-4, abs=1e-4 * float(np.max(np.abs(then))))
+    assert abs(system.state[12]) + abs(system.state[13]) > 0.3  # it has tumbled
+
+
+@pytest.mark.parametrize("dof", [4, 6])
+@pytest.mark.parametrize(("axis", "names"), [(0, "Xu Xuu"), (1, "Yv Yvv"), (2, "Zw Zww")])
+def test_terminal_speed(dof: int, axis: int, names: str) -> None:
+    vehicle = with_values(TILTING, {"zt": 0.0})
+    linear, quadratic = (vehicle[name] for name in names.split())
+    thrust = [0.0] * 4
+    thrust[axis] = 4.0
+    system = begun(physics(vehicle, dof=dof), vehicle.form if dof == 6 else load_vehicle("sur400").form)
+    moved(system, 60.0, tuple(thrust))
+    assert system.state[4 + axis] == pytest.approx(steady_speed(4.0, linear, quadratic), rel=1e-4)
+
+
+def test_added_mass_is_felt_on_each_axis() -> None:
+    """After t from rest with force F: v = F (t − T + T exp(−t/T)) / m, with the lag T."""
+    vehicle = with_values(LOOSE, {name: COUPLED[name] for name in ("m11", "m22", "m33", "m44", "mpp", "mqq")})
+    lag, t = vehicle["thrust_lag"], 1.0
+    reached = t - lag + lag * np.exp(-t / lag)
+    for axis, name in enumerate(("m11", "m22", "m33", "m44")):
+        thrust = [0.0] * 4
+        thrust[axis] = 0.4
+        system = begun(physics(vehicle), vehicle.form)
+        system.state = plant_state(vehicle.form).pack({"eta": [*MIDDLE, 0.0]})
+        state = moved(system, t, tuple(thrust))
+        assert state[4 + axis] == pytest.approx(0.4 * reached / vehicle[name], rel=1e-4), name
+
+
+def test_coupled_added_mass_is_felt_across_axes() -> None:
+    """The first acceleration from rest is M⁻¹ τ."""
+    vehicle = with_values(LOOSE, COUPLED | {"thrust_lag": 0.0})
+    system = begun(physics(vehicle), vehicle.form)
+    system.state = plant_state(vehicle.form).pack({"eta": [*MIDDLE, 0.0]})
+    state = moved(system, 0.025, (4.0, 0.0, 0.0, 0.3))
+    rate = np.linalg.solve(vehicle.inertia, [4.0, 0.0, 0.0, 0.3, 0.0, 0.0])
+    found = np.array([*state[4:8], *state[14:16]]) / 0.025
+    assert found == pytest.approx(rate, rel=1e-3, abs=1e-4 * np.abs(rate).max())
+
+
+def test_neutral_buoyancy_rests() -> None:
+    system = begun(physics(TILTING), TILTING.form)
+    assert moved(system, 20.0)[:8] == pytest.approx([*MIDDLE, 0.4, 0, 0, 0, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_period_of_roll_and_pitch(axis: int) -> None:
+    """T = 2π √(I / (W |z_g|)) at small angles, from the zero crossings of ten half periods."""
+    tilt = [0.0] * 4
+    tilt[axis] = 1e-3
+    system = begun(physics(FREE), FREE.form, tilt=tilt)
+    period = 2 * pi * sqrt(FREE["mpp"] / (FREE["weight"] * -FREE["zg"]))
+    assert period_of(system, 12 + axis, 0.0, about=period) == pytest.approx(period, rel=1e-4)
+
+
+def test_emerged_sphere_floats_by_archimedes() -> None:
+    """Heave period of a ballasted sphere at its waterline: T = 2π √(m / (ρ g A)) at small amplitudes."""
+    vehicle = with_values(LOOSE, {})
+    scenario = replace(STILL, depth=-0.15)
+    array = scenario.sensors.array_on(vehicle["radius"])
+    system = MujocoPhysics(build_world(scenario, vehicle, seed=0), vehicle, array, EngineOptions(surface=1.0))
+    system.state = STATE.pack({"eta": [200, 200, -0.1499, 0]})
+    area = pi * (vehicle["radius"] ** 2 - 0.15**2)
+    period = 2 * pi * sqrt(vehicle["m33"] / (1000 * 9.81 * area))
+    assert period_of(system, 2, -0.15, about=period) == pytest.approx(period, rel=1e-4)
+    assert missing_buoyancy(0.27, -0.15) == pytest.approx(102.1, abs=0.05)
+
+
+def test_coupled_vehicle_moves_as_in_the_own_plant() -> None:
+    """Two derivations of the same equations: MuJoCo's frames and quaternion, and the plant's Euler angles."""
+    vehicle = with_values(TILTING, COUPLED | {"Yr": 3.0, "Kvp": 1.0, "Z0": -2.0, "xb": 0.001})
+    start = {"nu": [0.2, -0.1, 0.05, 0.3], "tilt": [0.1, -0.05, 0.2, -0.1], "tau": [1.0, 0.5, -0.5, 0.1]}
+    ends = [
+        moved(begun(system, vehicle.form, **start), 5.0, (4.0, -3.0, 1.0, 0.3))
+        for system in (own(vehicle), physics(vehicle))
+    ]
+    assert ends[1] == pytest.approx(ends[0], rel=1e-4, abs=1e-5)
+
+
+def test_the_state_can_be_set_and_read_back() -> None:
+    value = STATE.pack(
+        {"eta": [*MIDDLE, 9.0], "nu": [0.1, 0.2, 0.3, 0.4], "tau": [1, 2, 3, 0.1], "tilt": [0.3, -0.2, 0.1, 0]}
+    )
+    system = physics(TILTING)
+    system.state = value
+    assert system._read() == pytest.approx(value, abs=1e-12)

@@ -1,0 +1,131 @@
+"""Pictures and films of MuJoCo's scene, and the options of the command line for it."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+from surctl.cli.app import app
+from surctl.control import build_law, load_gains
+from surctl.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, parse_plant
+from surctl.engine.library import mujoco_library
+from surctl.errors import InputError, ToolMissing
+from surctl.report import film_frames, save_film
+from surctl.reproduction import Simulations
+from surctl.reproduction.scenarios import _arrivals
+from surctl.simulation import build_world, load_scenario, simulate
+from tests.engine.tools import load_vehicle
+from tests.tools import _without
+
+POOL = load_scenario("pool-behind")
+BOAT = load_vehicle("sur400-tilting")
+
+
+def scene(size: tuple[int, int] = (320, 180)) -> Scene:
+    try:
+        return Scene(POOL, BOAT, size=size)
+    except ToolMissing as reason:
+        _without(str(reason))
+        raise
+
+
+def test_each_camera_shows_hull_and_obstacle() -> None:
+    bodies = build_world(POOL, BOAT, seed=0).bodies(2.0)
+    beams = [(0.7, 0.6, 0.5, 0.6, 0.8, True)]
+    with scene() as opened:
+        shown = {c: opened.picture(c, Moment(POOL.start_pose, (0.1, 0.0), bodies, None, beams)) for c in CAMERAS}
+        empty = opened.picture("above", Moment(POOL.start_pose))
+        with pytest.raises(InputError, match="camera"):
+            opened.picture("below", Moment(POOL.start_pose))
+    yellow = {c: np.sum((p[..., 0] > 120) & (p[..., 2] < 80) & (p[..., 1] > 90)) for c, p in shown.items()}
+    assert yellow["above"] > 300 and yellow["side"] > 300
+    assert np.mean(np.any(shown["above"] != empty, axis=2)) > 0.02  # obstacle and beam
+    assert all(np.std(p) > 5 for p in shown.values())
+
+
+def test_a_film_has_all_frames_and_is_repeatable(tmp_path: Path) -> None:
+    scene().close()
+    short = replace(POOL, time_limit=0.2)
+    run = simulate(short, BOAT, gains=load_gains("default"), law=build_law("closed_form"), physics=mujoco_physics())
+    with Image.open(save_film(run, tmp_path / "run.gif")) as film:
+        assert film.size == (640, 540) and getattr(film, "n_frames", 1) == 3
+    first, again = (next(film_frames(run)) for _ in range(2))
+    assert first.tobytes() == again.tobytes()
+
+
+def invoke(*words: str) -> str:
+    done = CliRunner().invoke(app, ["simulate", "pool-behind", *words])
+    assert isinstance(done.exception, InputError), done.output
+    return str(done.exception)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--plant mujco", "did you mean 'mujoco'"),
+        ("--plant own:dof=4", "has no options"),
+        ("--plant mujoco:dof=5", "use 4 or 6"),
+        ("--plant mujoco:dof=four", "give a whole number"),
+        ("--plant mujoco:drag=cubic", "mujoco:drag"),
+        ("--plant mujoco:floor=yes", "use true"),
+        ("--plant mujoco:surface", "write --plant"),
+        ("--plant mujoco:surface=2", "give 0 to 1"),
+        ("--plant mujoco:dof=6", "add [attitude]"),
+        ("--plant mujoco --monte-carlo", "--runs N with --threads N"),
+        ("--plant mujoco --runs 2 --film run.gif", "shows one run, not 2"),
+        ("--plant mujoco --film run.avi", "end the name in .gif or .mp4"),
+        ("--plant mujoco --threads 2 --controller tcp://127.0.0.1:9", "has one connection"),
+        ("--film run.gif", "add --plant mujoco"),
+        ("--view", "add --plant mujoco"),
+        ("--threads 2", "applies only to a campaign"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(words: str, said: str) -> None:
+    text = invoke(*words.split())
+    assert said in text and "\n" not in text
+
+
+def test_a_window_needs_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert "use --film" in invoke("--plant", "mujoco", "--view")
+
+
+def test_without_mujoco_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = builtins.__import__
+
+    def refuse(name: str, *rest: Any) -> Any:
+        if name == "mujoco":
+            raise ImportError(name)
+        return found(name, *rest)
+
+    mujoco_library.cache_clear()
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    try:
+        assert "pip install 'surctl[mujoco]'" in invoke("--plant", "mujoco")
+    finally:
+        mujoco_library.cache_clear()
+
+
+def test_the_options_are_written_as_they_are_read() -> None:
+    options = EngineOptions(dof=4, surface=0.5, floor=True, drag="speed")
+    assert parse_plant(f"mujoco:{options.text()}") == options
+
+
+def test_the_column_of_the_reproduction(monkeypatch: pytest.MonkeyPatch) -> None:
+    from surctl.reproduction import scenarios
+    from surctl.reproduction.row import agrees
+
+    monkeypatch.setattr(scenarios, "_simulated", lambda *_: agrees("all arrived"))
+    result = _arrivals(Simulations(1, independent=True), "pool-behind", "truth")
+    assert result.safe and result.independent.startswith("mujoco, 6 DoF, seed 0: reached at 11.")
+    assert not _arrivals(Simulations(1), "pool-behind", "truth").independent

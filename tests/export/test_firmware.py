@@ -1,0 +1,232 @@
+"""What a firmware engineer takes from a bundle compiles without a warning and runs: example, CMake, Python, Arduino."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
+
+import numpy as np
+import pytest
+
+from surctl.control import build_law
+from surctl.export import Bundle, build_bundle, origin_of, write_bundle
+from surctl.export.contract import STATUS
+from surctl.export.wiring import DEMANDS
+from surctl.sensing import Equipment, SonarArray
+from surctl.simulation import load_scenario
+from surctl.vehicle import load_vehicle
+from tests.export.closed_form import exported, vehicle
+from tests.export.test_gains_in_c import guarded
+from tests.tools import need, need_compiler, need_make
+
+STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")
+C_FILES = ("main_example.c", "board_example.c")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    need_compiler()
+    at = tmp_path_factory.mktemp("firmware") / "b"
+    write_bundle(guarded()[1], at)
+    return at
+
+
+def build(compiler: str, folder: Path, files: list[str], out: str, *more: str) -> Path:
+    command = [compiler, "-std=c99", *STRICT, *more, "-I.", "-o", out, *files, "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder / out
+
+
+def code(bundle: Bundle) -> list[str]:
+    return [*bundle.sources, bundle.selftest]
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_the_example_compiles_strictly_and_its_loop_runs(folder: Path, compiler: str) -> None:
+    if which(compiler) is None:
+        pytest.skip(f"{compiler} is missing")
+    program = build(compiler, folder, [*C_FILES, *code(guarded()[1])], f"example-{compiler}")
+    done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0 and done.stdout.startswith("sample 1: status ")
+
+
+BOARD = """#include "board.h"
+#include <math.h>
+#include <stdio.h>
+static int tick, disarmed;
+uint32_t board_wait(void) { ++tick; return (tick <= 200) ? ((tick == 60) ? 5u : 1u) : 0u; }
+int board_measure(surctl_closed_form_input_t *input)
+{
+    input->eta[0] = 1.0; input->eta[1] = 0.8; input->eta[2] = ((tick > 80) && (tick <= 110)) ? NAN : -0.15;
+    input->nu[0] = 0.05;
+    return !((tick > 50) && (tick < 55));
+}
+void board_actuate(const surctl_closed_form_output_t *output) { (void)printf("%d ", output != NULL); }
+int board_armed(void) { disarmed = (tick >= 120) && (tick < 125); return !disarmed; }
+void board_alive(void) { (void)printf("alive\\n"); }
+void board_log(const surctl_closed_form_input_t *input, int status, const surctl_closed_form_output_t *output)
+{
+    (void)output; (void)printf("%d %lu ", status, (unsigned long)input->sample);
+}
+size_t board_stored(unsigned char *bytes, size_t room) { (void)bytes; (void)room; return 0; }
+"""
+
+
+def test_the_example_reacts_to_each_status(folder: Path) -> None:
+    (folder / "board_test.c").write_text(BOARD)
+    program = build("gcc", folder, ["main_example.c", "board_test.c", *code(guarded()[1])], "scripted")
+    done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=True)
+    first, *rest = done.stdout.split(" ", 1)
+    assert first == "0"  # before anything, the actuators are off
+    rows = [line.split() for line in rest[0].splitlines()]
+    on, status, sample = (np.array([int(row[k]) for row in rows]) for k in range(3))
+    tick = np.arange(1, 201)
+    assert all(row[-1] == "alive" for row in rows)
+    assert not on[tick < 20].any() and on[(tick >= 21) & (tick <= 50)].all()  # armed after one second
+    assert (status[(tick > 50) & (tick < 55)] == -4).all() and not on[(tick > 50) & (tick < 55)].any()
+    assert sample[54] - sample[49] == 5 and on[54] == 1  # the periods without a sample count, and it goes on
+    assert sample[59] - sample[58] == 5  # so do the periods that the timer missed
+    assert (status[(tick > 80) & (tick <= 110)] == -2).all() and not on[(tick > 80) & (tick <= 110)].any()
+    assert not on[(tick > 110) & (tick < 120)].any()  # a second of refused steps: only the operator arms again
+    assert on[tick > 150].all() and not on[(tick >= 120) & (tick < 125)].any()
+
+
+def test_cmake_builds_and_tests_the_bundle(folder: Path) -> None:
+    cmake, ctest = need("cmake"), need("ctest")
+    build_folder = folder / "cmake-build"
+    for command in ([cmake, "-S", ".", "-B", str(build_folder)], [cmake, "--build", str(build_folder)]):
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+    done = subprocess.run([ctest, "--test-dir", str(build_folder)], capture_output=True, text=True, check=False)
+    assert "100% tests passed" in done.stdout, done.stdout
+
+
+USE = """
+import numpy as np, surctl_closed_form as module
+c = module.Controller()
+assert c.selftest() and len(c.id) == 64
+status, out = c.step(eta=[1.0, 0.8, -0.15, 0.0], nu=[0.05, 0.05, 0.0, 0.1])
+print(status, out["tau"].tolist(), c.gains_id)
+stored = c.save_gains()
+c.set_gains(k_v=1.25)
+try:
+    c.set_gains(k_v=1.0, mass=[0, 0, 0, 0])
+except ValueError as wrong:
+    assert "mass" in str(wrong) and c.gains["k_v"][0] == 1.25
+c.load_gains(stored)
+assert c.gains["k_v"][0] == 1.5
+try:
+    c.load_gains(stored[:-1] + b"!")
+except ValueError as wrong:
+    assert "-15" in str(wrong)
+assert c.step(eta=[np.nan] * 4)[0] == module.STATUS["NONFINITE"]
+"""
+
+
+def test_pip_installs_the_python_wrapper_which_computes_the_same(folder: Path, tmp_path: Path) -> None:
+    law, _, p = guarded()
+    site = tmp_path / "site"
+    install = [sys.executable, "-m", "pip", "install", "--no-index", "--no-deps", "--no-build-isolation", "-q"]
+    install += ["--target", str(site), "."]
+    if find_spec("wheel") is None and find_spec("setuptools.command.bdist_wheel") is None:
+        install = [sys.executable, "setup.py", "-q", "build", "--build-lib", str(site)]  # what pip would call
+    done = subprocess.run(install, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    env = {**os.environ, "PYTHONPATH": str(site)}
+    done = subprocess.run(
+        [sys.executable, "-c", USE], env=env, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    u = law.inputs.pack({"eta": [1.0, 0.8, -0.15, 0.0], "nu": [0.05, 0.05, 0.0, 0.1]})
+    u[law.inputs.slice("contacts")] = 0.0
+    step = law.step(law.initial_state(), u, p)
+    status, rest = done.stdout.split(" ", 1)
+    assert int(status) == step.status and rest.startswith(str(step.tau.tolist()))
+
+
+def test_make_arduino_lays_out_a_library_whose_sketch_compiles_as_cpp11(folder: Path) -> None:
+    make, compiler = need_make(), need("g++")
+    subprocess.run([make, "arduino"], cwd=folder, check=True, capture_output=True)
+    library = folder / "arduino/surctl_closed_form"
+    assert (library / "library.properties").read_text().startswith("name=surctl_closed_form\nversion=")
+    assert {*guarded()[1].sources, *guarded()[1].headers} <= {file.name for file in (library / "src").iterdir()}
+    sketch = library / "examples/run/run.ino"
+    (folder / "Arduino.h").write_text(
+        "struct Port { void begin(long) {} void println(int) {} };\nextern Port Serial;\nunsigned long micros();\n"
+    )
+    command = [
+        compiler,
+        "-std=c++11",
+        "-Wall",
+        "-Wextra",
+        "-Wpedantic",
+        "-Werror",
+        "-x",
+        "c++",
+        "-include",
+        "Arduino.h",
+    ]
+    command += ["-I.", f"-I{library / 'src'}", "-c", "-o", "sketch.o", str(sketch)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_smallest_bundle_has_an_example_too(tmp_path: Path) -> None:
+    need_compiler()
+    _, bundle, _ = exported("float32")
+    write_bundle(bundle, tmp_path)
+    program = build("gcc", tmp_path, [*C_FILES, *code(bundle)], "example")
+    assert subprocess.run([program], capture_output=True, check=False).returncode == 0
+    assert not any(file.endswith(("_gains.c", "_gains.h")) for file in bundle.files)
+
+
+def test_the_readme_says_where_every_input_comes_from_and_what_every_status_demands() -> None:
+    mission, robot = load_scenario("tank-static"), load_vehicle("sur540-flooded")
+    sensors = mission.sensors.on(robot["radius"])
+    law = build_law(sonar=True, equipment=sensors)
+    readme = build_bundle(law, {}, origin=origin_of(law, robot, equipment=sensors)).files["README.md"]
+    wiring = readme.split("## Wiring")[1].split("## Gains")[0]
+    for port in law.inputs:
+        row = re.search(rf"\| `input\.{port.name}` \| (.*) \|", wiring)
+        assert row and "See unit and meaning" not in row.group(1), port.name
+    for name, code_, _ in STATUS:
+        assert f"| `{name}` ({code_}) | {DEMANDS[name][:20]}" in wiring
+    for words in (
+        "A row is one echo",
+        "Without an echo, every column is 4.5, not 0",
+        "Origin of the ranges: at the sonar's place on the hull",
+        "0: 0°, 1: 90°, 2: 180°, 3: -90°",
+        "one sonar every 0.025 s in the order 0, 1, 2, 3",
+        "Fixes: every 0.1 s, 0.1 s old when they arrive",
+        "Messages with moving obstacles: every 0.1 s, 0.1 s old",
+        "beam 75° wide",
+        "Start-up order",
+        "Check list before the water",
+        "What to log",
+        "SAFE",
+    ):
+        assert words in wiring, words
+    assert "memset(&input, 0, sizeof input);" in readme
+
+
+def test_a_module_of_whole_centimetres_with_one_number_a_firing_is_wired_as_such() -> None:
+    sensors = Equipment(array=SonarArray(step=0.01, maximum=4.5, samples=1))
+    law = build_law(sonar=True, equipment=sensors)
+    assert law.inputs.port("samples").shape == (4, 1)
+    readme = build_bundle(law, {}, origin=origin_of(law, vehicle(), equipment=sensors)).files["README.md"]
+    assert "Conversion step 10 mm" in readme and "1 samples a firing" not in readme
+
+
+def test_thrusters_are_listed_with_place_direction_and_force() -> None:
+    robot = load_vehicle("bluerov2-heavy")
+    law = build_law("closed_form", actuators=robot.actuators)
+    readme = build_bundle(law, {}, origin=origin_of(law, robot)).files["README.md"]
+    assert robot.actuators is not None
+    for thruster in robot.actuators.thrusters:
+        assert f"| {thruster.name} | {', '.join(f'{v:.3g}' for v in thruster.at)} |" in readme

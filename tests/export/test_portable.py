@@ -1,0 +1,77 @@
+"""The exported C in odd places: one compilation unit, C++11, wider arithmetic, and compilers that merge operations."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from surctl.export import Bundle, build_bundle, write_bundle
+from surctl.ir import Real
+from tests.export.closed_form import exported, searching
+from tests.export.test_gains_in_c import guarded
+from tests.tools import need, need_compiler
+
+STRICT = ("-Wall", "-Wextra", "-Werror", "-O1")
+
+
+def run(*command: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_two_bundles_and_all_their_files_form_one_compilation_unit(tmp_path: Path) -> None:
+    gcc = need("gcc")
+    lines = ["#define _POSIX_C_SOURCE 200112L"]
+    for bundle in (guarded()[1], searching()[1], build_bundle(guarded()[0], {}, name="other")):
+        write_bundle(bundle, tmp_path / bundle.name)
+        own = [*bundle.sources, bundle.selftest, "link.c", *(["mission.c"] if "mission.c" in bundle.files else [])]
+        lines += [f'#include "{bundle.name}/{file}"' for file in own]
+    (tmp_path / "unity.c").write_text("\n".join([*lines, "int main(void) { return 0; }", ""]))
+    run(gcc, "-std=c99", *STRICT, "-ffp-contract=off", "unity.c", "-o", "unity", "-lm", cwd=tmp_path)
+
+
+def test_two_headers_of_one_name_are_not_taken_for_one(tmp_path: Path) -> None:
+    gcc = need("gcc")
+    first, second = exported("float64")[1], exported("float32")[1]
+    for folder, bundle in (("a", first), ("b", second)):
+        write_bundle(bundle, tmp_path / folder)
+    (tmp_path / "main.c").write_text('#include "a/surctl_closed_form.h"\n#include "b/surctl_closed_form.h"\n')
+    done = subprocess.run([gcc, "-c", "main.c"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode != 0 and "surctl_closed_form_state_t" in done.stderr
+
+
+@pytest.mark.parametrize("real", ["float32", "float64"])
+def test_headers_are_strict_cpp11(tmp_path: Path, real: Real) -> None:
+    compiler = need("g++")
+    _, bundle, _ = guarded(real)
+    write_bundle(bundle, tmp_path)
+    includes = "".join(f'#include "{file}"\n' for file in ("surctl_closed_form.h", "surctl_closed_form_gains.h"))
+    (tmp_path / "use.cpp").write_text(includes + "const double period = SURCTL_CLOSED_FORM_DT;\n")
+    run(compiler, "-std=c++11", "-pedantic-errors", *STRICT, "-c", "use.cpp", cwd=tmp_path)
+
+
+def self_test(bundle: Bundle, folder: Path, *flags: str) -> str:
+    write_bundle(bundle, folder)
+    files = ["sil_main.c", *bundle.sources, bundle.selftest]
+    run(need("gcc"), "-std=c99", "-O1", *flags, *files, "-o", "sil", "-lm", cwd=folder)
+    return run(folder / "sil", "--selftest", cwd=folder).stdout
+
+
+@pytest.mark.parametrize("real", ["float32", "float64"])
+def test_arithmetic_of_80_bits_passes_the_self_test_and_says_so(tmp_path: Path, real: Real) -> None:
+    need_compiler()
+    for name, bundle in (("lean", exported(real)[1]), ("gains", guarded(real)[1])):
+        assert self_test(bundle, tmp_path / name, "-ffp-contract=off").endswith(" ok\n")
+        wide = self_test(bundle, tmp_path / f"{name}-wide", "-ffp-contract=off", "-mfpmath=387")
+        assert wide.endswith("ok, but not to the last bit: operations are merged or wider\n")
+
+
+def test_merged_operations_are_reported(tmp_path: Path) -> None:
+    need_compiler()
+    if "fma" not in Path("/proc/cpuinfo").read_text(encoding="ascii"):
+        pytest.skip("this processor has no operation that merges product and sum")
+    merged = self_test(exported("float64")[1], tmp_path, "-O2", "-mfma", "-ffp-contract=fast")
+    assert "not to the last bit" in merged

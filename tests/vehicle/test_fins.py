@@ -1,0 +1,145 @@
+"""Rudders and other fins: their force grows with the squared speed, in vehicle, allocation, law and both loops."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surctl.allocation import allocate
+from surctl.control import build_law, law_source, load_gains
+from surctl.control.steering import turning_radius
+from surctl.errors import InputError
+from surctl.export import Records, software_in_the_loop
+from surctl.simulation import (
+    METRICS,
+    Case,
+    Scenario,
+    held_share,
+    law_numbers,
+    simulate,
+    simulate_batch,
+    thruster_findings,
+)
+from surctl.simulation.scenario import Disturbance
+from surctl.simulation.thruster_faults import Thrusters
+from surctl.tuning import default_tuned
+from surctl.vehicle import LIBRARY, axis_limits, load_vehicle
+from tests.craft import mission
+from tests.tools import need_compiler
+
+REMUS = load_vehicle("remus100")
+GAINS = load_gains("default", own=law_source("steered").gains)
+TURN = [[30.0, 30.0], [42.0, 30.0], [42.0, 60.0]]
+
+
+def turning(seconds: float) -> Scenario:
+    """Two legs in a current ahead, so that the water passes the rudder faster than the ground."""
+    scenario = mission(TURN, "remus", size=(120.0, 120.0), time=seconds)
+    return replace(scenario, disturbance=Disturbance(current_m_per_s=(-0.2, 0.0)))
+
+
+def test_the_yaw_moment_is_lift_arm_deflection_and_squared_speed() -> None:
+    assert REMUS.actuators is not None
+    for speed in (0.0, 0.4, 1.0, 2.0):
+        moment = 0.638 * 9.64 * np.radians(13.6) * speed**2
+        assert axis_limits(REMUS.actuators, speed) == pytest.approx([10.1, 0, 0, moment], abs=1e-9)
+        result = allocate(REMUS.actuators, [3.0, 0.0, 0.0, 1e-3 + 2 * moment], speed=speed)
+        assert result.achieved == pytest.approx([3.0, -moment / 0.638, 0.0, moment], abs=1e-9)
+        assert result.commands[1] == pytest.approx(-1.0 if speed else 0.0)
+    slow = REMUS.at_speed(0.5)
+    assert slow.at_speed(1.0)["Fr_max"] == pytest.approx(REMUS["Fr_max"])
+    assert slow["Fr_max"] == pytest.approx(0.25 * REMUS["Fr_max"]) and slow.fin_share(0.5) == 1.0
+    assert held_share(slow) == pytest.approx(1.0) and thruster_findings(slow) == []
+
+
+def test_fins_of_an_x_tail_turn_without_heave_and_count_in_yaw_only() -> None:
+    craft = load_vehicle("eca-a9")
+    assert craft.actuators is not None
+    assert craft.thrust_limit == pytest.approx([52.9, 0.0, 0.0, 11.324], abs=1e-3)
+    assert allocate(craft.actuators, [0.0, 0.0, 0.0, 5.0]).achieved[2] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_otter_turns_by_its_propellers_at_any_speed() -> None:
+    otter = load_vehicle("otter")
+    assert otter.fin_share(1.0) == 0.0 and otter.at_speed(0.1) is otter
+    assert [one.level for one in thruster_findings(otter)] == ["info"]
+
+
+def test_a_steady_yaw_rate_exists_where_all_damping_grows_with_the_speed() -> None:
+    craft = load_vehicle("eca-a9").at_speed(0.79)
+    rate = craft.steady_yaw(0.85, 0.79)
+    assert rate * 32.0 * 0.79 == pytest.approx(0.85 * craft["Fr_max"])
+
+
+def test_the_radius_of_a_rudder_craft_hardly_depends_on_its_speed() -> None:
+    radii = [turning_radius(REMUS, {"sideslip": 0.2}, speed) for speed in (0.3, 0.6, 1.2)]
+    assert np.ptp(radii) < 1e-9 * radii[0]
+
+
+def test_both_loops_agree_and_the_water_sets_the_force() -> None:
+    need_compiler()
+    scenario = turning(30.0)
+    run = simulate(scenario, REMUS, gains=GAINS)
+    found = simulate_batch(Case(scenario, REMUS, GAINS), engine="c").table[0]
+    for name, a, b in zip(METRICS, found, run.metrics.row(), strict=True):
+        assert a == b or abs(a - b) <= 1e-9 or (np.isnan(a) and np.isnan(b)), name
+    forces, commands = run.telemetry("thruster_force")[:, 1], run.telemetry("thruster_command")[:, 1]
+    speed = run.record.nu[:, 0]
+    assert forces == pytest.approx(commands * 9.64 * np.radians(13.6) * speed**2, abs=1e-9)
+    assert np.abs(commands).max() > 0.5
+    still = simulate(replace(scenario, disturbance=Disturbance()), REMUS, gains=GAINS)
+    assert still.record.nu[-1, 3] != run.record.nu[-1, 3]
+
+
+def test_the_plant_has_the_force_of_the_deflection_at_the_speed_through_the_water() -> None:
+    law = build_law("steered", actuators=REMUS.actuators)
+    thrusters, telemetry = Thrusters.of(REMUS, law), np.zeros(law.outputs.size - 4)
+    telemetry[law.telemetry_slice("thruster_force")] = 3.0, 1.0
+    telemetry[law.telemetry_slice("thruster_command")] = 0.3, 0.5
+    half = 0.5 * 9.64 * np.radians(13.6)
+    for speed, force in ((1.2, half * 1.44), (0.0, 0.0), (-1.0, 0.0)):
+        achieved = thrusters.achieved(np.array([3.0, 1.0, 0.0, -0.638]), 0.0, telemetry=telemetry, speed=speed)
+        assert achieved == pytest.approx([3.0, force, 0.0, -0.638 * force], abs=1e-12)
+
+
+def test_the_exported_c_gives_the_same_bytes(tmp_path: Path) -> None:
+    need_compiler()
+    run = simulate(turning(20.0), REMUS, gains=GAINS)
+    record = run.record
+    law = build_law("steered", actuators=REMUS.actuators)
+    records = Records(record.law_state, record.law_input, record.law_parameters)
+    report = software_in_the_loop(law, records, workdir=tmp_path / "sil")
+    assert report.passed and report.tau.mixed == report.state.mixed == 0.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("limit_deg = 13.6", "limit_deg = 60", "fin.limit_deg"),
+        ('lift = "9.64 N s^2/m^2"', 'lift = "-9.64 N s^2/m^2"', "fin.lift"),
+        ('lift = "9.64 N s^2/m^2"', 'lift = "9.64 N"', "fin.lift"),
+        ("push = [0.0, 1.0, 0.0]", "push = [1.0, 0.0, 0.0]", "push"),
+        ("fin = {", 'forward = "3 N"\nfin = {', "forward"),
+    ],
+)
+def test_a_mistake_in_a_fin_is_one_line_with_its_key(old: str, new: str, key: str, tmp_path: Path) -> None:
+    text = (LIBRARY / "remus100.toml").read_text(encoding="utf-8")
+    assert old in text
+    head, tail = text.split('name = "rudder"')
+    path = tmp_path / "mine.toml"
+    path.write_text(head + 'name = "rudder"' + tail.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_vehicle(str(path))
+    assert caught.value.key == f"thruster.1.{key}" and caught.value.remedy
+
+
+def test_numbers_that_follow_from_the_vehicle_are_no_gains() -> None:
+    assert "munk" in GAINS.own and "munk" not in GAINS.values and "munk" not in GAINS.specs
+    assert "sideslip" in default_tuned(GAINS) and not {"munk", "fin_share"} & set(default_tuned(GAINS))
+    law = build_law("steered")
+    p = law.gains.split(law_numbers(replace(turning(1.0), cruise=0.5), GAINS, REMUS))
+    assert p["munk"][0] == pytest.approx(65.98 - 31.41 - 10.57) and p["fin_share"][0] == 1.0
+    assert p["thrust_limit"][3] == pytest.approx(0.25 * REMUS["Fr_max"])

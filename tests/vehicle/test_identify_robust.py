@@ -1,0 +1,78 @@
+"""What real logs have: outliers, coarse resolution, a start vehicle that is far off, and a trim that drifts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surctl.vehicle import FITTED, MotionLog, identify
+from surctl.vehicle.identification.outliers import outliers
+from tests.vehicle.test_identify import START, TRUE, made_log
+
+MASSES = ("m11", "m22", "m33", "m44")
+LOG = made_log(TRUE, seed=1, rows=300)
+
+
+def check(log: MotionLog, *, share: float, outside: int) -> list[str]:
+    """Fit, compare masses within a share and all intervals; return the notes."""
+    found = identify(log, START, name="fitted")
+    for name in MASSES:
+        assert found.estimates[name][0] == pytest.approx(TRUE[name], rel=share), name
+    assert sum(abs(found.estimates[k][0] - TRUE[k]) > found.estimates[k][1] for k in FITTED) <= outside
+    return list(found.notes)
+
+
+def test_outliers_are_omitted_and_counted() -> None:
+    rng = np.random.default_rng(5)
+    motion = LOG.motion.copy()
+    wrong = rng.random(motion.shape) < 0.02
+    motion[wrong] += rng.choice([-1.0, 1.0], wrong.sum()) * rng.uniform(0.3, 3.0, wrong.sum())
+    notes = check(replace(LOG, motion=motion), share=0.02, outside=2)
+    assert any("outliers are not used: " in note and "of x_m" in note for note in notes)
+
+
+def test_motion_noise_and_resolution_are_no_outliers() -> None:
+    rng = np.random.default_rng(1)
+    t = 0.1 * np.arange(500)
+    sharp = 0.3 * np.abs((t % 4.0) - 2.0)  # the corners of a speed
+    noisy = sharp + 0.003 * rng.normal(size=500)
+    rest = np.where(t < 40, 0.1 + 0.2, noisy)  # a sensor that stands still for most of the time
+    for values in (noisy, rest, np.round(sharp, 2), np.round(sharp, 1), np.zeros(500), np.repeat(noisy[::10], 10)):
+        assert not outliers(values).any()
+    assert not np.any([outliers(rng.normal(size=2000)) for _ in range(50)])
+    for values in (noisy, np.round(noisy, 2)):
+        values[[100, 102, 300]] += 1.0
+        values[101] = np.nan
+        assert np.flatnonzero(outliers(values)).tolist() == [100, 102, 300]
+
+
+def test_coarse_resolution_is_noise() -> None:
+    steps = np.array([0.01, 0.01, 0.01, np.radians(1.0), 0.01, 0.01, 0.01, np.radians(1.0)])
+    assert not [
+        n
+        for n in check(replace(LOG, motion=np.round(LOG.motion / steps) * steps), share=0.02, outside=3)
+        if "outliers" in n
+    ]
+
+
+@pytest.mark.parametrize("factor", [5.0, 0.2])
+def test_a_start_vehicle_that_is_off_by_a_factor_of_five(factor: float) -> None:
+    free = replace(START, parameters={k: replace(p, range=None) for k, p in START.parameters.items()})
+    far = free.with_values({k: factor * TRUE[k] for k in (*MASSES, "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag")})
+    near, found = identify(LOG, START, name="near"), identify(LOG, far, name="far")
+    for name in (*MASSES, "thrust_lag"):
+        assert found.estimates[name][0] == pytest.approx(near.estimates[name][0], abs=0.2 * near.estimates[name][1])
+
+
+def test_a_trim_that_drifts_is_said_and_does_not_change_masses_and_drag() -> None:
+    """0.5 N of drift, a tenth of the thrust: with a constant force, masses would be wrong by 8 %, drag by far more."""
+    rows = 400
+    drift = np.linspace(-1.0, 1.0, rows)[:, None] * np.array([0.5, 0.3, -0.5, 0.0])
+    log = made_log(TRUE, seed=1, rows=rows, drift=drift)
+    found = identify(log, START, name="fitted")
+    for name in MASSES:
+        assert found.estimates[name][0] == pytest.approx(TRUE[name], rel=0.02), name
+    assert sum(abs(found.estimates[k][0] - TRUE[k]) > found.estimates[k][1] for k in FITTED) <= 3
+    assert found.sections == 2 and any("the constant force drifts (X0 from -0." in note for note in found.notes)
