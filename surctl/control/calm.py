@@ -30,7 +30,9 @@ EVADE = 0.1
 _WIDTH = 1.5  # standard deviations of the noise in half the width of the band
 _WIDEST = 0.3  # share of the thrust limit: largest half width, while the estimate is poor
 
-CALM_PORTS = (Port("held", (4,), "N, N m", "thrust command of the step before, which follows the demand in a band"),)
+CALM_PORTS = (
+    Port("held", (4,), "N, N m", "thrust command of the step before, which follows the demand in a band", gap="anew"),
+)
 
 
 def calmed(free: ca.SX, held: ca.SX, *, noise: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
