@@ -243,7 +243,7 @@ def export(
             progress("compiling the functional mock-up unit")
             unit = write_fmu(shipped, bundle, shipped.gains.pack(fixed), scratch)
             binaries[unit.path.name] = unit.path.read_bytes()
-    flight = {
+    replayed = {
         "scenario": mission.name,
         "vehicle": robot.name,
         "sensing": sensing,
@@ -252,7 +252,7 @@ def export(
         "time_s": metrics.time_s,
         "failure": failure(run),
     }
-    evidence = evidence_of(run=flight, sil=sil, check=report, proof=proof)
+    evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof)
     # a bundle appears when it is complete and checked, at once
     files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), out)
     result: dict[str, Any] = {
