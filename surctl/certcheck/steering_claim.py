@@ -9,7 +9,7 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import number, read_top, record
-from surctl.certcheck.turning_terms import read_terms
+from surctl.certcheck.turning_claim import read_terms
 
 __all__ = ["EXCLUDES", "STATES", "SteeringClaim", "read_claim"]
 

@@ -314,10 +314,8 @@ def _decide(
         if "drift" in xs:
             carried["drift"] = learnt(guidance, desired, xs["drift"], eta, nu, decision.avoiding, guided, dt=dt)
         if "trapped" in xs:
-            depth_inputs = nu, us.get("column")
-            dead_end = dead_end_next(
-                desired, perceived.known if moving else (), xs, eta, decision.stopped, ps, *depth_inputs, dt=dt
-            )
+            known = perceived.known if moving else ()
+            dead_end = dead_end_next(desired, known, xs, eta, decision.stopped, ps, nu, us.get("column"), dt=dt)
             carried |= dead_end
             reported["trapped"] = dead_end["trapped"]
         if depths:
