@@ -56,7 +56,7 @@ __all__ = ["export"]
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Certificate to add to the bundle; repeatable.",
+    help="Certificate to add to the bundle; may be repeated.",
 )
 @click.option("--check", is_flag=True, help="Compare the C of several compilers and processors with Python.")
 @click.option(

@@ -33,7 +33,7 @@ __all__ = ["tune"]
     "gain",
     multiple=True,
     metavar="NAME[=LOW..HIGH]",
-    help="Gain to tune, with its range; repeatable.",
+    help="Gain to tune, with its range; may be repeated.",
 )
 @click.option(
     "--goals",
@@ -73,7 +73,7 @@ __all__ = ["tune"]
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle of every scenario: name or file; repeatable (default: the study's).",
+    help="Vehicle of every scenario: name or file; may be repeated (default: the study's).",
 )
 @click.option(
     "--guidance",
