@@ -40,7 +40,7 @@ sensor_options = together(
         "chances",
         multiple=True,
         metavar="KIND=P",
-        help="Probability P of a fault at each firing; may be repeated.",
+        help="Probability of this fault per firing; may be repeated.",
     ),
     click.option("--beam", type=float, metavar="DEG", help="Sonar beam angle [deg] (default: the scenario's)."),
     click.option("--own-state", metavar="NAME", help="Own pose: measured or truth (default: the scenario's)."),

@@ -75,7 +75,7 @@ def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity
             "needs the points of a Saltelli design",
             key="sensitivity",
             value=column,
-            remedy="repeat the sweep with --sensitivity",
+            remedy="sweep with --sensitivity",
         )
     names = tuple(json.loads(table.dataset.attrs["axes"]))
     lost = int((~np.isfinite(values)).sum())
