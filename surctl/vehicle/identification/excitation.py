@@ -157,7 +157,7 @@ def drift_note(model: Model, theta: Array, trial: Trial | None) -> list[str]:
     if not model.drift:
         return [
             "residuals are slow: a constant force that drifts was tried and not used, because with it the errors of "
-            f"predicting unseen parts over {trial.window:g} s are {trial.ratio:.2g} times those without it; the "
+            f"predicting unseen parts over {trial.window:g} s are {trial.ratio:.3g} times those without it; the "
             "model misses something else"
         ]
     own = theta[model.size :].reshape(-1, model.local)[:, model.order :]
@@ -170,5 +170,5 @@ def drift_note(model: Model, theta: Array, trial: Trial | None) -> list[str]:
     return [
         f"the constant force drifts ({', '.join(listed)}); each section of the log has its own force, which changes "
         "linearly, and the file has the mean; with it the errors of predicting unseen parts over "
-        f"{trial.window:g} s are {trial.ratio:.2g} times those without it"
+        f"{trial.window:g} s are {trial.ratio:.3g} times those without it"
     ]
