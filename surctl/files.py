@@ -136,6 +136,13 @@ def load_model(path: Path, model: type[M]) -> M:
     return validate(read_toml(path), model, file=path)
 
 
+_LISTED = 3  # further wrong keys that a message names
+
+
+def _key_of(place: tuple[int | str, ...]) -> str | None:
+    return ".".join(str(part) for part in place if part not in ("Quantity", "str")) or None
+
+
 def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
     """Validate a table against `model`; the InputError describes the first mistake and counts the others.
 
@@ -161,8 +168,11 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
         # a wrong kind of file explains all other problems; an unknown key explains a missing key beside it
         first = min(problems, key=lambda p: (p["loc"] != ("kind",), p["type"] != "extra_forbidden"))
         # pydantic inserts the member types of a union into the path as if they were keys
-        key = ".".join(str(part) for part in first["loc"] if part not in ("Quantity", "str")) or None
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        key = _key_of(first["loc"])
+        # the parts of a union report the same key more than once
+        others = list(dict.fromkeys(k for p in problems if (k := _key_of(p["loc"])) is not None and k != key))
+        listed = ", ".join(others[:_LISTED]) + (f" and {len(others) - _LISTED} others" if len(others) > _LISTED else "")
+        more = f" (also wrong: {listed})" if others else ""
         # the message omits the value if the mistake concerns the whole file
         value = None if first["type"] == "missing" or key is None else first["input"]
         if first["type"] == "extra_forbidden":

@@ -13,7 +13,7 @@ import pytest
 
 from surctl.vehicle import FITTED
 from tests.processes import run_python
-from tests.tools import need, need_compiler
+from tests.tools import need, need_compiler, need_module
 
 ANALYSIS = Path(__file__).parents[1] / "analysis"
 SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
@@ -50,6 +50,15 @@ def test_the_study_of_the_prover() -> None:
     assert len(rows) >= 10 and all(row[2] != "**not proved**" for row in rows)
 
 
+def test_the_study_of_hostile_gains_and_broken_time() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "34_firmware" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = table(done.stdout)
+    assert [row[4:] for row in rows if len(row) == 6][1:] == [["0", "0"], ["0", "0"]]
+    assert next(row[4:] for row in rows if len(row) == 8 and row[0].isdigit()) == ["0"] * 4
+
+
 def test_the_study_of_published_vehicles() -> None:
     need_compiler()
     done = run(ANALYSIS / "31_craft" / "run.py", "--quick")
@@ -70,6 +79,16 @@ def test_the_study_of_public_logs() -> None:
     assert "velocities of the world frame" in done.stdout and "| 20 s | " in done.stdout
 
 
+def test_the_study_of_the_independent_engine() -> None:
+    need_compiler()
+    need_module("mujoco")
+    done = run(ANALYSIS / "35_independent_engine" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Repeats: yes" in done.stdout and "within the limits: yes" in done.stdout
+    rows = {row[0]: row[2:6] for row in table(done.stdout) if len(row) == 7}
+    assert rows["tank-static"][0] == rows["tank-static"][1] == "53.90, 0.0533, 0.0094"
+
+
 def test_the_study_of_sums_of_squares() -> None:
     done = run(ANALYSIS / "14_claim_prover" / "squares.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -88,6 +107,12 @@ def test_the_study_of_fitted_vehicles_with_coloured_noise() -> None:
     done = run(ANALYSIS / "20_identification" / "coloured.py", "--quick", "--workers", "1")
     assert done.returncode == 0, done.stdout + done.stderr
     assert {row[1].strip("| ") for row in table(done.stdout) if len(row) == 2 and "held-out" in row[0]} == {"holds"}
+
+
+def test_the_study_of_the_widths_of_intervals() -> None:
+    done = run(ANALYSIS / "20_identification" / "widths.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [row[0] for row in table(done.stdout) if len(row) == 4][1:] == [*FITTED, "X0", "Y0", "Z0", "N0"]
 
 
 def test_the_study_of_fitted_vehicles_that_roll_and_pitch() -> None:
@@ -413,7 +438,7 @@ def test_the_sonar_loop_touches_nothing_and_its_senses_fit_a_microcontroller() -
     assert [line.endswith(": holds") for line in bars] == [True] * 4
     found = re.search(r"in float32: .* arrays ([\d.]+) kB, ([\d.]+) kB with the stack", bars[-1])
     assert found and 0 < float(found[1]) < float(found[2]) <= 32
-    flown = [row for row in table(done.stdout) if len(row) == 7 and row[0] != "sensors"]
+    flown = [row for row in table(done.stdout) if len(row) == 10 and row[0] != "sensors"]
     assert len(flown) == 2 and all(row[3] == "0" for row in flown)
 
 

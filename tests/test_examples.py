@@ -13,7 +13,7 @@ from types import FunctionType
 import pytest
 
 import surctl
-from tests.tools import need, need_compiler
+from tests.tools import need, need_compiler, need_module
 
 PACKAGES = sorted(module.name for module in pkgutil.iter_modules(surctl.__path__) if module.name != "__main__")
 
@@ -39,9 +39,14 @@ TOOLS = {  # beside a C compiler
 }
 
 
+MUJOCO = ("report.film_frames", "report.moment_of", "report.save_film")
+
+
 @pytest.mark.parametrize("name", EXPORTED)
 def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
+    if name.startswith("engine.") or name in MUJOCO:
+        need_module("mujoco")
     for tool in TOOLS.get(name, ()):
         need(tool)
     monkeypatch.chdir(tmp_path)  # what an example writes goes there

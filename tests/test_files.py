@@ -93,7 +93,7 @@ def test_a_missing_key() -> None:
 def test_an_unknown_key_names_the_nearest_known_one_and_comes_before_the_missing_one() -> None:
     error = _mistake({"name": "a", "part": {"mas_kg": 1.0}})
     assert error.key == "part.mas_kg"
-    assert error.problem == "unknown key (and 1 more)"
+    assert error.problem == "unknown key (also wrong: part.mass_kg)"
     assert error.remedy == "did you mean 'mass_kg'?"
 
 

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 
 from surctl.cli.app import app
 from tests.processes import run_python
-from tests.tools import PATIENCE, need_compiler
+from tests.tools import PATIENCE, need_compiler, need_module
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -34,6 +34,7 @@ NAMES = {
     "architecture",
     "design",
     "export",
+    "independent-physics",
     "missions",
     "own-law",
     "region",
@@ -135,6 +136,8 @@ def test_there_is_a_guide_for_each_job() -> None:
 @pytest.mark.parametrize("guide", PAGES, ids=lambda path: path.stem)
 def test_it_does_what_it_says(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
+    if guide.stem == "independent-physics":
+        need_module("mujoco")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for kind, text in BLOCK.findall(guide.read_text(encoding="utf-8")):

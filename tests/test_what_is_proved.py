@@ -36,6 +36,7 @@ def test_verdicts_are_those_of_the_library() -> None:
 def test_regions_are_no_larger_than_their_certificates(name: str) -> None:
     motion = json.loads((ROOT / "tests" / "certcheck" / f"{name}.json").read_text())["claim"]["motion"]
     beside, rate, settles, statement = rows()[name]
+    motion.setdefault("ultimate_bound_m", 0.0)  # the heading loop converges to 0
     ends = motion["ultimate_bound_m"] if isinstance(motion["ultimate_bound_m"], list) else [motion["ultimate_bound_m"]]
     assert 0 <= motion.get("beside_m", motion["offset_m"]) - float(beside.split()[0]) < 0.001
     assert float(rate.removesuffix("/s")) == motion["rate_per_s"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from pathlib import Path
 from shutil import which
@@ -29,6 +30,12 @@ def need(tool: str) -> str:
     if found is None:
         _without(f"{tool} is not installed")
     return str(found)
+
+
+def need_module(name: str) -> None:
+    """An optional module, on the same terms."""
+    if importlib.util.find_spec(name) is None:
+        _without(f"the module {name} is not installed")
 
 
 def need_make() -> str:

@@ -69,10 +69,17 @@ def row(condition: str, name: str, runs: BatchResult) -> int:
     least = runs.column("min_clearance_m").min()
     print(
         f"| {condition} | `{name}` | {counts['reached']} | {told} | {others or '-'} | {np.median(took):.1f} "
-        f"| {least:.3f} |",
+        f"| {least:.3f} | {thrust_used(runs)} |",
         flush=True,
     )
     return len(hit)
+
+
+def thrust_used(runs: BatchResult) -> str:
+    """Return the mean thrust activity of the runs as cells of the table."""
+    varies = (runs.column(f"variation_{axis}_n_per_s").mean() for axis in ("surge", "sway", "heave"))
+    signs, share = (runs.column(f"axis_{name}").mean() for name in ("sign_changes_per_s", "saturated_share"))
+    return f"{' / '.join(f'{one:.1f}' for one in varies)} | {signs:.2f} | {share:.0%}"
 
 
 def speed(seeds: int) -> float:
@@ -107,8 +114,11 @@ def main(words: list[str]) -> int:
     chosen = list(conditions().items())
     collisions = 0
     print(f"## {size['seeds']} seeds each\n")
-    print("| sensors | scenario | reached | collided | else | median time [s] | least clearance [m] |")
-    print("|---|---|---|---|---|---|---|")
+    print(
+        "| sensors | scenario | reached | collided | else | median time [s] | least clearance [m] "
+        "| thrust varies, surge / sway / heave [N/s] | sign changes of the worst axis [1/s] | at its limit |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|")
     for condition, (sensors, judged) in chosen[:2] if options.quick else chosen:
         for name in names:
             hit = row(condition, name, flown(name, sensors, size["seeds"]))

@@ -22,12 +22,14 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import check_document
 from surctl.control import load_gains
+from surctl.tuning import derived_gains
 from surctl.vehicle import load_vehicle
 from surctl.verification.region import REGION_CLAIMS, prove_statement
 
 Array = NDArray[np.float64]
 
 RECORDED = Path(__file__).parents[2] / "tests" / "certcheck"
+CURVED, STEERED = "region-turning-20-curved", "region-steered-20"
 PAIRS = (
     ("region-turning", "bluerov2-vonbenzon"),
     ("region-turning", "bluerov2-wu"),
@@ -37,8 +39,15 @@ PAIRS = (
     ("region-turning-20-rest", "bluerov2-vonbenzon"),
     ("region-turning-20-rest", "bluerov2-wu"),
     ("region-turning-20-scale", "sur540-flooded"),
+    (CURVED, "sur540-flooded"),
+    ("region-turning-20", "bluerov2-heavy"),
+    ("region-turning-20", "rexrov"),
+    (STEERED, "otter"),
 )
-MOTIONS, SECONDS, STEP = 2_400, 40.0, 0.02
+OWN = {"bluerov2-heavy": 0.17, "rexrov": 0.95, "otter": 1.1}
+"""Vehicles with gains derived at their cruise speed [m/s]; the others have the gains `default` at 0.15 m/s."""
+
+MOTIONS, SECONDS, STEP = 10_000, 40.0, 0.02
 HEADS = ("claim", "vehicle", "y_e from", "at rest", "settles", "Munk moment", "proof", "check", "size",
          "largest V/bound", "escapes")  # fmt: skip
 
@@ -68,14 +77,25 @@ class Plant:
             inside = np.where(rng.uniform(size=(count, 2)) < 0.6, np.round(inside), inside)
             return np.asarray(np.minimum(least * ratio**inside, high))
 
+        self.terms = vehicle["terms"]
+        ends = {key: (*vehicle[f"{key}_factor"], 1.0) for key in ("mass", "drag")}
+        self.inert, self.rough = (rng.choice(ends[key], size=count) for key in ("mass", "drag"))
         self.mass = factors("mass") * self.law["mass_kg"]
         linear, quadratic = factors("drag"), factors("drag")
         self.linear, self.quadratic = linear * self.law["linear_drag"], quadratic * self.law["quadratic_drag"]
         self.means = linear.mean(axis=1) - 1, quadratic.mean(axis=1) - 1
 
-    def rate(self, state: Array, r: Array) -> Array:
-        """Return d/dt of (x_e, y_e, psi, u, v) (5, n) for the yaw rate r (n,)."""
+    def term(self, name: str) -> Array:
+        """Return a term beside equation (3) of every vehicle (n,); 0 if the vehicle does not have it."""
+        return np.asarray((self.inert if name[0] == "m" else self.rough) * self.terms.get(name, 0.0))
+
+    def rate(self, state: Array, r: Array, other: Array) -> Array:
+        """Return d/dt of (x_e, y_e, psi, u, v) (5, n) for the yaw rate r (n,).
+
+        `other` holds heave velocity and acceleration, yaw acceleration and turn rate of the path frame (4, n).
+        """
         x_e, y_e, psi, u, v = state
+        w, w_rate, r_rate, bend = other
         law, c, s = self.law, np.cos(psi), np.sin(psi)
         slant = np.hypot(1, y_e / law["lookahead"])
         along = np.minimum(np.maximum(law["cruise"] - law["k1"] * x_e, 0), law["cap"] / slant)
@@ -88,8 +108,18 @@ class Plant:
             drag = self.linear[:, k] * n + self.quadratic[:, k] * np.abs(n) * n
             forces.append(np.clip(free, -self.limit[k], self.limit[k]) - drag)
         m1, m2 = self.mass.T
-        turned = (forces[0] + m2 * v * r) / m1, (forces[1] - m1 * u * r) / m2
-        return np.stack([c * u - s * v - law["cruise"], s * u + c * v, r, *turned])
+        m12, m13, m14, m23, m24 = (self.term(f"m{k}") for k in (12, 13, 14, 23, 24))
+        for k, letter in enumerate("XY"):
+            forces[k] = forces[k] + self.term(f"{letter}0")
+            for name in [name for name in self.terms if name[0] == letter and name[1:].isalpha()]:
+                first, *second = ({"u": u, "v": v, "w": w, "r": r}[axis] for axis in name[1:])
+                forces[k] = forces[k] - self.term(name) * (np.abs(first) * second[0] if second else first)
+        p_x, p_y = m1 * u + m12 * v + m13 * w + m14 * r, m2 * v + m12 * u + m23 * w + m24 * r
+        a = forces[0] + p_y * r - m13 * w_rate - m14 * r_rate
+        b = forces[1] - p_x * r - m23 * w_rate - m24 * r_rate
+        turned = (m2 * a - m12 * b) / (m1 * m2 - m12**2), (m1 * b - m12 * a) / (m1 * m2 - m12**2)
+        along, across = c * u - s * v, s * u + c * v
+        return np.stack([along - law["cruise"] + bend * y_e, across - bend * x_e, r - bend, *turned])
 
 
 def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: int = 1) -> Motions:
@@ -97,6 +127,7 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
     claim, proof, rng = document["claim"], document["proof"], np.random.default_rng(seed)
     P = np.array([[proof["P"][max(i, j)][min(i, j)] for j in range(4)] for i in range(4)])
     plant, law, most = Plant(claim, count, rng), claim["law"], claim["vehicle"]["yaw_rate_rad_per_s"]
+    vehicle = claim["vehicle"]
     omega = sum(slope * mean for slope, mean in zip(proof["trim"], plant.means, strict=True))
     xi = rng.normal(size=(count, 4)) @ np.linalg.inv(np.linalg.cholesky(P))
     xi /= np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]
@@ -111,21 +142,88 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
         z = np.stack([at[0] + shift, at[1], c * at[3] - s * at[4] - law["cruise"], s * at[3] + c * at[4]], axis=1)
         return np.asarray(np.einsum("ni,ij,nj->n", z, P, z))
 
+    most_other = [vehicle[key] for key in ("heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2")]
+    bounds = np.array([*most_other, law["cruise"] * claim["motion"]["curvature_per_m"]])[:, None]
+    other = bounds * rng.choice([-1.0, 1.0], size=(4, count))
     greedy, r = np.arange(count) % 2 == 0, rng.choice([-most, most], size=count)
     ratio, left = 0.0, np.zeros(count, dtype=bool)
     for k in range(1, int(seconds / STEP) + 1):
         if k % 5 == 1:
             # greedy: the yaw rate with the larger V a short time later
-            ahead = [level(state + 0.1 * plant.rate(state, np.full(count, one))) for one in (-most, most)]
+            ahead = [level(state + 0.1 * plant.rate(state, np.full(count, one), other)) for one in (-most, most)]
+            other = np.where(
+                rng.uniform(size=(4, count)) < 0.05, bounds * rng.choice([-1.0, 1.0], size=(4, count)), other
+            )
             switched = np.where(rng.uniform(size=count) < 0.1, rng.uniform(-most, most, size=count), r)
             r = np.where(greedy, np.where(ahead[1] > ahead[0], most, -most), switched)
-        a = plant.rate(state, r)
-        b = plant.rate(state + STEP / 2 * a, r)
-        d = plant.rate(state + STEP / 2 * b, r)
-        state = state + STEP / 6 * (a + 2 * b + 2 * d + plant.rate(state + STEP * d, r))
+        a = plant.rate(state, r, other)
+        b = plant.rate(state + STEP / 2 * a, r, other)
+        d = plant.rate(state + STEP / 2 * b, r, other)
+        state = state + STEP / 6 * (a + 2 * b + 2 * d + plant.rate(state + STEP * d, r, other))
         now = level(state)
         bound = max(np.exp(-claim["motion"]["rate_per_s"] * k * STEP), proof["floor"])
         ratio = max(ratio, float(now.max()) / bound)
+        left |= now > 1
+    return Motions(ratio, int(left.sum()))
+
+
+def steered(document: Mapping[str, Any], count: int, seconds: float, *, seed: int = 1) -> Motions:
+    """Simulate the heading loop of a craft without sway force from the boundary V = 1 at changing surge speeds."""
+    claim, rng = document["claim"], np.random.default_rng(seed)
+    lower = document["proof"]["P"]
+    P = np.array([[lower[max(i, j)][min(i, j)] for j in range(6)] for i in range(6)])
+    law, vehicle = claim["law"], claim["vehicle"]
+    m1, m2, m4 = law["mass"]
+    limit, moment = vehicle["moment_nm"], 0.85 * vehicle["moment_nm"]
+    fastest = (np.sqrt(law["linear_drag"][1] ** 2 + 4 * law["quadratic_drag"][1] * moment) - law["linear_drag"][1]) / (
+        2 * law["quadratic_drag"][1]
+    )
+    mass, drag = (rng.choice(vehicle[f"{key}_factor"], size=(n, count)) for key, n in (("mass", 4), ("drag", 20)))
+
+    def planned(u: Array | float) -> Any:
+        drift = np.minimum(law["sideslip"] * u, 0.5 * limit / (abs(law["munk"]) * u))
+        side = law["linear_drag"][0] * drift + law["quadratic_drag"][0] * drift**2
+        return np.minimum(side / (law["centripetal"] * u), fastest)
+
+    ahead = max(law["lookahead"], law["cruise"] / float(planned(law["cruise"])))
+
+    def rate(state: Array, u: Array) -> Array:
+        y, psi, v, r, crab, sway = state
+        error = -np.arctan(y / ahead) - crab - psi
+        most = np.minimum(planned(u), np.sqrt(limit / m4 * np.abs(error)))
+        turn = np.clip(law["k_psi"] * error, -most, most)
+        yaw = law["linear_drag"][1] * turn + law["quadratic_drag"][1] * np.abs(turn) * turn
+        yaw = np.clip(yaw + m4 * law["k_r"] * (turn - r) + law["munk"] * u * sway, -limit, limit)
+        a1, a2, a4 = m1 * mass[0], m2 * mass[1], m4 * mass[2]
+        a24 = vehicle["terms"].get("m24", 0.0) * mass[3]
+        yv, nr = vehicle["linear_drag"]
+        sideways = drag[0] * (yv + law["quadratic_drag"][0] * np.abs(v)) * v
+        turning = drag[1] * (nr + law["quadratic_drag"][1] * np.abs(r)) * r
+        load = [-a1 * u * r - sideways, yaw - u * (a2 * v + a24 * r) + a1 * u * v - turning]
+        for k, (name, value) in enumerate(vehicle["terms"].items()):
+            if name[0] in "YN" and set(name[1:]) <= set("uvr"):
+                first, *second = ({"u": u, "v": v, "r": r}[axis] for axis in name[1:])
+                load["YN".index(name[0])] -= drag[2 + k % 18] * value * (np.abs(first) * second[0] if second else first)
+        size = a2 * a4 - a24**2
+        modelled = (law["linear_drag"][0] + law["quadratic_drag"][0] * np.abs(sway)) * sway
+        return np.stack([
+            u * np.sin(psi) + v * np.cos(psi), r, (a4 * load[0] - a24 * load[1]) / size,
+            (a2 * load[1] - a24 * load[0]) / size, (np.arctan2(v, u) - crab) / law["crab_time"],
+            -law["centripetal"] / m2 * u * r - modelled / m2,
+        ])  # fmt: skip
+
+    xi = rng.normal(size=(count, 6)) @ np.linalg.inv(np.linalg.cholesky(P))
+    state = (xi / np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]).T
+    u = rng.choice(vehicle["speed_m_per_s"], size=count)
+    ratio, left = 0.0, np.zeros(count, dtype=bool)
+    for k in range(1, int(seconds / STEP) + 1):
+        u = np.where(rng.uniform(size=count) < 0.01, rng.choice(vehicle["speed_m_per_s"], size=count), u)
+        a = rate(state, u)
+        b = rate(state + STEP / 2 * a, u)
+        d = rate(state + STEP / 2 * b, u)
+        state = state + STEP / 6 * (a + 2 * b + 2 * d + rate(state + STEP * d, u))
+        now = np.einsum("in,ij,jn->n", state, P, state)
+        ratio = max(ratio, float(now.max()) / np.exp(-claim["motion"]["rate_per_s"] * k * STEP))
         left |= now > 1
     return Motions(ratio, int(left.sum()))
 
@@ -135,11 +233,14 @@ def row(
 ) -> str:
     """Return a row of the table."""
     motion, size = document["claim"]["motion"], len(json.dumps(document, separators=(",", ":"))) + 1
+    moment, settles = document["claim"]["vehicle"].get("munk_moment_nm"), "0, 0 m"
+    if moment is not None:
+        settles = "{:.3f}, {:.3f} m".format(*motion["ultimate_bound_m"])
+    motion = {"rest_offset_m": None, **motion}
     rest = "–" if motion["rest_offset_m"] is None else f"{motion['rest_offset_m']:.3f} m"
-    x, y = motion["ultimate_bound_m"]
     return (
-        f"| `{name}` | {vehicle} | {motion['offset_m']:.3f} m | {rest} | {x:.3f}, {y:.3f} m "
-        f"| {document['claim']['vehicle']['munk_moment_nm']:.3f} N m | {'–' if took is None else f'{took:.0f} s'} "
+        f"| `{name}` | {vehicle} | {motion['offset_m']:.3f} m | {rest} | {settles} "
+        f"| {'–' if moment is None else f'{moment:.3f} N m'} | {'–' if took is None else f'{took:.0f} s'} "
         f"| {checked:.2f} s | {size} B | {motions.ratio:.3f} | {motions.escapes} |"
     )
 
@@ -167,7 +268,10 @@ def main(arguments: list[str]) -> int:
             document = json.loads((RECORDED / f"{name}.json").read_text())
         else:
             began = time.process_time()
-            proof = prove_statement(REGION_CLAIMS[name], load_vehicle(vehicle), load_gains("default"))
+            robot, cruise = load_vehicle(vehicle), OWN.get(vehicle)
+            gains = load_gains("default") if cruise is None else derived_gains(robot, cruise=cruise)
+            cap = None if cruise is None else round(cruise * 0.22 / 0.15, 9)
+            proof = prove_statement(REGION_CLAIMS[name], robot, gains, cruise=cruise, cap=cap)
             took = time.process_time() - began
             if proof.verdict != "proved":
                 good = False
@@ -179,7 +283,8 @@ def main(arguments: list[str]) -> int:
         began = time.process_time()
         again = check_document(document)
         checked = time.process_time() - began
-        motions = simulated(document, 64, 4.0) if quick else simulated(document, MOTIONS, SECONDS)
+        simulate = steered if document["kind"] == "steering" else simulated
+        motions = simulate(document, 64, 4.0) if quick else simulate(document, MOTIONS, SECONDS)
         good = good and again.accepted and not motions.escapes and motions.ratio <= 1 + 1e-6
         print(row(name, vehicle, document, took, motions, checked), flush=True)
     return 0 if good else 1

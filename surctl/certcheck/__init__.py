@@ -31,7 +31,7 @@ from surctl.certcheck.patience import PATIENCE, patient
 
 __all__ = ["KINDS", "PATIENCE", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
 
-KINDS = ("barrier", "braking", "heading", "interval", "lyapunov", "region", "turning")
+KINDS = ("barrier", "braking", "heading", "interval", "lyapunov", "region", "steering", "turning")
 """The kinds of certificate; each kind is a module of this package."""
 
 _MALFORMED = (

@@ -17,6 +17,7 @@ from typing import Any
 from surctl.certcheck.braking_claim import read_claim as read_braking
 from surctl.certcheck.bundle import Manifest, stated_sha256
 from surctl.certcheck.region_claim import read_claim as read_region
+from surctl.certcheck.steering_claim import read_claim as read_steering
 from surctl.certcheck.turning_claim import read_claim as read_turning
 
 __all__ = ["Belonging", "compare"]
@@ -83,7 +84,8 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
     comparison = _Comparison(document["claim"], manifest)
     kinds = {
         "region": comparison.region, "braking": comparison.braking, "heading": comparison.heading,
-        "turning": comparison.turning, "lyapunov": comparison.motion, "barrier": comparison.motion,
+        "turning": comparison.turning, "steering": comparison.steering, "lyapunov": comparison.motion,
+        "barrier": comparison.motion,
     }  # fmt: skip
     kinds.get(document["kind"], comparison.inequality)()
     return Belonging(tuple(comparison.differs), tuple(comparison.excludes))
@@ -180,6 +182,36 @@ class _Comparison:
         yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max", "Fr_reverse")]
         self._at_least("thrust_limit of yaw", vehicle["munk_moment_nm"], "N m", yaw)
         self._perception()
+
+    def steering(self) -> None:
+        read_steering(self.claim)
+        vehicle, law = self.claim["vehicle"], self.claim["law"]
+        self._hashes(terms=vehicle["terms"])
+        self.excludes += [*self.claim["excludes"], _ROUNDING.format(self.manifest.real)]
+        for name in (
+            "k_psi",
+            "k_r",
+            "crab_time",
+            "sideslip",
+            "lookahead",
+            "cruise",
+            "cap",
+            "k_i",
+            "munk",
+            "centripetal",
+            "fin_share",
+        ):
+            self._gain(name, law[name])
+        for at, axis in enumerate((0, 1, 3)):
+            self._gain("mass", law["mass"][at], axis)
+            self._within("mass", [law["mass"][at] * end for end in vehicle["mass_factor"]], (f"m{axis + 1}{axis + 1}",))
+        for at, (axis, names) in enumerate(((1, ("Yv", "Yvv")), (3, ("Nr", "Nrr")))):
+            own = vehicle["linear_drag"][at], law["quadratic_drag"][at]
+            for key, value, name in zip(("linear_drag", "quadratic_drag"), own, names, strict=True):
+                self._gain(key, law[key][at], axis)
+                self._within("drag", [value * end for end in vehicle["drag_factor"]], (name,))
+        yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max", "Fr_reverse")]
+        self._at_least("thrust_limit of yaw", vehicle["moment_nm"], "N m", yaw)
 
     def braking(self) -> None:
         read_braking(self.claim)

@@ -1,4 +1,4 @@
-"""Reader of the claim of a `steering` certificate: the heading loop of a craft without sway force on a straight path."""
+"""Reader of the claim of a `steering` certificate: the heading loop of a craft without sway force."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import number, read_top, record
-from surctl.certcheck.turning_terms import read_terms
+from surctl.certcheck.turning_claim import read_terms
 
 __all__ = ["EXCLUDES", "STATES", "SteeringClaim", "read_claim"]
 
@@ -23,7 +23,8 @@ EXCLUDES = (
     "the path is one straight leg, on which the law commands a positive speed; guidance is los",
     "no obstacle is near, so that the law chooses the desired course and speed",
     "the surge loop is not covered: the surge speed may vary in any way within speed_m_per_s",
-    "measured position, heading and velocity are exact; there is no current, no wave and no thrust error",
+    "measured position, heading and velocity are exact; there is no current and no wave",
+    "the thrusters deliver every commanded yaw moment up to moment_nm, whatever the surge force",
     "the thrust has no lag; commands are not held, and the two filters of the law are continuous in time",
     "heave is 0, and roll and pitch are left out",
 )
@@ -45,8 +46,9 @@ class SteeringClaim:
         vehicle_linear: linear drag (sway, yaw) of the vehicle before its factor.
         terms: the vehicle's terms beside equation (3), by name.
         moment: largest yaw moment of the thrusters and of the law [N m].
+        munk, centripetal: the law's yaw moment by u v and its sway force by u r [kg].
         k_psi, k_r, crab_time, sideslip, lookahead: the law's gains of these names.
-        cruise: cruise speed.
+        cruise, cap: cruise speed and largest commanded speed.
         rate: decay rate a of V̇ ≤ −a V [1/s].
         offset: the region contains the points with |y_e| = offset, and 0 for all other states.
     """
@@ -60,12 +62,15 @@ class SteeringClaim:
     vehicle_linear: Pair
     terms: Mapping[str, Fraction]
     moment: Fraction
+    munk: Fraction
+    centripetal: Fraction
     k_psi: Fraction
     k_r: Fraction
     crab_time: Fraction
     sideslip: Fraction
     lookahead: Fraction
     cruise: Fraction
+    cap: Fraction
     rate: Fraction
     offset: Fraction
 
@@ -96,17 +101,20 @@ def read_claim(claim: Any) -> SteeringClaim:
         ("mass_factor", "drag_factor", "speed_m_per_s", "linear_drag", "terms", "moment_nm"),
         "claim.vehicle",
     )
-    gains = ("k_psi", "k_r", "crab_time", "sideslip", "lookahead", "cruise")
-    law = record(top["law"], ("mass", "linear_drag", "quadratic_drag", "k_i", *gains), "claim.law")
+    gains = ("k_psi", "k_r", "crab_time", "sideslip", "lookahead", "cruise", "cap")
+    law = record(
+        top["law"],
+        ("mass", "linear_drag", "quadratic_drag", "k_i", "fin_share", "munk", "centripetal", *gains),
+        "claim.law",
+    )
     motion = record(top["motion"], ("rate_per_s", "offset_m"), "claim.motion")
     if number(law["k_i"], "claim.law.k_i"):
         raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
+    if number(law["fin_share"], "claim.law.fin_share"):
+        raise Rejected("claim.law.fin_share must be 0: the yaw moment of fins comes with a side force")
     terms = read_terms(vehicle["terms"])
     for name, value in terms.items():
-        known = name in ("m24", "Fu_reverse") or name[0] in "XZ" or "w" in name[1:] or name in ("m13", "m33")
-        swift = name[0] in "YN" and name[1] in "uvr" and name[2:] in ("", "v", "r") and name[1:] not in ("ur0", "u")
-        crossed = name[1:] in ("vr", "rv")
-        if value and not (known or (swift and not crossed)):
+        if value and (name in ("m12", "m14", "Y0", "N0") or (name[0] in "YN" and name[-1] == "u")):
             raise Rejected(f"claim.vehicle.terms: {name} is not covered")
     mass = _numbers(law["mass"], "claim.law.mass", 3, above=True)
     linear, quadratic = (_numbers(law[key], f"claim.law.{key}", 2) for key in ("linear_drag", "quadratic_drag"))
@@ -121,6 +129,8 @@ def read_claim(claim: Any) -> SteeringClaim:
         vehicle_linear=(own[0], own[1]),
         terms=terms,
         moment=number(vehicle["moment_nm"], "claim.vehicle.moment_nm", above=True),
+        munk=number(law["munk"], "claim.law.munk", least=-(10**9)),
+        centripetal=number(law["centripetal"], "claim.law.centripetal", above=True),
         **{key: number(law[key], f"claim.law.{key}", above=True) for key in gains},
         rate=number(motion["rate_per_s"], "claim.motion.rate_per_s", above=True),
         offset=number(motion["offset_m"], "claim.motion.offset_m", above=True),

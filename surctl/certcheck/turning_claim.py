@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -10,11 +11,17 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import number, read_top, record
-from surctl.certcheck.turning_terms import read_terms
 
-__all__ = ["EXCLUDES", "Pair", "TurningClaim", "drag_factors", "factors", "read_claim"]
+__all__ = ["EXCLUDES", "Pair", "TurningClaim", "drag_factors", "factors", "read_claim", "read_terms"]
 
 Pair = tuple[Fraction, Fraction]
+
+_TERM = re.compile("m[1-4][1-4]|[XYZN][uvwr]{1,2}|[XYZN]0|F[uvwr]_reverse")
+_EQUATION_3 = {
+    *(f"m{i}{j}" for i in range(1, 5) for j in range(1, i + 1)),
+    *(force + axis * count for force, axis in zip("XYZN", "uvwr", strict=True) for count in (1, 2)),
+}  # entries on and below the diagonal, and terms of equation (3)
+_MOST_TERMS = 60
 
 EXCLUDES = (
     "the path is a smooth curve with a curvature of at most curvature_per_m (0: one straight leg), and its target "
@@ -169,3 +176,19 @@ def read_claim(claim: Any) -> TurningClaim:
         ultimate_bound=_two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
         curvature=number(motion["curvature_per_m"], "claim.motion.curvature_per_m"),
     )
+
+
+def read_terms(value: Any) -> dict[str, Fraction]:
+    """Return the terms of a vehicle beside equation (3), by name.
+
+    Raises:
+        Rejected: a name is not that of a term, a term belongs to equation (3), or a value is not a number.
+    """
+    if not isinstance(value, dict) or len(value) > _MOST_TERMS:
+        raise Rejected("claim.vehicle.terms must be an object")
+    terms = {}
+    for name, entry in value.items():
+        if not _TERM.fullmatch(name) or name in _EQUATION_3:
+            raise Rejected(f"claim.vehicle.terms: {name!r} is not a term beside equation (3)")
+        terms[name] = number(entry, f"claim.vehicle.terms.{name}", least=-(10**9))
+    return terms

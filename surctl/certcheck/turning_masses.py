@@ -18,7 +18,7 @@ UP = 1 + 1e-9
 class Coupling:
     """Bounds of what m12 changes: 1 − ρ², the largest |β| [1/kg], and the norm `loose` [1/s] of the loose terms."""
 
-    kept: Fraction
+    remaining: Fraction
     cross: Fraction
     loose: Fraction
 
@@ -38,7 +38,7 @@ def inverse_masses(claim: TurningClaim, coupling: Coupling) -> list[tuple[float,
 
     Two equal factors g with f < g < h are left out: the point (1/g, 1/g) lies between (1/f, 1/f) and (1/h, 1/h).
     """
-    ends = claim.mass_factor[0] * coupling.kept, claim.mass_factor[1]
+    ends = claim.mass_factor[0] * coupling.remaining, claim.mass_factor[1]
     pairs = [pair for pair in factors(ends, claim.mass_asymmetry, 2) if pair[0] != pair[1] or pair[0] in ends]
     cross = float(coupling.cross) * UP
     signs = sorted({cross, -cross})

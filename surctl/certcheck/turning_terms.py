@@ -13,42 +13,15 @@ masses for m12 to m24, that of the drag for all others; the bounds take the larg
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import number
+from surctl.certcheck.turning_claim import TurningClaim
 
-if TYPE_CHECKING:
-    from surctl.certcheck.turning_claim import TurningClaim
+__all__ = ["coupled_mass", "other_forces", "other_moment"]
 
-__all__ = ["coupled_mass", "other_forces", "other_moment", "read_terms"]
-
-_KNOWN = re.compile("m[1-4][1-4]|[XYZN][uvwr]{1,2}|[XYZN]0|F[uvwr]_reverse")
 _FORCES, _VELOCITIES = "XY", "uvwr"
-_OWN = {
-    *(f"m{i}{j}" for i in range(1, 5) for j in range(1, i + 1)),
-    *(force + axis * count for force, axis in zip("XYZN", _VELOCITIES, strict=True) for count in (1, 2)),
-}  # entries on and below the diagonal, and terms of equation (3)
-_MOST = 60
-
-
-def read_terms(value: Any) -> dict[str, Fraction]:
-    """Return the terms of a vehicle beside equation (3), by name.
-
-    Raises:
-        Rejected: a name is not that of a term, a term belongs to equation (3), or a value is not a number.
-    """
-    if not isinstance(value, dict) or len(value) > _MOST:
-        raise Rejected("claim.vehicle.terms must be an object")
-    terms = {}
-    for name, entry in value.items():
-        if not _KNOWN.fullmatch(name) or name in _OWN:
-            raise Rejected(f"claim.vehicle.terms: {name!r} is not a term beside equation (3)")
-        terms[name] = number(entry, f"claim.vehicle.terms.{name}", least=-(10**9))
-    return terms
 
 
 def _size(claim: TurningClaim, name: str) -> Fraction:

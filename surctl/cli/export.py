@@ -42,7 +42,7 @@ __all__ = ["export"]
 @priority_options
 @click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles from sonar (default), or as inputs: truth.")
 @sensor_options
-@click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
+@click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu or mjcf (scene for MuJoCo).")
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option(
@@ -56,7 +56,7 @@ __all__ = ["export"]
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Certificate to add to the bundle; repeatable.",
+    help="Certificate to add to the bundle; may be repeated.",
 )
 @click.option("--check", is_flag=True, help="Compare the C of several compilers and processors with Python.")
 @click.option(
@@ -110,15 +110,13 @@ def export(
 ) -> None:
     """Write the controller as C99, compile it, and compare it with Python at every step of a simulated run.
 
-    Sensor options override the scenario's tables. --check also runs the code built by gcc and clang at -O0 to -O3 and
-    on QEMU's Cortex-M3, -M4F and -M7. Every output byte must equal Python's; code sizes and instruction counts are
-    printed. --prove takes minutes with sonar sensing; it covers gains within the ranges of the gain file.
-    FILE.py:FUNCTION names a system of your own, whose controller is exported. Exit status: 1 if C and Python differ,
-    or if the replayed run collides or does not arrive.
+    Sensor options override the scenario's tables. --check also runs code built by gcc and clang at -O0 to -O3 and on
+    QEMU's Cortex-M3, -M4F and -M7: every output byte must equal Python's. --prove takes minutes with sonar sensing; it
+    covers gains within the ranges of the gain file. FILE.py:FUNCTION names a system of your own, whose controller is
+    exported. Exit status: 1 if C and Python differ, or if the replayed run collides or does not arrive.
 
-    Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --sensing truth --real float32
-    --check; surctl export --law closed_form --sensing truth --constant-gains; surctl export my_system.py:build
-    --seconds 5
+    Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
+    truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
     if is_system(system, "seconds", "name", "out", "as_json"):
         export_system(system, seconds=seconds, name=name, out=out, as_json=as_json)
@@ -243,7 +241,7 @@ def export(
             progress("compiling the functional mock-up unit")
             unit = write_fmu(shipped, bundle, shipped.gains.pack(fixed), scratch)
             binaries[unit.path.name] = unit.path.read_bytes()
-    flight = {
+    replayed = {
         "scenario": mission.name,
         "vehicle": robot.name,
         "sensing": sensing,
@@ -252,7 +250,7 @@ def export(
         "time_s": metrics.time_s,
         "failure": failure(run),
     }
-    evidence = evidence_of(run=flight, sil=sil, check=report, proof=proof)
+    evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof)
     # a bundle appears when it is complete and checked, at once
     files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), out)
     result: dict[str, Any] = {

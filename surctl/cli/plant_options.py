@@ -62,8 +62,8 @@ class PlantOptions:
         from surctl.errors import InputError
 
         chosen = parse_plant(self.plant)
-        asked = [("--film", self.film), ("--view", self.view or None)]
-        for key, value in asked if chosen is None else ():
+        requested = [("--film", self.film), ("--view", self.view or None)]
+        for key, value in requested if chosen is None else ():
             if value is not None:
                 raise InputError("shows the scene of MuJoCo", key=key, remedy="add --plant mujoco; --animate shows all")
         if chosen is None:
@@ -78,7 +78,7 @@ class PlantOptions:
         if controller is not None and controller != "c" and self.threads not in (None, 1):
             remedy = "drop --threads, or give --controller c"
             raise InputError("has one connection", key="--controller", value=controller, remedy=remedy)
-        for key, value in asked:
+        for key, value in requested:
             if value is not None and runs != 1:
                 remedy = "name one scenario, drop --runs"
                 raise InputError(f"shows one run, not {runs}", key=key, remedy=remedy)
@@ -123,12 +123,12 @@ class PlantOptions:
 
         physics: Any = OwnPhysics
         if options is not None:
-            from surctl.engine import Flight, mujoco_physics, simulate_seeds
+            from surctl.engine import BatchCase, mujoco_physics, simulate_seeds
 
             physics = mujoco_physics(options)
             if self.threads not in (None, 1):
-                flight = Flight(case, physics, fallback, faults)
-                for run in simulate_seeds(flight, list(seeds), processes=self.threads or 1):
+                batch_case = BatchCase(case, physics, fallback, faults)
+                for run in simulate_seeds(batch_case, list(seeds), processes=self.threads or 1):
                     yield run, None
                 return
             if self.view:

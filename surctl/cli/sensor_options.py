@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from surctl.simulation import Scenario
     from surctl.simulation.sensors import Sensors
 
-__all__ = ["SensorOptions", "parse_chances", "parse_fault", "sensor_data", "sensor_options"]
+__all__ = ["SensorOptions", "parse_chances", "parse_fault", "sensor_data", "sensor_options", "simulated_echoes"]
 
 FORM = "KIND:SENSOR[:START[:DURATION]]"
 OWN_STATES = ("measured", "truth")
@@ -40,7 +40,7 @@ sensor_options = together(
         "chances",
         multiple=True,
         metavar="KIND=P",
-        help="Probability P of this fault per firing; repeatable.",
+        help="Probability of this fault per firing; may be repeated.",
     ),
     click.option("--beam", type=float, metavar="DEG", help="Sonar beam angle [deg] (default: the scenario's)."),
     click.option("--own-state", metavar="NAME", help="Own pose: measured or truth (default: the scenario's)."),
@@ -48,6 +48,10 @@ sensor_options = together(
 """A decorator that adds these options to a command.
 
 The command receives them as `faults`, `chances`, `beam` and `own_state`."""
+
+
+simulated_echoes = click.option("--echoes", metavar="NAME", help="Surfaces that answer: ideal or webots (22.5 deg).")
+"""The option of the simulated echoes, which a law does not know."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +63,14 @@ class SensorOptions:
         chances: fault probabilities in the form of `parse_chances`; they replace all probabilities of the scenario.
         beam: full opening angle of the sonars [°].
         own_state: whether the law uses its own state as `measured`, or the `truth`.
+        echoes: echo model, `ideal` or `webots`.
     """
 
     faults: Sequence[str] = ()
     chances: Sequence[str] = ()
     beam: float | None = None
     own_state: str | None = None
+    echoes: str | None = None
 
     def check(self, *, law: str, sensing: str) -> None:
         """Raise InputError for an option that has no effect on the runs, or for an unknown value."""
@@ -72,10 +78,16 @@ class SensorOptions:
         from surctl.errors import InputError, nearest
         from surctl.own_code import label
 
-        options = {"--fault": self.faults, "--chance": self.chances, "--beam": self.beam, "--own-state": self.own_state}
+        options = {
+            "--fault": self.faults,
+            "--chance": self.chances,
+            "--beam": self.beam,
+            "--own-state": self.own_state,
+            "--echoes": self.echoes,
+        }
         for key, value in options.items():
             if value is not None and value != () and sensing == "truth":
-                text = value if key in ("--beam", "--own-state") else " ".join(value)  # type: ignore[arg-type]
+                text = value if key in ("--beam", "--own-state", "--echoes") else " ".join(value)  # type: ignore[arg-type]
                 raise InputError(
                     "has no effect with true positions",
                     key=key,
@@ -92,6 +104,12 @@ class SensorOptions:
         if self.own_state is not None and self.own_state not in OWN_STATES:
             remedy = nearest(self.own_state, OWN_STATES)
             raise InputError("is not known", key="--own-state", value=self.own_state, remedy=remedy)
+        if self.echoes is not None:
+            from surctl.simulation.sensors import ECHOES
+
+            if self.echoes not in ECHOES:
+                remedy = nearest(self.echoes, ECHOES)
+                raise InputError("is not known", key="--echoes", value=self.echoes, remedy=remedy)
 
     def over(self, scenario: Scenario) -> Scenario:
         """Return the scenario with these sensor options.
@@ -105,6 +123,8 @@ class SensorOptions:
         from surctl.sensing import OwnState
 
         array, own = old.equipment.array, old.equipment.own
+        if self.echoes is not None:
+            array = old.hearing(self.echoes).equipment.array
         if self.beam is not None:
             array = _widened(array, self.beam)
         faults = tuple(_checked(array, text) for text in self.faults) or old.faults

@@ -17,7 +17,7 @@ from surctl.cli.law_option import choose_law, law_option, trust_option
 from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
 from surctl.cli.plant_options import PlantOptions, plant_options
 from surctl.cli.priority_options import priority_options
-from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
+from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes
 from surctl.cli.single_run import activity_line, further_output, linear_part, run_line
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_simulate import simulate_system
@@ -43,6 +43,7 @@ __all__ = ["simulate"]
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
 @barrier_options
 @sensor_options
+@simulated_echoes
 @controller_options
 @plant_options
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="First seed (default 0).")
@@ -74,6 +75,7 @@ def simulate(
     chances: tuple[str, ...],
     beam: float | None,
     own_state: str | None,
+    echoes: str | None,
     controller: str | None,
     link_loss: float | None,
     link_delay: float | None,
@@ -101,9 +103,7 @@ def simulate(
     """Simulate scenarios, or a system of your own (surctl new system NAME).
 
     Exit status: 1 if a run collides or does not arrive; campaigns go on in DIR.
-
-    Examples: surctl simulate tank-static --runs 9 --monte-carlo; surctl simulate pool-static --plant mujoco; surctl
-    simulate my_system.py:build k=2 --seconds 5
+    Examples: surctl simulate tank-static --runs 9 --monte-carlo; surctl simulate pool-static --plant mujoco
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
         _check_save(save, None, out=out, campaign=False)
@@ -136,7 +136,7 @@ def simulate(
         load_gains(gains, own=own)  # reports a mistake before anything is built
     alone = "simulate without --monte-carlo and --random-worlds" if campaign.any else None
     faults, broken = split_faults(faults, refused=alone)
-    sensors = SensorOptions(faults, chances, beam, own_state)
+    sensors = SensorOptions(faults, chances, beam, own_state, echoes)
     sensors.check(law=law, sensing=sensing)
     if campaign.any:
         campaign_plans = campaign.plans(

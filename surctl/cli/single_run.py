@@ -23,9 +23,12 @@ def run_line(run: Run) -> str:
         f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.arrival_radius else ""
     )
     crab = f", but crabbing {m.crab_angle_deg:.0f} deg" if m.crab_angle_deg > _CRABBING else ""
+    error = "no path error, because the whole run counts as avoidance"
+    if m.path_error_m >= 0:
+        error = f"path error {m.path_error_m:.3f} m"
     return (
         f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
-        f"{m.time_s:.2f} s{crab}, least clearance {m.min_clearance_m:.3f} m, path error {m.path_error_m:.3f} m{missed}"
+        f"{m.time_s:.2f} s{crab}, least clearance {m.min_clearance_m:.3f} m, {error}{missed}"
     )
 
 
@@ -42,8 +45,8 @@ def activity_line(run: Run) -> str:
     )
     return (
         f"  {angles}thrust varies by {', '.join(f'{one:.2g}' for one in axes)} (N/s in surge, sway, heave, N m/s in "
-        f"yaw), {m.sign_changes_per_s:.2g} sign changes/s, saturated {m.saturated_share:.0%}; wasted "
-        f"{m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
+        f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
+        f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
     )
 
 

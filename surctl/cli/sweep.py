@@ -54,14 +54,14 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     multiple=True,
     default=("tank-static", "pool-static"),
     metavar="FILE",
-    help="Scenario simulated at each point: name or file; repeatable (default tank-static and pool-static).",
+    help="Scenario simulated at each point: name or file; may be repeated (default tank-static and pool-static).",
 )
 @click.option(
     "--vehicle",
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle: name or file; repeatable (default: each scenario's).",
+    help="Vehicle: name or file; may be repeated (default: each scenario's).",
 )
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacle positions from truth (default) or sonar.")
 @click.option("--gains", metavar="FILE", help="All other gains: name or file (default: the vehicle's).")

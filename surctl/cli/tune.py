@@ -33,7 +33,7 @@ __all__ = ["tune"]
     "gain",
     multiple=True,
     metavar="NAME[=LOW..HIGH]",
-    help="Gain to tune, with its range; repeatable.",
+    help="Gain to tune, with its range; may be repeated.",
 )
 @click.option(
     "--goals",
@@ -73,7 +73,7 @@ __all__ = ["tune"]
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle of every scenario: name or file; repeatable (default: the study's).",
+    help="Vehicle of every scenario: name or file; may be repeated (default: the study's).",
 )
 @click.option(
     "--guidance",
@@ -198,12 +198,15 @@ def tune(
     from surctl.vehicle import load_vehicle
 
     plan = load_plan(file, trust=trust)
+    if vehicles:
+        plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles])
+    if plan.unheard:
+        prepare_folder(out)
+        plan = plan.written(out / "missions")
     goals = goals_at(plan.goals if goals_file is None else load_goals(goals_file), cruise or plan.cruise)
     if cruise and not any(goal.linear for goal in goals):
         remedy = "add one, on disk_margin say, or leave the option out"
         raise InputError("no goal is about the linear loop", key="--cruise", value=list(cruise), remedy=remedy)
-    if vehicles:
-        plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles])
     derived = [] if plan.derivation is None else plan.derivation.lines()
     for line in derived:
         progress(line)

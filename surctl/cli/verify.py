@@ -101,8 +101,8 @@ def verify(
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
     (neither was found), or not applicable (this vehicle or these gains violate an assumption). The paper's claims
-    concern the kinematic loop at the cruise speed and the speed limit --cap. --scenario also prints the safety claim:
-    the law's barrier, its assumptions, and whether the margin suffices.
+    concern the kinematic loop at the cruise speed, with speeds limited to --cap. --scenario also prints the safety
+    claim: the law's barrier, its assumptions, and whether the margin suffices.
 
     The linear analysis about straight cruise gives margins, poles, the slowest mode, the largest stable speed and
     sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and braking claims
@@ -161,7 +161,7 @@ def verify(
     if out is not None:
         prepare_folder(out)
     chosen_law = default_law(robot)
-    if any(is_region(name) or is_braking(name) for name in claims):
+    if any(is_braking(name) or (is_region(name) and region_of(name).loop != "steered") for name in claims):
         check_forces("guarded", robot, key="claim")
     law = build_law()
     about = {"dt": law.dt, "uncertainty": uncertainty}

@@ -103,8 +103,8 @@ def _together(law: Law, actuators: Actuators, precision: Precision) -> Program:
     unit = actuators.largest * ca.DM([1.0, 1.0, 1.0, actuators.lever])
     missed = ca.fabs(v["achieved"] - v["desired"]) > precision.feasibility * unit
     if actuators.fins:
-        served = axis_limits(actuators, 1.0) > 0
-        missed = ca.vertcat(*(missed[axis] if served[axis] else 0 for axis in range(4)))
+        driven = axis_limits(actuators, 1.0) > 0
+        missed = ca.vertcat(*(missed[axis] if driven[axis] else 0 for axis in range(4)))
     entries = [v["x_law"][k] for k in range(law.state.size)]
     held = law.state.slice("integral")
     for axis, k in enumerate(range(held.start, held.stop)):

@@ -28,6 +28,7 @@ class Around(NamedTuple):
     uncertainty: ca.SX
     placed: ca.SX
     movers: ca.SX
+    noise: ca.SX
 
     @property
     def heading(self) -> ca.SX:

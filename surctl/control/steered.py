@@ -63,7 +63,7 @@ STEPS = 16
 """Number of steps of the prediction (*chosen*)."""
 
 _HIT, _SLOW, _OTHER_SIDE, _OTHER_COURSE = 4.0, 0.5, 2.5, 0.1  # weights of the cost
-_NO_WAY_OUT = 4.0  # of a contact before the end of the path, for a craft that cannot turn at rest
+_DEAD_END = 4.0  # of a contact before the end of the path, for a craft that cannot turn at rest
 _INADMISSIBLE = 1e3
 _BLUR = 0.2  # share of the hull radius added to the margin, because the prediction has few steps
 _INSIDE = 0.95  # share of the turning radius within which a point at rest is out of reach for a craft with fins
@@ -183,7 +183,7 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
         # a turn takes time, so the distance counts too
         near = 1 - ca.fmin(hit / STEPS, travelled / distance)
         cost = floor + ca.if_else(met, _HIT * near, 0)
-        cost += _NO_WAY_OUT * p["fin_share"] * ca.logic_and(met, travelled < to_end)
+        cost += _DEAD_END * p["fin_share"] * ca.logic_and(met, travelled < to_end)
         cost += _INADMISSIBLE * ca.logic_and(met, travelled < stop)
         better = ca.logic_and(ca.logic_not(hopeless), cost < least - _BETTER)
         return [ca.if_else(better, candidate[:2], best), ca.if_else(better, cost, least)]

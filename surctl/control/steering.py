@@ -10,6 +10,9 @@ for the yaw rate that a law may plan:
    the lift of body and fins, with `munk` μ = m22 − m11 + Nuv + Nv/U. The yaw moment that ends the turn must exceed it,
    so only the share `MUNK_SHARE` of the largest yaw moment may be needed for it.
 
+If the fins carry more than the centripetal force (m < 0), the craft drifts inwards, and the moment μ u v acts against
+the turn: it counts as further damping in yaw.
+
 The turning radius is the cruise speed divided by the smallest of these yaw rates and the yaw rate that the drag in yaw
 allows (`closing.yaw_limit`).
 """
@@ -101,8 +104,11 @@ def planned_yaw_rate(p: Mapping[str, ca.SX], speed: ca.SX) -> ca.SX:
     moment = yaw_moment(p, u)
     drift = ca.fmin(p["sideslip"] * u, MUNK_SHARE * moment / ca.fmax(munk, 1e-6))
     sideways = p["linear_drag"][1] * drift + p["quadratic_drag"][1] * drift * drift
-    turn = yaw_limit({**p, "thrust_limit": ca.vertcat(p["thrust_limit"][:3], moment)})
-    return ca.fmax(ca.fmin(sideways / ca.fmax(p["centripetal"] * u, 1e-6), turn), _LEAST_RATE)
+    inwards = ca.fmax(-p["centripetal"], 0) * u / ca.fmax(p["linear_drag"][1], 1e-6)
+    damping = p["linear_drag"][3] + ca.fmax(p["munk"] * u * inwards, 0)
+    linear = ca.vertcat(p["linear_drag"][:3], damping)
+    turn = yaw_limit({**p, "linear_drag": linear, "thrust_limit": ca.vertcat(p["thrust_limit"][:3], moment)})
+    return ca.fmax(ca.fmin(sideways / ca.fmax(ca.fabs(p["centripetal"]) * u, 1e-6), turn), _LEAST_RATE)
 
 
 def steering_of(p: Mapping[str, ca.SX]) -> Steering:

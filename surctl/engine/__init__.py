@@ -1,6 +1,6 @@
 """The same closed loop in MuJoCo, a rigid-body engine with contacts, rays and pictures (extra `mujoco`)."""
 
-from surctl.engine.batch import Flight, simulate_seeds
+from surctl.engine.batch import BatchCase, simulate_seeds
 from surctl.engine.exported import write_mjcf
 from surctl.engine.fluid import Body, body_of, fluid_program
 from surctl.engine.mjcf import mjcf
@@ -10,9 +10,9 @@ from surctl.engine.pictures import CAMERAS, Moment, Scene
 
 __all__ = [
     "CAMERAS",
+    "BatchCase",
     "Body",
     "EngineOptions",
-    "Flight",
     "Moment",
     "MujocoPhysics",
     "Scene",

@@ -15,11 +15,11 @@ from surctl.simulation import OwnPhysics, simulate
 if TYPE_CHECKING:
     from surctl.simulation import Case, PhysicsMaker, Run, ThrusterFault
 
-__all__ = ["Flight", "simulate_seeds"]
+__all__ = ["BatchCase", "simulate_seeds"]
 
 
 @dataclass(frozen=True)
-class Flight:
+class BatchCase:
     """What a process needs to simulate a case.
 
     Attributes:
@@ -38,65 +38,65 @@ class Flight:
 _law: Any = None  # of this process
 
 
-def simulate_seeds(flight: Flight, seeds: Sequence[int], *, processes: int = 1) -> Iterator[Run]:
+def simulate_seeds(batch_case: BatchCase, seeds: Sequence[int], *, processes: int = 1) -> Iterator[Run]:
     """Yield the runs of a case with the given seeds in their order; each process builds the law once.
 
     The runs do not depend on the number of processes.
 
     Args:
-        flight: the case and its physics.
+        batch_case: the case and its physics.
         seeds: seeds of the runs.
         processes: number of processes.
 
     Example:
         >>> from surctl.control import load_gains
-        >>> from surctl.engine import Flight, mujoco_physics, simulate_seeds
+        >>> from surctl.engine import BatchCase, mujoco_physics, simulate_seeds
         >>> from surctl.simulation import Case, load_scenario
         >>> from surctl.vehicle import load_vehicle
         >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"))
-        >>> runs = simulate_seeds(Flight(case, mujoco_physics()), [0, 1])
+        >>> runs = simulate_seeds(BatchCase(case, mujoco_physics()), [0, 1])
         >>> [(run.seed, run.metrics.reached) for run in runs]
         [(0, True), (1, True)]
     """
     if processes < 1:
         raise InputError("must be at least 1", key="processes", value=processes, remedy="give 1 or more")
-    law = _build(flight)
+    law = _build(batch_case)
     if processes == 1 or len(seeds) == 1:
         for seed in seeds:
-            yield _simulated(flight, law, seed)
+            yield _simulated(batch_case, law, seed)
         return
     # started afresh: a copy of this process would share its threads' locks and its connection to the display
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(flight,))
+    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(batch_case,))
     with pool:
-        for run in pool.map(partial(_in_process, flight), seeds):
+        for run in pool.map(partial(_in_process, batch_case), seeds):
             yield replace(run, law=law)
 
 
-def _build(flight: Flight) -> Any:
-    law: Callable[[], Any] = flight.case.build
-    if flight.fallback == "exact":
+def _build(batch_case: BatchCase) -> Any:
+    law: Callable[[], Any] = batch_case.case.build
+    if batch_case.fallback == "exact":
         return law()
     from surctl.control import build_law
 
-    case = flight.case
+    case = batch_case.case
     return build_law(
         case.law, avoidance=case.avoidance, mode=case.mode, sonar=case.sensing == "sonar", guidance=case.guidance,
         equipment=case.scenario.sensors.on(case.vehicle["radius"]), barrier=case.barrier, movers=case.movers,
-        fallback=flight.fallback, depths=case.scenario.depths is not None, actuators=case.vehicle.actuators,
+        fallback=batch_case.fallback, depths=case.scenario.depths is not None, actuators=case.vehicle.actuators,
     )  # fmt: skip
 
 
-def _begin(flight: Flight) -> None:
+def _begin(batch_case: BatchCase) -> None:
     global _law
-    _law = _build(flight)
+    _law = _build(batch_case)
 
 
-def _in_process(flight: Flight, seed: int) -> Run:
-    return replace(_simulated(flight, _law, seed), law=None)  # type: ignore[arg-type]  # a law cannot be sent
+def _in_process(batch_case: BatchCase, seed: int) -> Run:
+    return replace(_simulated(batch_case, _law, seed), law=None)  # type: ignore[arg-type]  # a law cannot be sent
 
 
-def _simulated(flight: Flight, law: Any, seed: int) -> Run:
-    case = flight.case
+def _simulated(batch_case: BatchCase, law: Any, seed: int) -> Run:
+    case = batch_case.case
     return simulate(
         case.scenario,
         case.vehicle,
@@ -105,6 +105,6 @@ def _simulated(flight: Flight, law: Any, seed: int) -> Run:
         sensing=case.sensing,
         seed=seed,
         model=case.model,
-        thruster_faults=flight.thruster_faults,
-        physics=flight.physics,
+        thruster_faults=batch_case.thruster_faults,
+        physics=batch_case.physics,
     )

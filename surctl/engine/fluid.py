@@ -71,9 +71,9 @@ def body_of(vehicle: Vehicle, options: EngineOptions) -> Body:
     names = [name for name in vehicle.form.terms if options.dof == 6 or not set(name) & _TILTING]
     form = PlantForm.of(names)
     full = plant_layout(vehicle.form).unpack(plant_parameters(vehicle))
-    kept = [name in names for name in vehicle.form.terms]
+    retained = [name in names for name in vehicle.form.terms]
     if names:
-        full["terms"] = full["terms"][kept]
+        full["terms"] = full["terms"][retained]
     parameters = plant_layout(form).pack({port.name: full[port.name] for port in plant_layout(form).ports})
     matrix = vehicle.inertia
     mass = float(np.diag(matrix)[:3].min())
@@ -135,14 +135,14 @@ def _program(form: PlantForm, dof: int, drag: str, coupled: bool) -> Program:
     world = outer + ca.vertcat(ahead, forces[2]) + ca.vertcat(0, 0, lift - missing)
     up = rotation[2, :].T
     moment = (yaw + forces[3]) * up
-    push = ca.SX.zeros(3)  # moment of the thrust about the origin
+    arm_moment = ca.SX.zeros(3)  # moment of the thrust about the origin
     if dof == 6:
         points = {name: ca.vertcat(*(terms.get(f"{axis}{name}", ca.SX(0)) for axis in "xyz")) for name in "gbt"}
         moment += ca.cross(terms["buoyancy"] * points["b"] - terms["weight"] * points["g"], up)
-        push = ca.cross(points["t"], thrust[:3])
+        arm_moment = ca.cross(points["t"], thrust[:3])
     load += _wrench(rotation.T @ world, moment, dof)
     if coupled:
-        pushing = _wrench(thrust[:3], push + ca.vertcat(0, 0, thrust[3]), dof)
+        pushing = _wrench(thrust[:3], arm_moment + ca.vertcat(0, 0, thrust[3]), dof)
         mine = ca.diag(ca.vertcat(e[10], e[10], e[10], e[13], e[11], e[12])[:dof])
         whole = ca.SX(mine)
         diagonal = [*(p["mass"][k] for k in range(4)), *([terms["mpp"], terms["mqq"]] if dof == 6 else [])]

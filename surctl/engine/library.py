@@ -113,10 +113,10 @@ def stepper(body: Body) -> Callable[..., Callable[[], None]]:
     ) -> Callable[[], None]:
         places = (data.qpos, data.qvel, thrust, parameters, environment, data.qfrc_passive)
         addresses = [one.ctypes.data for one in places]
-        kept = library, model, data, places  # as long as the function is used
+        references = library, model, data, places  # as long as the function is used
 
         def run() -> None:
-            function(step, slot, kept[1]._address, kept[2]._address, count, *addresses)
+            function(step, slot, references[1]._address, references[2]._address, count, *addresses)
 
         return run
 

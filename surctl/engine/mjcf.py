@@ -160,11 +160,11 @@ def _hull(world: _Node, scenario: Scenario, vehicle: Vehicle, body: Body) -> Non
         blunt = vehicle["Xuu"] / (WATER * pi * radius**2)
         fluid = {"fluidshape": "ellipsoid", "fluidcoef": (blunt, 0.0, 0.0, 0.0, 0.0)}
     _node(hull, "geom", name=HULL, type="sphere", size=(radius,), rgba=(0.95, 0.80, 0.15, 1.0), **fluid)
-    seen = {"contype": 0, "conaffinity": 0, "mass": 0}
+    visual = {"contype": 0, "conaffinity": 0, "mass": 0}
     band = {"size": (1.004 * radius, 0.05 * radius), "rgba": (0.15, 0.15, 0.18, 1.0)}
-    _node(hull, "geom", name="band", type="cylinder", **band, **seen)
+    _node(hull, "geom", name="band", type="cylinder", **band, **visual)
     nose = {"pos": (0.97 * radius, 0, 0), "size": (0.16 * radius,), "rgba": (0.85, 0.20, 0.15, 1.0)}
-    _node(hull, "geom", name="nose", type="sphere", **nose, **seen)
+    _node(hull, "geom", name="nose", type="sphere", **nose, **visual)
     names = ("xt", "yt", "zt")
     thrust = [vehicle[name] if six and name in vehicle.parameters else 0.0 for name in names]
     _node(hull, "site", name="thrust", pos=thrust, size=(0.05 * radius,))

@@ -119,7 +119,7 @@ class Scene:
             raise InputError("is not known", key="camera", value=camera, remedy=nearest(camera, CAMERAS))
         self._pose(moment)
         self._renderer.update_scene(self.data, camera=camera, scene_option=self._look)
-        draw(self._mujoco, self._renderer.scene, self._scenario, moment)
+        draw(self._mujoco, self._renderer.scene, self._scenario, moment, lines=camera != "nose")
         return np.array(self._renderer.render())
 
     def _pose(self, moment: Moment) -> None:
@@ -139,14 +139,15 @@ def place(data: Any, moment: Moment, mocap: dict[str, int], heights: dict[str, f
         data.mocap_pos[k] = (*there[name], heights[name]) if name in there else AWAY
 
 
-def draw(mujoco: Any, scene: Any, scenario: Scenario, moment: Moment) -> None:
-    """Add path, track and sonar beams to a scene of MuJoCo."""
+def draw(mujoco: Any, scene: Any, scenario: Scenario, moment: Moment, *, lines: bool) -> None:
+    """Add sonar beams, and with `lines` also path and track, to a scene of MuJoCo."""
     z = float(moment.eta[2])
     points = scenario.path.waypoints
     rises = scenario.path.rises
     heights = np.full(len(points), scenario.depth) if rises is None else scenario.depth + rises
-    _line(mujoco, scene, np.column_stack([points, heights]), 0.008, _PATH)
-    if moment.track is not None and len(moment.track) > 1:
+    if lines:
+        _line(mujoco, scene, np.column_stack([points, heights]), 0.008, _PATH)
+    if lines and moment.track is not None and len(moment.track) > 1:
         apart = max(1, len(moment.track) // 150)
         _line(mujoco, scene, moment.track[::apart], 0.012, _TRACK)
     for x, y, axis, half, length, echo in moment.beams:

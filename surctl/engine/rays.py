@@ -68,8 +68,8 @@ class Rays:
 
     def nearest(self, model: Any, data: Any, body: int, sensor: int) -> float:
         """Return the distance [m] of the nearest echo of a sonar of the hull `body`, inf if there is none."""
-        found = self.hits(model, data, body, sensor)[1]
-        return float(found.min(initial=inf))
+        distances = self.hits(model, data, body, sensor)[1]
+        return float(distances.min(initial=inf))
 
     def hits(self, model: Any, data: Any, body: int, sensor: int) -> tuple[Array, Array, Array]:
         """Return the apex (3,), the distances (n,) of all rays [m], inf without an echo, and their directions (n, 3).
@@ -89,13 +89,13 @@ class Rays:
             model, data, origin, directions.ravel(), self._groups, 1, body, geoms, distances, normals, count,
             self._cutoff,
         )  # fmt: skip
-        heard = distances >= 0
+        audible = distances >= 0
         if not self._options.floor:
-            heard &= geoms != model.geom("floor").id
+            audible &= geoms != model.geom("floor").id
         if self._limit is not None:
             incidence = -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions)
-            heard &= incidence >= self._limit
-        return origin, np.where(heard, distances, inf), directions
+            audible &= incidence >= self._limit
+        return origin, np.where(audible, distances, inf), directions
 
 
 def _about_z(angle: float) -> Array:

@@ -40,9 +40,9 @@ class watched:  # noqa: N801  # used as a function
 
     def __call__(self, world: World, vehicle: Vehicle, array: SonarArray) -> _Watched:
         """Return the physics of one run."""
-        made = self.physics(world, vehicle, array)
-        assert isinstance(made, MujocoPhysics)
-        return _Watched(made)
+        inner = self.physics(world, vehicle, array)
+        assert isinstance(inner, MujocoPhysics)
+        return _Watched(inner)
 
 
 class _Watched:

@@ -78,7 +78,9 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
     place, ending = _PLATFORMS[machine]
     name = bundle.name
     unit = render_unit(law, name=name, identity=bundle.id, real=bundle.real)
-    sources = {"fmu.c": unit, **{file: bundle.files[file] for file in (*bundle.sources, *bundle.headers)}}
+    storage = (f"{name}_gains.c", f"{name}_gains.h")  # the simulator holds the gains
+    files = [file for file in (*bundle.sources, *bundle.headers) if file not in storage]
+    sources = {"fmu.c": unit, **{file: bundle.files[file] for file in files}}
     compiled = [file for file in sources if file.endswith(".c")]
     with tempfile.TemporaryDirectory(prefix="surctl-fmu-") as scratch:
         for file, text in sources.items():

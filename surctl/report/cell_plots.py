@@ -96,7 +96,7 @@ def _axes(claim: Claim, ends: Sequence[NDArray[np.float64]]) -> tuple[int, int]:
         raise InputError(
             "has fewer than two variables that vary",
             key=f"claim {claim.name}",
-            remedy="read its boxes",
+            remedy="there is no picture; the certificate lists its boxes",
         )
     share = np.mean((ends[1] - ends[0]) / width[:, None], axis=1)
     first, second = sorted(sorted(free, key=lambda k: float(share[k]))[:2])

@@ -129,7 +129,8 @@ def _labelled(picture: Picture, run: Run, step: int, speed: int) -> Picture:
 def _gif(pictures: list[Picture]) -> bytes:
     # one palette for all frames, from some of them; without dithering, which would flicker
     chosen = pictures[:: max(1, len(pictures) // 8)]
-    palette = Image.fromarray(np.vstack([picture[::2, ::2] for picture in chosen])).quantize(256)
+    sample = Image.fromarray(np.vstack([picture[::2, ::2] for picture in chosen]))
+    palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)  # the median cut loses the colour of the hull
     first, *rest = (Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
     out = BytesIO()
     duration = [1000 // RATE] * len(rest) + [2000]  # the last frame stays for 2 s

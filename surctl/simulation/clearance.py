@@ -188,7 +188,7 @@ def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
 
 def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     out = vehicle["radius"] + scenario.depth_range[1]
-    if out <= 0:
+    if out <= 0 or vehicle["Fw_max"] == 0:  # a craft without heave force keeps its depth by its weight
         return []
     radius, heave = vehicle["radius"], float(vehicle.thrust_range[1, 2])
     missing = missing_buoyancy(radius, scenario.depth_range[1])

@@ -12,6 +12,7 @@ from surctl.errors import InputError
 from surctl.sensing import SonarArray
 from surctl.sensing.mapping.local_map import MIDDLE, LocalMap
 from surctl.simulation.clearance import clearance_findings
+from surctl.simulation.echo_fit import echo_findings
 from surctl.simulation.finding import Finding
 from surctl.simulation.mission_fit import mission_findings
 from surctl.simulation.motion import motion_findings
@@ -63,7 +64,8 @@ def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]
         text = f"the hull of {vehicle.name} splits the beam of sensor {split[0]}; the map supports one cone per sensor"
         return [Finding("error", "sonar.mounts_m", text)]
     turning = min(gains["spin"], vehicle.steady_yaw(YAW_SHARE, scenario.cruise))
-    return [*_unseen(array, turning), *_short(scenario, array, vehicle, gains)]
+    listed = [*_unseen(array, turning), *_short(scenario, array, vehicle, gains)]
+    return [*listed, *echo_findings(scenario, vehicle, array)]
 
 
 def _unseen(array: SonarArray, turning: float) -> list[Finding]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "AT_LIMIT",
     "GONE",
     "LATE",
     "LINK_LOST",
@@ -34,6 +35,9 @@ MOVING = 0.25
 
 SIGN = 0.01
 """Share of the limit: a thrust command below it has no sign (*chosen*)."""
+
+AT_LIMIT = 1.0 - 1e-9
+"""Share of its limit from which a thrust command counts as at its limit."""
 
 STOPPED_LIMIT = 30.0
 """Uninterrupted standstill [s] after which a run ends, if a law with perception lacks map knowledge (*chosen*)."""
@@ -93,6 +97,15 @@ METRICS: Mapping[str, MetricSpec] = MappingProxyType(
         "variation_heave_n_per_s": MetricSpec("N/s", "total variation of the heave command per second", "low"),
         "variation_yaw_n_m_per_s": MetricSpec("N m/s", "total variation of the yaw command per second", "low"),
         "sign_changes_per_s": MetricSpec("1/s", "sign changes of thrust commands above 1 % of their limit", "low"),
+        "axis_sign_changes_per_s": MetricSpec(
+            "1/s", "the same for the axis whose command changes sign most often", "low"
+        ),
+        "axis_saturated_share": MetricSpec(
+            "1", "share of control steps at the limit, for the axis that is at its limit most often", "low"
+        ),
+        "energy_n15_s": MetricSpec(
+            "N^1.5 s", "sum of |force|^1.5 over axes and time; the ideal power of a jet is proportional to it", "low"
+        ),
         "wasted_impulse_n_s": MetricSpec("N s", "horizontal thrust beyond drag along the path, over time", "low"),
         "wasted_share": MetricSpec("1", "wasted impulse as a share of the impulse of the horizontal thrust", "low"),
         "stopped": MetricSpec("1", "why the run ended: " + ", ".join(f"{k} {w}" for k, w in enumerate(STOPS)), None),
@@ -148,6 +161,9 @@ class Metrics:
     variation_heave_n_per_s: float
     variation_yaw_n_m_per_s: float
     sign_changes_per_s: float
+    axis_sign_changes_per_s: float
+    axis_saturated_share: float
+    energy_n15_s: float
     wasted_impulse_n_s: float
     wasted_share: float
 

@@ -81,7 +81,7 @@ class OwnPhysics:
         >>> for k in range(40):  # one second
         ...     state = physics.advance([5.0, 0, 0, 0], k * 0.025)
         >>> round(float(state[4]), 3)  # m/s
-        0.069
+        0.067
     """
 
     name = "own"

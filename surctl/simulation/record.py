@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Law
-from surctl.simulation.metrics import MOVING, NEAR_TARGET, SIGN, Metrics, avoidance_intervals, path_error
+from surctl.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, Metrics, avoidance_intervals, path_error
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import Body
 
@@ -109,16 +109,22 @@ def _attitude(scenario: Scenario, law: Law, record: Record, excluded: NDArray[np
 
 
 def _activity(law: Law, record: Record, limit: NDArray[np.float64]) -> dict[str, float]:
-    # total variation per second of each axis, and sign changes per second of all axes
+    # total variation of each axis, sign changes, share at the limit, energy
     variation = np.abs(np.diff(record.tau, axis=0)).sum(axis=0) / (max(len(record.tau) - 1, 1) * law.dt)
     names = ("surge_n", "sway_n", "heave_n", "yaw_n_m")
-    changes = 0
+    changes = []
     for command, most in zip(record.tau.T, limit, strict=True):
         signs = np.sign(command[np.abs(command) > SIGN * most])
-        changes += int(np.count_nonzero(np.diff(signs)))
+        changes.append(int(np.count_nonzero(np.diff(signs))))
+    at_limit = np.mean(np.abs(record.tau) >= AT_LIMIT * np.where(limit > 0, limit, np.inf), axis=0)
     duration = len(record.tau) * law.dt
     columns = {f"variation_{name}_per_s": float(each) for name, each in zip(names, variation, strict=True)}
-    return columns | {"sign_changes_per_s": changes / duration}
+    return columns | {
+        "sign_changes_per_s": sum(changes) / duration,
+        "axis_sign_changes_per_s": max(changes) / duration,
+        "axis_saturated_share": float(np.max(at_limit)),
+        "energy_n15_s": float(np.sum(np.abs(record.tau[:, :3]) ** 1.5)) * law.dt,
+    }
 
 
 def _waste(scenario: Scenario, law: Law, record: Record) -> dict[str, float]:

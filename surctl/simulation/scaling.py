@@ -83,7 +83,7 @@ def scaled_scenario(scenario: Scenario, vehicle: Vehicle, *, cruise: float, size
         cap=speed * scenario.cap,
         arrival_radius=length * scenario.arrival_radius,
         time_limit=LONGER * time * scenario.time_limit,
-        site=tuple(length * side for side in scenario.site),
+        site=(length * scenario.site[0], length * scenario.site[1], length * scenario.site[2]),
         obstacles=tuple(_obstacle(one, length, speed) for one in scenario.obstacles),
         disturbance=disturbance.model_copy(update=periods),
         launch=length * scenario.launch,
@@ -170,7 +170,9 @@ def disturbed(scenario: Scenario, vehicle: Vehicle, *, share: float) -> Scenario
 def _obstacle(one: Obstacle, length: float, speed: float) -> Obstacle:
     point = {name: getattr(one, name) for name in ("centre_m", "size_m", "to_m")}
     size = {name: getattr(one, name) for name in ("radius_m", "drift_m", "bottom_m", "top_m")}
-    update = {name: tuple(length * x for x in pair) for name, pair in point.items() if pair is not None}
+    update: dict[str, object] = {
+        name: tuple(length * x for x in pair) for name, pair in point.items() if pair is not None
+    }
     update |= {name: length * value for name, value in size.items() if value is not None}
     update |= {"drift_period_s": one.drift_period_s * length / speed}
     update |= {} if one.speed_m_per_s is None else {"speed_m_per_s": speed * one.speed_m_per_s}

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import gcd, pi
-from typing import Annotated, TypeVar
+from types import MappingProxyType
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
-from surctl.errors import InputError
+from surctl.errors import InputError, nearest
 from surctl.files import Strict
 from surctl.sensing import (
     BaseStation,
@@ -24,6 +25,7 @@ from surctl.sensing import (
 )
 
 __all__ = [
+    "ECHOES",
     "FIRING",
     "FiringPlan",
     "OwnStateTable",
@@ -38,6 +40,12 @@ T = TypeVar("T")
 
 FIRING = 0.025
 """Time [s] between two instants at which sonars may fire; the plant is integrated from one to the next."""
+
+ECHOES: Mapping[str, float | None] = MappingProxyType({"ideal": None, "webots": pi / 8})
+"""Echo models by name: largest angle of incidence [rad] at which a surface answers; None: every surface answers.
+
+`webots` is the rule of the simulator of the paper for sonar sensors: 22.5 degrees. A smooth wall answers near its
+normal only, so a sonar that looks along it hears nothing (specular reflection)."""
 
 _PERIOD = 0.05  # [s] control period; messages of the base station arrive at its multiples
 
@@ -54,6 +62,7 @@ class SonarTable(Strict):
     order: tuple[int, ...] | None = None
     beam_deg: Degrees | None = None
     incidence_limit_deg: Degrees | None = None
+    echoes: Literal["ideal", "webots"] | None = None
     minimum_m: Positive | None = None
     blind_time_s: Positive | None = None
     maximum_m: Positive | None = None
@@ -129,6 +138,22 @@ class Sensors:
         """Return the sonars on a hull of the given radius [m]."""
         return replace(self.equipment.array, hull_radius=hull_radius)
 
+    def hearing(self, echoes: str) -> Sensors:
+        """Return the sensors with an echo model by name (a key of `ECHOES`).
+
+        Raises:
+            InputError: the name is unknown.
+
+        Example:
+            >>> from surctl.simulation import Sensors
+            >>> Sensors().hearing("webots").equipment.array.incidence_limit == 0.125 * 3.141592653589793
+            True
+        """
+        if echoes not in ECHOES:
+            raise InputError("is not known", key="echoes", value=echoes, remedy=nearest(echoes, ECHOES))
+        array = replace(self.equipment.array, incidence_limit=ECHOES[echoes])
+        return replace(self, equipment=replace(self.equipment, array=array))
+
     @property
     def may_fail(self) -> bool:
         """Whether a sonar can fail in this scenario."""
@@ -199,6 +224,10 @@ def _array(table: SonarTable) -> SonarArray:
         value = getattr(table, key)
         if value is not None:
             values[name] = value * pi / 180.0
+    if table.echoes is not None:
+        if table.incidence_limit_deg is not None:
+            raise InputError("sets the same quantity as incidence_limit_deg", key="echoes", remedy="remove one")
+        values["incidence_limit"] = ECHOES[table.echoes]
     if table.azimuths_deg is not None:
         values["azimuths"] = tuple(a * pi / 180.0 for a in table.azimuths_deg)
         values.setdefault("order", tuple(range(len(table.azimuths_deg))))

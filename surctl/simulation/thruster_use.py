@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from surctl.simulation.run import Run
+from surctl.vehicle import axis_limits
 
 __all__ = ["ThrusterUse", "thruster_use"]
 
@@ -61,6 +62,8 @@ def thruster_use(run: Run) -> ThrusterUse | None:
         return None
     lack = np.abs(run.telemetry("tau_desired") - run.record.tau)
     lack[lack < 1e-9] = 0.0
+    if actuators.fins:  # the side force of a rudder is not commanded
+        lack[:, axis_limits(actuators, 1.0) <= 0] = 0.0
     unit = actuators.largest * np.array([1.0, 1.0, 1.0, actuators.lever])
     commands = np.abs(run.telemetry("thruster_command"))
     shares = (commands >= 1 - _AT_LIMIT).mean(axis=0)

@@ -18,7 +18,6 @@ from surctl.simulation import Run, simulate
 from surctl.study.loops import Loops, loops_of
 from surctl.study.notes import Note, left_out, summary
 from surctl.study.plan import Leg, Plan
-from surctl.study.scaled import write_missions
 from surctl.study.shipping import Shipment, shipping, with_perception
 from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
 from surctl.verification import (
@@ -156,8 +155,7 @@ def conduct(
     plan.check_sweep()
     find_compiler()
     prepare_folder(out)
-    missions = write_missions([leg.scenario for leg in plan.legs], out / "missions")
-    plan = replace(plan, legs=tuple(replace(leg, scenario=m) for leg, m in zip(plan.legs, missions, strict=True)))
+    plan = plan.written(out / "missions")
     clock, legs = _Clock(progress), tuple(leg for leg in plan.legs if not leg.exclusion)
     laws = tuple(build_law(plan.law, guidance=plan.guidance, actuators=leg.vehicle.actuators) for leg in legs)
     sonar_laws = tuple(with_perception(plan, leg) for leg in legs)  # errors here come before the long work

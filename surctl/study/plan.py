@@ -14,7 +14,7 @@ from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import Guidance
 from surctl.simulation import Case, Scenario, findings, load_scenario
-from surctl.study.scaled import scaled_axes, scaled_missions
+from surctl.study.scaled import scaled_axes, scaled_missions, write_missions
 from surctl.tuning import Axis, Derivation, Goal, GoalTable, goals_from_tables, load_goals, shared_gains
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import applicable_claims, check_held, cruise_speeds
@@ -122,6 +122,8 @@ class Plan:
     def by(self, vehicles: Sequence[Vehicle]) -> Plan:
         """Return the plan in which every scenario is simulated with each of the vehicles; all other settings stay.
 
+        One vehicle that fits none of the scenarios of a built-in study gets missions scaled to it.
+
         Raises:
             InputError: no vehicle fits a scenario.
 
@@ -134,11 +136,19 @@ class Plan:
         """
         scenarios = {leg.scenario.name: leg.scenario for leg in self.legs}.values()
         legs = tuple(_leg(scenario, vehicle, lenient=True) for vehicle in vehicles for scenario in scenarios)
-        plan = _with_mission(replace(self, vehicle=vehicles[0], legs=legs))
+        plan = replace(self, vehicle=vehicles[0], legs=legs)
+        if len(vehicles) == 1 and Path(self.source).parent == LIBRARY and _needs_own(vehicles[0], legs):
+            return _about_vehicle(vehicles[0], vehicles[0].source or vehicles[0].name)
+        plan = _with_mission(plan)
         if self.named:
             return plan
         gains, derivation = shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)
         return replace(plan, gains=gains, derivation=derivation)
+
+    def written(self, folder: Path) -> Plan:
+        """Return the plan with its missions in files; those that are in no file are written to `folder`."""
+        missions = write_missions([leg.scenario for leg in self.legs], folder)
+        return replace(self, legs=tuple(replace(leg, scenario=m) for leg, m in zip(self.legs, missions, strict=True)))
 
     def check_sweep(self) -> None:
         """Raise InputError if the study file has no `[sweep]` table, from which `conduct` chooses the gains."""
@@ -210,7 +220,7 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
     study = _study(read_toml(default), default)
     legs = [_leg(load_scenario(run.scenario), vehicle, lenient=True) for run in study.runs]
     name = Path(word).stem
-    if vehicle["Fv_max"] > 0 and any(leg.left_out is None for leg in legs):
+    if not _needs_own(vehicle, legs):
         own = tuple(run.model_copy(update={"vehicle": None}) for run in study.runs)
         return _plan(
             study.model_copy(update={"runs": own, "vehicle": word, "name": name, "note": ""}), default, lenient=True
@@ -233,13 +243,18 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
         scaled_axes(gains),
         _SCALED_SEEDS,
         None,
-        load_goals(),
+        tuple(goal for goal in load_goals() if goal.kind == "hard"),  # the others have lengths and times of the tank
         (),
         False,
         derivation,
         why,
     )
     return _with_mission(plan)
+
+
+def _needs_own(vehicle: Vehicle, legs: Sequence[Leg]) -> bool:
+    # missions scaled to it
+    return vehicle["Fv_max"] == 0 or all(leg.left_out is not None for leg in legs)
 
 
 def _study(table: dict[str, Any], path: Path) -> _StudyFile:

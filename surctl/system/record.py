@@ -111,7 +111,9 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
     """
     numbers = run_numbers(system, values or {})
     if numbers.count != 1:
-        raise InputError(f"are for {numbers.count} runs", key="values", remedy="run one, or call simulate_system")
+        raise InputError(
+            f"are for {numbers.count} runs", key="values", remedy="give the values of one run, or call simulate_system"
+        )
     start, plant, constants, disturbance, gains = (
         row[0] for row in (numbers.start, numbers.plant, numbers.reference, numbers.disturbance, numbers.gains)
     )

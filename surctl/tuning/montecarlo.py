@@ -34,7 +34,8 @@ class Counterexample:
         seed: seed of the run.
         plant: changed parameters (`plant.…`) of the simulated vehicle.
         figure: value of the goal's metric, in its unit; NaN if the run did not arrive.
-        normalised: normalised value of the goal for this run; greater than 1, except for a goal that bounds a mean.
+        normalised: normalised value of the goal for this run (`Goal.normalised`); above 1, the run
+            misses the goal's limit. It may be at most 1 if the goal limits the mean of all runs.
     """
 
     goal: str

@@ -72,7 +72,10 @@ def sensitivity(table: SweepTable, column: str, *, seed: int = 0) -> Sensitivity
     values = table.column(column)
     if table.dataset.attrs["design"] != "saltelli":
         raise InputError(
-            "needs the points of a Saltelli design", key="sensitivity", value=column, remedy="use --sensitivity"
+            "needs the points of a Saltelli design",
+            key="sensitivity",
+            value=column,
+            remedy="sweep with --sensitivity",
         )
     names = tuple(json.loads(table.dataset.attrs["axes"]))
     lost = int((~np.isfinite(values)).sum())

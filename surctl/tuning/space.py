@@ -102,7 +102,9 @@ def default_tuned(base: Gains) -> tuple[str, ...]:
         >>> default_tuned(load_gains("default"))[:3]
         ('k1', 'lookahead', 'k_psi')
     """
-    return (*base.own, "k_v", "k_r") if base.own else TUNED
+    # not what follows from the vehicle, nor a gain whose range begins at 0, because the search is about ratios
+    own = [name for name in base.own if name in base.specs and base.ranges.get(name, (1.0, 1.0))[0] > 0]
+    return (*own, "k_v", "k_r") if base.own else TUNED
 
 
 def _default(name: str, base: Gains) -> tuple[float, float]:

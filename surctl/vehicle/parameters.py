@@ -165,8 +165,11 @@ class Vehicle:
         return self["m22"] - self["m11"] + self._term("Nuv") + self._term("Nv") / cruise
 
     def centripetal(self, cruise: float) -> float:
-        """Return m = m11 + Yur + Yr/U [kg], at least 0: a turn at the yaw rate r needs the sway force m u r."""
-        return max(self["m11"] + self._term("Yur") + self._term("Yr") / cruise, 0.0)
+        """Return m = m11 + Yur + Yr/U [kg]: a turn at the yaw rate r needs the sway force m u r towards its centre.
+
+        It is negative if the fins give more than this force: the craft then drifts inwards.
+        """
+        return self["m11"] + self._term("Yur") + self._term("Yr") / cruise
 
     def _term(self, name: str) -> float:
         return self[name] if name in self.parameters else 0.0

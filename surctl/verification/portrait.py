@@ -17,13 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.steering_claim import read_claim as read_steering
+from surctl.certcheck.steering_law import true_rate as steered_rate
 from surctl.certcheck.turning_claim import factors, read_claim
 from surctl.certcheck.turning_law import true_rate
 from surctl.errors import InputError, nearest
 from surctl.verification.region.heading import HeadingClaim
 from surctl.verification.region.rates import heading_loop
 
-__all__ = ["CRUISE_PLANES", "HEADING_PLANES", "Portrait", "planes_of", "portrait"]
+__all__ = ["CRUISE_PLANES", "HEADING_PLANES", "STEERED_PLANES", "Portrait", "planes_of", "portrait"]
 
 Array = NDArray[np.float64]
 Rates = Callable[[Array], Array]
@@ -36,6 +38,9 @@ HEADING_PLANES: Mapping[str, tuple[int, int]] = {
     "along": (0, 3), "across": (1, 4), "turning": (2, 5), "steering": (1, 2),
 }  # fmt: skip
 """Planes of two states, with all other deviations 0: x_e, y_e or ψ with its own rate, and y_e with ψ."""
+
+STEERED_PLANES: Mapping[str, tuple[int, int]] = {"turning": (1, 3), "steering": (0, 1)}
+"""Planes of two states of a craft without sway force, with all other states 0: ψ with its rate, and y_e with ψ."""
 
 _SHARE = 0.85  # mean over the heading of the quadratic drag along the path, as a share; it gives the steady cruise
 _HEADINGS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
@@ -90,6 +95,8 @@ def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
     """
     if document.get("kind") == "heading":
         return HEADING_PLANES
+    if document.get("kind") == "steering":
+        return STEERED_PLANES
     if document.get("kind") == "turning" or (
         document.get("kind") == "region" and document["claim"].get("system") == "cruise"
     ):
@@ -103,7 +110,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     """Compute the phase portrait of a region certificate.
 
     Args:
-        document: a certificate of kind `region`, `turning` or `heading`.
+        document: a certificate of kind `region`, `turning`, `steering` or `heading`.
         plane: name of the plane, one of `planes_of`.
         extent: half-width of the plotted area, as a multiple of the half-axes of the ellipse V = 1.
         points: number of grid points along each axis.
@@ -114,7 +121,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     planes = planes_of(document)
     if plane not in planes:
         raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
-    loop = {"heading": _heading, "turning": _turning}.get(document["kind"], _cruise)(document)
+    loop = {"heading": _heading, "turning": _turning, "steering": _steering}.get(document["kind"], _cruise)(document)
     first, second = planes[plane]
     # half-axes of the section of V = 1 through 0, not of its projection
     section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
@@ -182,6 +189,28 @@ def _turning(document: Mapping[str, Any]) -> _Loop:
             rates([mass, *drag], psi, r) for mass in masses for drag in drags for psi in _HEADINGS[:8] for r in turns
         ),
         levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
+        lagged=False,
+    )
+
+
+def _steering(document: Mapping[str, Any]) -> _Loop:
+    claim = read_steering(document["claim"])
+
+    def rates(mass: float, drag: float, u: float) -> Rates:
+        def rate(xi: Array) -> Array:
+            n = len(xi)
+            craft = {"mass": np.full((n, 4), mass), "drag": np.full((n, 8), drag), "u": np.full(n, u)}
+            return steered_rate(claim, craft, xi)
+
+        return rate
+
+    ends = ([float(end) for end in pair] for pair in (claim.mass_factor, claim.drag_factor, claim.speed))
+    return _Loop(
+        P=_matrix(document["proof"]["P"]),
+        shown=rates(1.0, 1.0, float(claim.cruise)),
+        whose="nominal",
+        tried=(rates(*one) for one in product(*ends)),
+        levels=(0.0, 1.0),
         lagged=False,
     )
 

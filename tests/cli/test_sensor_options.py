@@ -13,6 +13,7 @@ from surctl.cli.sensor_options import SensorOptions, parse_chances, parse_fault
 from surctl.errors import InputError
 from surctl.sensing import Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.simulation import load_scenario
+from surctl.simulation.scenario import LIBRARY
 from surctl.simulation.sensors import Sensors
 from tests.cli.process import surctl
 
@@ -159,3 +160,22 @@ def test_options_change_what_is_flown(tmp_path) -> None:
 def test_true_positions_are_flown_by_a_law_without_sonars(tmp_path) -> None:
     done = surctl("simulate", "pool-behind", "--json", cwd=tmp_path)
     assert done.status == 0 and "sensors" not in done.json["runs"][0]
+
+
+def test_the_echo_model_has_a_name_on_the_command_line_and_in_the_file(tmp_path):
+    scenario = load_scenario("pool-static")
+    smooth = SensorOptions(echoes="webots").over(scenario).sensors.equipment.array
+    assert smooth.incidence_limit == pytest.approx(pi / 8)
+    assert SensorOptions(echoes="ideal").over(replace(scenario, sensors=scenario.sensors.hearing("webots"))) == scenario
+    text = (LIBRARY / "pool-static.toml").read_text() + '\n[sonar]\nechoes = "webots"\n'
+    file = tmp_path / "smooth.toml"
+    file.write_text(text)
+    assert load_scenario(str(file)).sensors.equipment.array == smooth
+    file.write_text(text + "incidence_limit_deg = 30\n")
+    with pytest.raises(InputError, match="sets the same quantity as incidence_limit_deg") as error:
+        load_scenario(str(file))
+    assert error.value.key == "sonar.echoes"
+    for wrong, sensing, problem in (("webot", "sonar", "is not known"), ("webots", "truth", "has no effect")):
+        with pytest.raises(InputError, match=problem) as error:
+            SensorOptions(echoes=wrong).check(law="guarded", sensing=sensing)
+        assert error.value.key == "--echoes"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from surctl.control import LawStep, build_law, load_gains
-from surctl.engine import EngineOptions, Flight, MujocoPhysics, mujoco_physics, simulate_seeds, write_mjcf
+from surctl.engine import BatchCase, EngineOptions, MujocoPhysics, mujoco_physics, simulate_seeds, write_mjcf
 from surctl.errors import InputError
 from surctl.export import LinkedLaw, build_bundle, connect, write_bundle
 from surctl.ir import compile_program
@@ -45,8 +45,8 @@ def test_runs_in_other_processes_have_the_same_bytes() -> None:
     case = Case(
         replace(load_scenario("pool-static"), time_limit=2.0), load_vehicle("sur400-tilting"), GAINS, "closed_form"
     )
-    flight = Flight(case, mujoco_physics())
-    apart, here = (list(simulate_seeds(flight, [3, 4], processes=count)) for count in (2, 1))
+    batch_case = BatchCase(case, mujoco_physics())
+    apart, here = (list(simulate_seeds(batch_case, [3, 4], processes=count)) for count in (2, 1))
     for one, other in zip(apart, here, strict=True):
         assert one.seed == other.seed and one.record.eta.tobytes() == other.record.eta.tobytes()
         assert one.record.law_input.tobytes() == other.record.law_input.tobytes()

@@ -65,6 +65,11 @@ def test_calls_with_the_same_sample_count_as_periods(clock: Path) -> None:
     assert (out[1:-1, 0] == STALE).all() and out[-1, 2] == pytest.approx(101 * 0.05, abs=1e-9)
 
 
+def test_a_board_that_stands_still_and_a_program_that_misses_steps_add_up(clock: Path) -> None:
+    out = drive(clock, [(7, 1, 2.0), *[(7, 0, 2.0)] * 100, (58, 0, 3.0)])  # 50 periods later the board counts again
+    assert out[-1, 2] == pytest.approx(151 * 0.05, abs=1e-9)
+
+
 def test_a_short_gap_keeps_the_memory(clock: Path) -> None:
     for gap in (1, longest_gap(0.05), longest_gap(0.05) + 1):
         out = drive(clock, [(7, 1, 2.0), (7 + gap, 0, 3.0)])

@@ -36,6 +36,7 @@ def test_each_metric_is_what_its_text_says(run: Run) -> None:
     duration = (len(record.tau) - 1) * dt
     axes = (m.variation_surge_n_per_s, m.variation_sway_n_per_s, m.variation_heave_n_per_s, m.variation_yaw_n_m_per_s)
     assert axes == pytest.approx(np.abs(np.diff(record.tau, axis=0)).sum(axis=0) / duration)
+    assert m.energy_n15_s == pytest.approx((np.abs(record.tau[:, :3]) ** 1.5).sum() * dt)
     # impulses of the horizontal thrust and of the drag along the path, by hand
     spent = np.hypot(*record.tau[:, :2].T).sum() * dt
     direction = run.scenario.follower().directions(record.eta[:, :2])
@@ -54,9 +55,12 @@ def test_signs_below_one_percent_of_the_limit_do_not_count(run: Run) -> None:
     signs = np.where(np.arange(count) % 2, 1.0, -1.0)
     for share, changes in ((0.005, 0), (0.02, count - 1)):
         tau = np.zeros((count, 4))
+        tau[:7, 1], tau[7:10, 0] = -limit[1], limit[0]
         tau[:, 3] = share * limit[3] * signs
         m = measure(run.scenario, run.law, replace(run.record, tau=tau), reason="reached", least=1.0)
         assert m.sign_changes_per_s == pytest.approx(changes / (count * run.law.dt))
+        assert m.axis_sign_changes_per_s == pytest.approx(m.sign_changes_per_s)  # one axis changes sign
+        assert m.axis_saturated_share == pytest.approx(7 / count)  # of the axis that is at its limit most often
 
 
 def test_a_law_that_turns_the_hull_to_scan_has_no_crab_angle(run: Run) -> None:

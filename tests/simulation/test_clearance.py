@@ -45,7 +45,7 @@ def test_the_paper_can_be_flown_by_the_vehicles_that_are_named(name: str) -> Non
     assert not [f for f in every if f.level == "error"]
     assert [f.key for f in every if "E16" in f.text] == ["depth_m"]
     (surface,) = [f.text for f in every if "E16" in f.text]
-    missing, rest = ("9.25", "-0.171") if name.startswith("pool") else ("102", "-0.245")
+    missing, rest = ("14.1", "-0.171") if name.startswith("pool") else ("102", "-0.245")
     assert f"lacks {missing} N" in surface and f"at z = {rest} m" in surface
 
 

@@ -13,10 +13,29 @@ from surctl.control import build_law, law_source, load_gains
 from surctl.control.steering import turning_radius
 from surctl.errors import InputError
 from surctl.export import Records, software_in_the_loop
-from surctl.simulation import METRICS, Case, Scenario, held_share, simulate, simulate_batch, thruster_findings
+from surctl.simulation import (
+    METRICS,
+    Case,
+    Scenario,
+    advance,
+    held_share,
+    law_numbers,
+    simulate,
+    simulate_batch,
+    thruster_findings,
+    thruster_use,
+)
 from surctl.simulation.scenario import Disturbance
 from surctl.simulation.thruster_faults import Thrusters
-from surctl.vehicle import LIBRARY, axis_limits, load_vehicle
+from surctl.tuning import default_tuned
+from surctl.vehicle import (
+    LIBRARY,
+    PLANT_DISTURBANCE,
+    PLANT_STATE,
+    axis_limits,
+    load_vehicle,
+    plant_parameters,
+)
 from tests.craft import mission
 from tests.tools import need_compiler
 
@@ -69,6 +88,18 @@ def test_the_radius_of_a_rudder_craft_hardly_depends_on_its_speed() -> None:
     assert np.ptp(radii) < 1e-9 * radii[0]
 
 
+def test_the_planned_yaw_rate_of_a_craft_that_drifts_inwards_is_one_that_its_fins_sustain() -> None:
+    craft = load_vehicle("eca-a9")
+    assert craft.centripetal(0.79) < 0 < craft.munk(0.79)
+    moment = 0.85 * craft.at_speed(0.79)["Fr_max"]
+    x, still, p = PLANT_STATE.pack({"nu": [0.79, 0, 0, 0]}), PLANT_DISTURBANCE.pack(), plant_parameters(craft)
+    move = advance(craft.form).fold(1200)
+    x = move(x, [8.0 * 0.79**2, -moment / 0.708, 0.0, moment], still, p).full().ravel()
+    sustained = float(x[7])
+    planned = 0.79 / turning_radius(craft, {"sideslip": 0.2}, 0.79)
+    assert 0.4 * sustained < planned < sustained
+
+
 def test_both_loops_agree_and_the_water_sets_the_force() -> None:
     need_compiler()
     scenario = turning(30.0)
@@ -80,6 +111,8 @@ def test_both_loops_agree_and_the_water_sets_the_force() -> None:
     speed = run.record.nu[:, 0]
     assert forces == pytest.approx(commands * 9.64 * np.radians(13.6) * speed**2, abs=1e-9)
     assert np.abs(commands).max() > 0.5
+    use = thruster_use(run)
+    assert use is not None and use.missed < 0.5 and use.lack[1] == 0.0  # the side force is not commanded
     still = simulate(replace(scenario, disturbance=Disturbance()), REMUS, gains=GAINS)
     assert still.record.nu[-1, 3] != run.record.nu[-1, 3]
 
@@ -124,3 +157,12 @@ def test_a_mistake_in_a_fin_is_one_line_with_its_key(old: str, new: str, key: st
     with pytest.raises(InputError) as caught:
         load_vehicle(str(path))
     assert caught.value.key == f"thruster.1.{key}" and caught.value.remedy
+
+
+def test_numbers_that_follow_from_the_vehicle_are_no_gains() -> None:
+    assert "munk" in GAINS.own and "munk" not in GAINS.values and "munk" not in GAINS.specs
+    assert "sideslip" in default_tuned(GAINS) and not {"munk", "fin_share", "steerage"} & set(default_tuned(GAINS))
+    law = build_law("steered")
+    p = law.gains.split(law_numbers(replace(turning(1.0), cruise=0.5), GAINS, REMUS))
+    assert p["munk"][0] == pytest.approx(65.98 - 31.41 - 10.57) and p["fin_share"][0] == 1.0
+    assert p["thrust_limit"][3] == pytest.approx(0.25 * REMUS["Fr_max"])

@@ -19,7 +19,8 @@ MOST_OBSTACLES = 16
 LUCK = 3 + 3 * MOST_OBSTACLES  # numbers per run: wave direction and phase, drift direction and phase of every obstacle
 _ACTIVITY = (
     "crab_angle_deg", "max_crab_angle_deg", "heading_error_deg", "variation_surge_n_per_s", "variation_sway_n_per_s",
-    "variation_heave_n_per_s", "variation_yaw_n_m_per_s", "sign_changes_per_s", "wasted_impulse_n_s", "wasted_share",
+    "variation_heave_n_per_s", "variation_yaw_n_m_per_s", "sign_changes_per_s", "axis_sign_changes_per_s",
+    "axis_saturated_share", "energy_n15_s", "wasted_impulse_n_s", "wasted_share",
 )  # fmt: skip
 COUNTED = [k for k, name in enumerate(METRICS) if name not in _ACTIVITY]
 """Columns of the metrics that the hand-written loops return: all but those of attitude and thrust activity."""

@@ -64,14 +64,14 @@ class BaseStation:
         return where + self.position_sd * noise[:, :2], speed + self.velocity_sd * noise[:, 2:]
 
     def message(
-        self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], chance: float, dt: float
+        self, past: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], chance: float, dt: float
     ) -> tuple[NDArray[np.float64], bool]:
         """Return the message (K, 6) about K obstacles that arrives at a control period, and whether one arrives.
 
         Without a message, all numbers are 0.
 
         Args:
-            then: (K, 6) true states of the obstacles in {E} at the time of measurement, `messages.latency` earlier: x,
+            past: (K, 6) true states of the obstacles in {E} at the time of measurement, `messages.latency` earlier: x,
                 y, radius, vx, vy, valid.
             step: number of the control period, from 0.
             noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
@@ -81,21 +81,21 @@ class BaseStation:
         Raises:
             InputError: if an argument has a wrong shape, or period or latency is not a multiple of dt.
         """
-        rows = np.array(then, dtype=float)
+        rows = np.array(past, dtype=float)
         if rows.ndim != 2 or rows.shape[1] != 6:
-            raise InputError(f"has shape {rows.shape}", key="then", remedy="give (K, 6)")
+            raise InputError(f"has shape {rows.shape}", key="past", remedy="give (K, 6)")
         rows[:, :2], rows[:, 3:5] = self.observe(rows[:, :2], rows[:, 3:5], noise=noise)
         rows[rows[:, 5] < 0.5] = 0.0
         arrived = self.messages.arrives(step, chance=chance, dt=dt)
         return (rows if arrived else np.zeros_like(rows)), arrived
 
     def message_symbols(
-        self, then: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
+        self, past: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
     ) -> tuple[ca.SX, ca.SX]:
         """Return the message (K, 6), and 1 if a message arrives, else 0, as `message` does, in CasADi symbols."""
         arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
-        place, speed = then[:, :2] + self.position_sd * noise[:, :2], then[:, 3:5] + self.velocity_sd * noise[:, 2:]
-        rows = ca.horzcat(place, then[:, 2], speed, then[:, 5])
+        place, speed = past[:, :2] + self.position_sd * noise[:, :2], past[:, 3:5] + self.velocity_sd * noise[:, 2:]
+        rows = ca.horzcat(place, past[:, 2], speed, past[:, 5])
         received = [ca.if_else(ca.logic_and(arrived, rows[k, 5] >= 0.5), rows[k, :], 0.0) for k in range(rows.shape[0])]
         return ca.vertcat(ca.SX(0, 6), *received), arrived
 
@@ -123,14 +123,14 @@ class OwnState:
         _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
 
     def fix(
-        self, then: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], dt: float
+        self, past: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], dt: float
     ) -> tuple[NDArray[np.float64], bool]:
         """Return the position fix (3,) [m] in {E} that arrives at a control period, and whether one arrives.
 
         Without a fix, the three numbers are 0.
 
         Args:
-            then: (3,) true x, y, z of the robot [m] in {E} at the time of measurement, `fixes.latency` earlier.
+            past: (3,) true x, y, z of the robot [m] in {E} at the time of measurement, `fixes.latency` earlier.
             step: number of the control period, from 0.
             noise: (4,) standard normal numbers: three for x, y, z, and one that decides whether the fix is lost.
             dt: control period [s].
@@ -138,18 +138,18 @@ class OwnState:
         Raises:
             InputError: if an argument has a wrong shape, or period or latency is not a multiple of dt.
         """
-        place = np.asarray(then, dtype=float)
+        place = np.asarray(past, dtype=float)
         if place.shape != (3,) or np.shape(noise) != (4,):
             raise InputError(
-                f"have shapes {place.shape} and {np.shape(noise)}", key="then, noise", remedy="give (3,) and (4,)"
+                f"have shapes {place.shape} and {np.shape(noise)}", key="past, noise", remedy="give (3,) and (4,)"
             )
         arrived = self.fixes.arrives(step, chance=float(noise[3]), dt=dt)
         return (place + self.position_sd * noise[:3] if arrived else np.zeros(3)), arrived
 
-    def fix_symbols(self, then: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
+    def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
         """Return the position fix (3,), and 1 if a fix arrives, else 0, as `fix` does, in CasADi symbols."""
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
-        return ca.if_else(arrived, then + self.position_sd * noise[:3], 0.0), arrived
+        return ca.if_else(arrived, past + self.position_sd * noise[:3], 0.0), arrived
 
     def imu(
         self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from surctl.guidance import PASSED
-from surctl.simulation.metrics import MOVING, NEAR_TARGET, SIGN, TUBE
+from surctl.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, TUBE
 
 __all__ = ["SUMS", "VARIATIONS", "counted", "modulo", "path_square", "path_tangent"]
 
@@ -26,7 +26,9 @@ SUMS = (
     ("most_thrust", "1", "largest thrust command as a share of its limit"),
     ("length", "m", "length of the path that the robot travelled"),
     *((f"sum_{name}", "N or N m", "sum of the absolute changes of one thrust command") for name in VARIATIONS),
-    ("count_signs", "1", "number of sign changes of thrust commands"),
+    *((f"signs_{name}", "1", "number of sign changes of one thrust command") for name in VARIATIONS),
+    *((f"limited_{name}", "1", "number of control steps with one thrust command at its limit") for name in VARIATIONS),
+    ("sum_energy", "N^1.5", "sum of the magnitudes of the force commands to the power 1.5"),
     ("sum_needed", "N", "sum of the drag along the path"),
     ("count_moving", "1", "number of control steps in which the robot moves"),
     ("count_crab", "1", "number of control steps in which the robot moves and does not avoid an obstacle"),
@@ -63,6 +65,7 @@ def counted(
     change = ca.if_else(first, 0, ca.fabs(tau - old["last_thrust"]))
     signs = ca.if_else(ca.fabs(tau) > SIGN * w["thrust_limit"], ca.if_else(tau > 0, 1, -1), old["last_signs"])
     past = ca.if_else(ca.logic_and(on_last, gap <= NEAR_TARGET), ca.dot(to_target, w["leg"]), 0)
+    force = ca.fabs(tau[:3])
     # an axis without a limit of its own has no share: its force is 0, or that of a rudder that turns the craft
     limited = w["thrust_limit"] > 0
     share = ca.if_else(limited, ca.fabs(tau) / ca.if_else(limited, w["thrust_limit"], 1), 0)
@@ -81,7 +84,11 @@ def counted(
         "most_thrust": ca.fmax(old["most_thrust"], ca.mmax(share)),
         "length": old["length"] + ca.if_else(first, 0, ca.sqrt(ca.sumsqr(step))),
         **{f"sum_{name}": old[f"sum_{name}"] + change[k] for k, name in enumerate(VARIATIONS)},
-        "count_signs": old["count_signs"] + ca.sum1(signs * old["last_signs"] < -0.5),
+        **{
+            f"signs_{n}": old[f"signs_{n}"] + (signs[k] * old["last_signs"][k] < -0.5) for k, n in enumerate(VARIATIONS)
+        },
+        **{f"limited_{n}": old[f"limited_{n}"] + (share[k] >= AT_LIMIT) for k, n in enumerate(VARIATIONS)},
+        "sum_energy": old["sum_energy"] + ca.sum1(force * ca.sqrt(force)),
         **_directions(old, w, tangent, excluded),
     }
 

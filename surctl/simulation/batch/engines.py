@@ -214,7 +214,10 @@ def _metrics(loop: Loop, final: Columns) -> Columns:
         "thrust_rate_n_per_s": np.sqrt(s["sum_jump"] / np.maximum(rows - 1, 1)) / dt,
         **_crab(loop, s),
         **{f"variation_{k}_per_s": s[f"sum_{k}"] / (np.maximum(rows - 1, 1) * dt) for k in VARIATIONS},
-        "sign_changes_per_s": s["count_signs"] / (rows * dt),
+        "sign_changes_per_s": np.sum([s[f"signs_{k}"] for k in VARIATIONS], axis=0) / (rows * dt),
+        "axis_sign_changes_per_s": np.max([s[f"signs_{k}"] for k in VARIATIONS], axis=0) / (rows * dt),
+        "axis_saturated_share": np.max([s[f"limited_{k}"] for k in VARIATIONS], axis=0) / rows,
+        "energy_n15_s": s["sum_energy"] * dt,
         "stopped": s["stop"],
     }
     wasted = np.maximum(s["sum_effort"] - s["sum_needed"], 0.0)

@@ -143,18 +143,18 @@ def _absorbed(
     Z = Σ P − P G / 2 and G = Pᵀ Σ P. In G, the directions common to all sections count over all of them.
     """
     count = 2 * (len(spectrum) - 1)
-    waves = [np.fft.rfft(directions, count, axis=0) for directions in fitted]
     moved = [
-        np.fft.irfft(np.conj(spectrum) @ wave, count, axis=0)[: len(p)] * p[:, :, None]
-        for wave, p in zip(waves, present, strict=True)
+        np.fft.irfft(np.conj(spectrum) @ np.fft.rfft(directions, count, axis=0), count, axis=0)[: len(p)]
+        * p[:, :, None]
+        for directions, p in zip(fitted, present, strict=True)
     ]
     products = [np.tensordot(d, m, ((0, 1), (0, 1))) for d, m in zip(fitted, moved, strict=True)]
     common = np.sum([product[:size, :size] for product in products], axis=0)
     removed = np.zeros_like(spectrum)
-    for wave, directions, move, product in zip(waves, fitted, moved, products, strict=True):
+    for directions, move, product in zip(fitted, moved, products, strict=True):
         product[:size, :size] = common
         other = np.fft.rfft(move - directions @ (product / 2), count, axis=0)
-        half = np.conj(wave) @ other.transpose(0, 2, 1)
+        half = np.conj(np.fft.rfft(directions, count, axis=0)) @ other.transpose(0, 2, 1)
         removed += half + np.conj(half.transpose(0, 2, 1))
     return np.fft.irfft(removed, count, axis=0)
 

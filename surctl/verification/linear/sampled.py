@@ -138,8 +138,8 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
         ".sampled",
         lambda: json.dumps(asdict(_sampled_limits(undelayed, period))).encode(),
     )
-    found = json.loads(stored)
-    return SampledLimits(**{**found, "largest_period_s": tuple(found["largest_period_s"])})
+    values = json.loads(stored)
+    return SampledLimits(**{**values, "largest_period_s": tuple(values["largest_period_s"])})
 
 
 def _sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:

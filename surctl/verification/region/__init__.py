@@ -6,6 +6,8 @@ from surctl.verification.region.heading_proof import prove_heading
 from surctl.verification.region.library import REGION_CLAIMS, prove_statement, refused_regions, region_statement
 from surctl.verification.region.proof import RegionProof, prove_region
 from surctl.verification.region.statement import RegionStatement, load_region, write_region
+from surctl.verification.region.steering import SteeringClaim, steering_claim
+from surctl.verification.region.steering_proof import prove_steering
 from surctl.verification.region.turning import TurningClaim, turning_claim
 from surctl.verification.region.turning_proof import prove_turning
 
@@ -15,16 +17,19 @@ __all__ = [
     "RegionClaim",
     "RegionProof",
     "RegionStatement",
+    "SteeringClaim",
     "TurningClaim",
     "heading_claim",
     "load_region",
     "prove_heading",
     "prove_region",
     "prove_statement",
+    "prove_steering",
     "prove_turning",
     "refused_regions",
     "region_claim",
     "region_statement",
+    "steering_claim",
     "turning_claim",
     "write_region",
 ]

@@ -23,6 +23,7 @@ from surctl.verification.region.loop import Steady, steady_cruise
 from surctl.verification.region.rates import cruise_loop
 from surctl.verification.region.ratio import LevelRatios, level_ratios
 from surctl.verification.region.search import search
+from surctl.verification.region.steering import SteeringClaim
 from surctl.verification.region.synthesis import Candidate
 from surctl.verification.region.turning import TurningClaim
 
@@ -48,7 +49,7 @@ class RegionProof(Certified):
         rest_offset: largest |y_e| [m] in the region for x_e = 0 and a vehicle at rest; None if the claim states none.
     """
 
-    claim: RegionClaim | HeadingClaim | TurningClaim
+    claim: RegionClaim | HeadingClaim | TurningClaim | SteeringClaim
     offset: float
     ultimate_bound: tuple[float, float]
     seconds: float
@@ -63,6 +64,13 @@ class RegionProof(Certified):
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
         x, y = self.ultimate_bound
+        if isinstance(self.claim, SteeringClaim):
+            low, high = self.claim.speed
+            return (
+                f"proved: from {self.offset:.3g} m beside the path, cross-track error, heading, sway and yaw rate "
+                f"converge to 0 at {self.claim.rate:g}/s, at any surge speed from {low:.3g} to {high:.3g} m/s; "
+                f"checked in {self.check_seconds:.2f} s"
+            )
         rest = "" if self.rest_offset is None else f" ({self.rest_offset:.3g} m for a start at rest)"
         return (
             f"proved: from {self.offset:.3g} m beside the path{rest}, the Lyapunov function decays at "

@@ -9,12 +9,13 @@ from typing import Literal
 
 from pydantic import Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
-from surctl.control import Gains
+from surctl.control import Gains, law_source
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, quoted
 from surctl.vehicle import Vehicle
 from surctl.verification.region.claim import RegionClaim, region_claim
 from surctl.verification.region.heading import HEADING_GAINS, HeadingClaim, heading_claim
+from surctl.verification.region.steering import SteeringClaim, steering_claim
 from surctl.verification.region.turning import TurningClaim, turning_claim
 
 __all__ = ["RegionStatement", "load_region", "write_region"]
@@ -29,7 +30,13 @@ _TURNING_KNOWS = frozenset(
         "gains", "attempts",
     }
 )  # fmt: skip
-_TURNING_ALONE = frozenset({"mass_share", "mass_asymmetry", "at_rest", "curvature_per_m"})
+_STEERED_KNOWS = frozenset(
+    {
+        "kind", "name", "statement", "loop", "share", "mass_share", "speed_share", "cruise_m_per_s", "cap_m_per_s",
+        "rate_per_s", "gains",
+    }
+)  # fmt: skip
+_TURNING_ALONE = frozenset({"mass_share", "mass_asymmetry", "at_rest", "curvature_per_m", "speed_share"})
 
 
 class RegionStatement(Strict):
@@ -40,9 +47,11 @@ class RegionStatement(Strict):
         name: name of the claim.
         statement: the claim in words.
         loop: `cruise` for the exported law and equal masses in surge and sway, `turning` for the exported law and any
-            masses, `heading` for the heading-steered loop of 8 states with its own gains.
+            masses, `heading` for the heading-steered loop of 8 states with its own gains, `steered` for the heading
+            loop of craft without sway force under the law `steered`.
         share: relative error of mass and drag (`heading`: of every parameter; `turning`: of drag only).
-        mass_share: relative error of the masses (`turning` only).
+        mass_share: relative error of the masses (`turning` and `steered`).
+        speed_share: largest relative deviation of the surge speed from the cruise speed (`steered` only).
         ranges: whether the ranges of the vehicle file replace `share`.
         thrust_share: largest relative reduction of the thrust limits.
         asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean
@@ -66,9 +75,10 @@ class RegionStatement(Strict):
     kind: Literal["region"] = "region"
     name: StrictStr = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,59}$")
     statement: StrictStr = ""
-    loop: Literal["cruise", "turning", "heading"] = "cruise"
+    loop: Literal["cruise", "turning", "heading", "steered"] = "cruise"
     share: StrictFloat = Field(default=0.2, ge=0, lt=1)
     mass_share: StrictFloat = Field(default=0.05, ge=0, lt=1)
+    speed_share: StrictFloat = Field(default=0.1, ge=0, lt=1)
     ranges: StrictBool = False
     thrust_share: StrictFloat = Field(default=0.0, ge=0, lt=1)
     asymmetry: StrictFloat = Field(default=0.05, ge=0, le=2)
@@ -92,7 +102,7 @@ class RegionStatement(Strict):
 
     def claim(
         self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None
-    ) -> RegionClaim | HeadingClaim | TurningClaim:
+    ) -> RegionClaim | HeadingClaim | TurningClaim | SteeringClaim:
         """Return the claim for a vehicle and its gains; `cruise` and `cap` [m/s] replace the default speeds.
 
         If the claim file sets one of the two speeds, both remain as the file states them.
@@ -110,6 +120,14 @@ class RegionStatement(Strict):
         cap = self.cap_m_per_s if cap is None or own else cap
         if own and cruise >= cap:  # a mistake in the claim file, not in the caller's speeds
             raise InputError("must be below the cap", key="cruise", value=cruise, remedy="raise the cap")
+        if self.loop == "steered":
+            self._used(_STEERED_KNOWS, "the heading loop of craft without sway force")
+            own_gains = {**gains.own, **law_source("steered").gains}
+            return steering_claim(
+                self.name, vehicle, replace(gains, source="").with_own(own_gains).with_values(self.gains),
+                share=self.share, mass_share=self.mass_share, speed_share=self.speed_share, cruise=cruise, cap=cap,
+                rate=self.rate_per_s,
+            )  # fmt: skip
         law_gains = replace(gains, source="").with_values(self.gains)  # a message must not name the gain file
         turn = law_gains["spin"] if self.spinning else self.yaw_rate_rad_per_s
         if self.loop == "turning":
@@ -177,7 +195,8 @@ def write_region(statement: RegionStatement) -> str:
         return quoted(value) if isinstance(value, str) else repr(value)
 
     plain = {key: value for key, value in statement.model_dump().items() if key != "gains"}
-    known = {"heading": _HEADING_KNOWS, "turning": _TURNING_KNOWS}.get(statement.loop, plain.keys() - _TURNING_ALONE)
+    own = {"heading": _HEADING_KNOWS, "turning": _TURNING_KNOWS, "steered": _STEERED_KNOWS}
+    known = own.get(statement.loop, plain.keys() - _TURNING_ALONE)
     plain = {key: value for key, value in plain.items() if key in known}
     lines = [f"{key} = {literal(value)}" for key, value in plain.items()]
     if statement.gains:

@@ -10,15 +10,18 @@ import pytest
 from surctl.certcheck import check_document, check_file
 from surctl.control import load_gains
 from surctl.errors import InputError
+from surctl.tuning import derived_gains
 from surctl.vehicle import load_vehicle
 from surctl.verification.region import (
     REGION_CLAIMS,
     HeadingClaim,
     RegionClaim,
+    SteeringClaim,
     TurningClaim,
     heading_claim,
     prove_heading,
     prove_region,
+    prove_steering,
     prove_turning,
     refused_regions,
     region_claim,
@@ -93,13 +96,13 @@ def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
 def test_claims_that_a_vehicle_rules_out_are_named_once_for_each_reason() -> None:
     refused = refused_regions(load_vehicle("bluerov2-wu"), load_gains("default"), cruise=0.15, cap=0.22)
     assert [(reason.because[:18], reason.to) for reason, _ in refused] == [("m11 = 17 kg and m2", "this vehicle")]
-    assert set(refused[0][1]) == {name for name in REGION_CLAIMS if "turning" not in name}
+    assert set(refused[0][1]) == {name for name in REGION_CLAIMS if "turning" not in name and "steered" not in name}
     assert not refused_regions(load_vehicle("sur540-flooded"), load_gains("default"), cruise=0.15, cap=0.22)
     (slow,) = refused_regions(load_vehicle("sur540-flooded"), load_gains("default"), cruise=0.15, cap=0.15)
     assert "not below the cap" in slow[0].because and "region-turning" in slow[1]
 
 
-@pytest.mark.parametrize("name", REGION_CLAIMS)
+@pytest.mark.parametrize("name", [name for name in REGION_CLAIMS if name != "region-steered-20"])
 def test_the_library_builds_what_it_says(name: str) -> None:
     equal = "turning" not in name or name in ("region-turning-20-scale", "region-turning-20-curved")
     vehicle = load_vehicle("sur540-flooded" if equal else "bluerov2-vonbenzon")
@@ -271,3 +274,22 @@ def test_unequal_masses_are_proved_and_an_impossible_rate_is_not() -> None:
         turning_claim("test", load_vehicle("bluerov2-wu"), load_gains("default").with_values({"k_i": 0.1}))
     with pytest.raises(InputError, match="cap"):
         replace(claim, cruise=0.3)
+
+
+def test_the_heading_loop_of_a_craft_without_sway_force_is_proved() -> None:
+    craft, statement = load_vehicle("otter"), REGION_CLAIMS["region-steered-20"]
+    claim = statement.claim(craft, derived_gains(craft, cruise=1.1), cruise=1.1, cap=1.613333333)
+    assert isinstance(claim, SteeringClaim)
+    stated = json.loads((KEPT / "region-steered-20.json").read_text())["claim"]
+    own = json.loads(json.dumps(claim.document(offset=stated["motion"]["offset_m"])))
+    assert {**stated, "sha256_law": ""} == {**own, "sha256_law": ""} and stated["motion"]["offset_m"] > 0.25
+    proof = prove_steering(replace(claim, rate=9.0))
+    assert proof.verdict == "unknown" and "found no" in proof.reason
+    for changed, word in (({"m12": 1.0}, "m12"), ({"Y0": 1.0}, "Y0"), ({"Nuu": 1.0}, "Nuu")):
+        more = {name: replace(craft.parameters["m24"], value=value) for name, value in changed.items()}
+        with pytest.raises(InputError, match=word):
+            replace(claim, vehicle=replace(craft, parameters={**craft.parameters, **more})).stated()
+    with pytest.raises(InputError, match="sway force"):
+        statement.claim(load_vehicle("sur400"), load_gains("default"))
+    with pytest.raises(InputError, match="sway force"):
+        REGION_CLAIMS["region-turning-20"].claim(craft, load_gains("default"))

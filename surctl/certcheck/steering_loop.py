@@ -1,0 +1,179 @@
+"""The heading loop of a craft without sway force as a linear inclusion ξ̇ = A(θ) ξ with parameters θ in intervals.
+
+ξ = (y_e, ψ, v, r, c, s): cross-track error, heading to the path, sway speed, yaw rate, crab filter and modelled sway
+speed. With surge speed u, e = −atan(y_e/Δ) − c − ψ and r_d = k_ψ e, law and vehicle are
+
+    ẏ_e = u sin ψ + v cos ψ,   ψ̇ = r,   ċ = (atan(v/u) − c)/T_c,   ṡ = −(m_c/m̂22) u r − (Ŷ_v + Ŷ_vv |s|) s/m̂22,
+    N = (N̂_r + N̂_rr |r_d|) r_d + m̂44 k_r (r_d − r) + μ u k s,
+    [[m22, m24], [m24, m44]] (v̇, ṙ) = (−C_vv v − C_vr r, N − C_rv v − C_rr r).
+
+C_vv = Y_v + Y_vv |v| + Y_uv u + …, C_vr = m11 u + Y_r + …, C_rv = (m22 − m11) u + N_v + …, C_rr = m24 u + N_r + …
+contain all drag by v and r. μ and m_c are numbers of the law, and k ≤ 1 is the share that the speed cap leaves of the
+modelled sway speed. Each secant slope (u sin ψ/ψ, cos ψ, atan(y_e/Δ)/y_e, atan(v/u)/v, |r_d|, |s|, …) lies in an
+interval for ξ in V ≤ 1, and A is affine in each of them: the matrices at the ends of all intervals enclose A. Intervals
+are exact fractions, rounded outward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_exact import root_down, root_up
+from surctl.certcheck.steering_claim import SteeringClaim
+
+__all__ = ["Extent", "command_rows", "lookahead", "parameters", "planned_rate", "vertices"]
+
+Array = NDArray[np.float64]
+Pair = tuple[Fraction, Fraction]
+
+_UP = 1 + 1e-9  # covers the rounding of an interval's end
+_SHARE, _MUNK, _SLOWEST = Fraction(85, 100), Fraction(1, 2), Fraction(1, 4)  # constants of the law `steered`
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Bounds in the region: |y_e|, |ψ|, |v|, |r|, |s| and the commanded yaw rate |r_d|; SI units."""
+
+    beside: Fraction
+    heading: Fraction
+    sway: Fraction
+    yaw_rate: Fraction
+    model: Fraction
+    command: Fraction
+
+
+def _times(*factors: Pair) -> Pair:
+    values = [Fraction(1)]
+    for low, high in factors:
+        values = [one * end for one in (min(values), max(values)) for end in (low, high)]
+    return min(values), max(values)
+
+
+def _plus(*terms: Pair) -> Pair:
+    return sum((low for low, _ in terms), Fraction(0)), sum((high for _, high in terms), Fraction(0))
+
+
+def _yaw_limit(claim: SteeringClaim) -> Pair:
+    moment, (_, linear), (_, square) = _SHARE * claim.moment, claim.linear, claim.quadratic
+    under = linear * linear + 4 * square * moment
+    return 2 * moment / (linear + root_up(under)), 2 * moment / (linear + root_down(under))
+
+
+def planned_rate(claim: SteeringClaim, speeds: Pair) -> Pair:
+    """Return the range of the largest yaw rate that the law plans at surge speeds [m/s] in an interval."""
+    munk = abs(claim.munk)
+    limit = _yaw_limit(claim)
+
+    def sideways(drift: Fraction, u: Fraction) -> Fraction:
+        return (claim.linear[0] * drift + claim.quadratic[0] * drift * drift) / (claim.centripetal * u)
+
+    # the limit by the drift angle grows with u, and that by the Munk moment decreases
+    rates = [
+        (sideways(claim.sideslip * u, u), sideways(_MUNK * claim.moment / (munk * w), w) if munk else limit[1])
+        for u, w in (speeds, speeds[::-1])
+    ]
+    return min(*rates[0], limit[0]), min(*rates[1], limit[1])
+
+
+def lookahead(claim: SteeringClaim) -> Pair:
+    """Return the range of the look-ahead distance Δ [m]: the gain, or the turning radius if that is larger."""
+    low, high = planned_rate(claim, (claim.cruise, claim.cruise))
+    return max(claim.lookahead, claim.cruise / high), max(claim.lookahead, claim.cruise / low)
+
+
+def command_rows(claim: SteeringClaim, beside: Fraction) -> list[list[Fraction]]:
+    """Return rows of which the hull contains the slopes of the commanded yaw rate r_d in ξ."""
+    return [[-claim.k_psi * n for n in (slope, 1, 0, 0, 1, 0)] for slope in _bearing(claim, beside)]
+
+
+def _bearing(claim: SteeringClaim, beside: Fraction) -> Pair:
+    # atan(t)/t ≥ 1 − t²/3
+    low, high = lookahead(claim)
+    return (1 - (beside / low) ** 2 / 3) / high, 1 / low
+
+
+def _drag(claim: SteeringClaim, force: str, last: str, sizes: Mapping[str, Pair]) -> Pair:
+    """Return the range of the drag coefficient on `force` (Y or N) by the velocity `last` (v or r)."""
+    total: Pair = (Fraction(0), Fraction(0))
+    for name, value in claim.terms.items():
+        if name[0] == force and name[-1] == last and name[1] != "w":
+            size = sizes[name[1]] if len(name) == 3 else (Fraction(1), Fraction(1))
+            total = _plus(total, _times((value, value), claim.drag_factor, size))
+    return total
+
+
+def parameters(claim: SteeringClaim, at: Extent) -> list[Pair]:
+    """Return the intervals of the parameters θ in the region.
+
+    Raises:
+        Rejected: the law has another form in a part of the region, or the inertia matrix is not positive definite.
+    """
+    one, u = Fraction(1), claim.speed
+    if u[0] < _SLOWEST * claim.cruise:
+        raise Rejected("the surge speed falls below a quarter of the cruise speed")
+    if at.command > planned_rate(claim, u)[0] or claim.k_psi * at.command > claim.moment / claim.mass[2]:
+        raise Rejected("the law limits the commanded yaw rate in a part of the region")
+    if max(at.heading, at.beside / lookahead(claim)[0], at.sway / u[0]) >= 1:
+        raise Rejected("the region is too large for the bounds on sine, cosine and arc tangent")
+    zero, exact = Fraction(0), claim.mass
+    m11, m22, m44 = ((claim.mass_factor[0] * m, claim.mass_factor[1] * m) for m in exact)
+    m24 = _times((claim.terms.get("m24", zero),) * 2, claim.mass_factor)
+    most, least = max(map(abs, m24)), min(map(abs, m24))
+    if m22[0] * m44[0] <= most * most:
+        raise Rejected("the inertia matrix of sway and yaw is not positive definite")
+    per22 = 1 / (m22[1] - least**2 / m44[1]), 1 / (m22[0] - most**2 / m44[0])
+    per44 = 1 / (m44[1] - least**2 / m22[1]), 1 / (m44[0] - most**2 / m22[0])
+    per_det = 1 / (m22[1] * m44[1] - least**2), 1 / (m22[0] * m44[0] - most**2)
+    sizes = {"u": u, "v": (zero, at.sway), "r": (zero, at.yaw_rate)}
+    own = [
+        _times(claim.drag_factor, (linear, linear + square * size))
+        for linear, square, size in zip(claim.vehicle_linear, claim.quadratic, (at.sway, at.yaw_rate), strict=True)
+    ]
+    munk = _plus(m22, (-m11[1], -m11[0]))
+    c_vv = _plus(own[0], _drag(claim, "Y", "v", sizes))
+    c_vr = _plus(_times(m11, u), _drag(claim, "Y", "r", sizes))
+    c_rv = _plus(_times(munk, u), _drag(claim, "N", "v", sizes))
+    c_rr = _plus(_times(m24, u), own[1], _drag(claim, "N", "r", sizes))
+    feed = claim.linear[1], claim.linear[1] + claim.quadratic[1] * at.command
+    share = claim.cap / root_up(claim.cap**2 + at.model**2), one
+    cancelled = _times((claim.munk,) * 2, u, share)
+    peak = feed[1] * at.command + exact[2] * claim.k_r * (at.command + at.yaw_rate)
+    if peak + max(map(abs, cancelled)) * at.model > claim.moment:
+        raise Rejected("the yaw thrust reaches its limit in a part of the region")
+    drift = (1 - (at.sway / u[0]) ** 2 / 3) / u[1], 1 / u[0]
+    damped = claim.linear[0] / exact[1], (claim.linear[0] + claim.quadratic[0] * at.model) / exact[1]
+    return [
+        _times(u, (1 - at.heading**2 / 6, one)), (1 - at.heading**2 / 2, one), _bearing(claim, at.beside), drift, feed,
+        cancelled, u, damped, c_vv, c_vr, c_rv, c_rr, per22, _times((-m24[1], -m24[0]), per_det), per44,
+    ]  # fmt: skip
+
+
+def vertices(claim: SteeringClaim, theta: Sequence[Pair]) -> Array:
+    """Return A (n, 6, 6) at all ends of the intervals, rounded outward."""
+    ends = [
+        sorted({float(low) - abs(float(low)) * (_UP - 1), float(high) + abs(float(high)) * (_UP - 1)})
+        for low, high in theta
+    ]
+    sine, cosine, bearing, drift, feed, cancelled, u, damped, c_vv, c_vr, c_rv, c_rr, i_vv, i_vr, i_rr = np.array(
+        list(product(*ends))
+    ).T
+    k_psi, k_r, mass = float(claim.k_psi), float(claim.k_r), [float(m) for m in claim.mass]
+    A = np.zeros((len(u), 6, 6))
+    A[:, 0, 1], A[:, 0, 2], A[:, 1, 3] = sine, cosine, 1.0
+    A[:, 4, 2], A[:, 4, 4] = drift / float(claim.crab_time), -1 / float(claim.crab_time)
+    A[:, 5, 3], A[:, 5, 5] = -float(claim.centripetal) / mass[1] * u, -damped
+    force, moment = np.zeros((2, len(u), 6))
+    force[:, 2], force[:, 3] = -c_vv, -c_vr
+    turn = -k_psi * (feed + mass[2] * k_r)
+    moment[:, 0], moment[:, 1], moment[:, 4], moment[:, 5] = turn * bearing, turn, turn, cancelled
+    moment[:, 2], moment[:, 3] = -c_rv, -c_rr - mass[2] * k_r
+    A[:, 2] = i_vv[:, None] * force + i_vr[:, None] * moment
+    A[:, 3] = i_vr[:, None] * force + i_rr[:, None] * moment
+    return A
