@@ -176,7 +176,7 @@ def _thrusters(root: _Node, vehicle: Vehicle) -> None:
     actuators = _node(root, "actuator")
     lag = vehicle["thrust_lag"]
     filtered: dict[str, object] = {"dyntype": "filter", "dynprm": (lag,)} if lag > 0 else {}
-    for axis, (name, low, high) in enumerate(zip(ACTUATORS, *vehicle.thrust_range, strict=True)):
+    for axis, (name, low, high) in enumerate(zip(ACTUATORS, *vehicle.delivered_range, strict=True)):
         gear = [0] * 6
         gear[axis if axis < 3 else 5] = 1
         limits: dict[str, object] = {}

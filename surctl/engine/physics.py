@@ -77,7 +77,7 @@ class MujocoPhysics:
         self._count = max(1, int(np.ceil(_PERIOD / options.step - 1e-9)))
         self.model.opt.timestep = _PERIOD / self._count
         self._layout = plant_state(self.body.form) if options.dof == 6 else PLANT_STATE
-        self._range = vehicle.thrust_range
+        self._range = vehicle.delivered_range
         self._lagged = vehicle["thrust_lag"] > 0
         self._hull = self.model.geom(HULL).id
         self._body = self.model.body(HULL).id

@@ -120,11 +120,7 @@ class Vehicle:
     @property
     def thrust_range(self) -> NDArray[np.float64]:
         """Least and largest thrust (2, 4) in surge, sway, heave [N] and yaw [N m]; the least thrust is at most 0."""
-        ahead = np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")])
-        astern = ahead.copy()
-        for axis, name in self.form.reverse():
-            astern[axis] = self[name]
-        return np.array([0.0 - astern, ahead])
+        return self._both_ways(np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")]))
 
     @property
     def thrust_bound(self) -> NDArray[np.float64]:
@@ -185,6 +181,17 @@ class Vehicle:
             return most
         finned = np.maximum(most, _FASTEST**2 * self.actuators.most)
         return np.where(self.actuators.finned, finned, most).astype(float)
+
+    @property
+    def delivered_range(self) -> NDArray[np.float64]:
+        """Least and largest thrust (2, 4) that the plant accepts: `delivered_limit`, and the stated thrust astern."""
+        return self._both_ways(self.delivered_limit)
+
+    def _both_ways(self, ahead: NDArray[np.float64]) -> NDArray[np.float64]:
+        astern = ahead.copy()
+        for axis, name in self.form.reverse():
+            astern[axis] = self[name]
+        return np.array([0.0 - astern, ahead])
 
     def steady_yaw(self, share: float, cruise: float = 0.0) -> float:
         """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case.

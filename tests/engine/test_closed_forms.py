@@ -146,6 +146,16 @@ def test_coupled_vehicle_moves_as_in_the_own_plant() -> None:
     assert ends[1] == pytest.approx(ends[0], rel=1e-4, abs=1e-5)
 
 
+def test_a_steered_craft_turns_as_in_the_own_plant_with_the_side_force_of_its_rudder() -> None:
+    craft = load_vehicle("remus100")
+    there, here = (begun(made(craft), craft.form, nu=(1.2, 0, 0, 0)) for made in (physics, own))
+    steered = (8.0, -4.0, 0.0, 3.0)  # the rudder pushes the stern to starboard
+    for system in (there, here):
+        moved(system, 3.0, steered)
+    assert np.abs(there.state - here.state).max() < 1e-6
+    assert abs(float(here.state[5])) > 0.03  # it drifts
+
+
 def test_the_state_can_be_set_and_read_back() -> None:
     value = STATE.pack(
         {"eta": [*MIDDLE, 9.0], "nu": [0.1, 0.2, 0.3, 0.4], "tau": [1, 2, 3, 0.1], "tilt": [0.3, -0.2, 0.1, 0]}
