@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.animate_option import NamedFile
 from surctl.cli.output import together
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ __all__ = ["PlantOptions", "plant_options"]
 plant_options = together(
     click.option("--plant", default="own", metavar="NAME", help="Plant: own (default) or mujoco[:KEY=VALUE,..]."),
     click.option(
-        "--film", type=click.Path(path_type=Path), metavar="FILE", help="Film of the scene: FILE.gif or FILE.mp4."
+        "--film", type=NamedFile(path_type=Path), metavar="FILE", help="Film of --plant mujoco: FILE.gif or FILE.mp4."
     ),
     click.option("--view", is_flag=True, help="Show the run in MuJoCo's window."),
 )

@@ -112,7 +112,7 @@ def simulate(
     link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout)
     link.check(campaign=campaign.any or replayed is not None)
     run_count = 1 if replayed is not None else runs * len(scenarios)
-    check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None)
+    check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None, film=film)
     if replayed is not None:
         simulate_again(replayed, trust=trust, explained=explained, out=out, animate=animate, as_json=as_json)
     chosen = PlantOptions(plant, film, view, None if campaign.any else threads)

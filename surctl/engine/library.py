@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import os
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -27,20 +29,25 @@ def mujoco_library() -> ModuleType:
     """Return the module `mujoco`.
 
     Raises:
-        ToolMissing: it is not installed.
+        ToolMissing: it is not installed, its installation is broken, or MUJOCO_GL names no renderer of it.
     """
-    from surctl.engine.renderer import choose_renderer
+    from surctl.engine.renderer import choose_renderer, wrong_renderer
 
+    given = os.environ.get("MUJOCO_GL", "")
     choose_renderer()
     try:
         import mujoco
-    except ImportError:
-        raise ToolMissing(
-            "needs MuJoCo, which is not installed",
-            key="--plant",
-            value="mujoco",
-            remedy="pip install 'surctl[mujoco]'",
-        ) from None
+
+        mujoco.MjModel.from_xml_string  # noqa: B018  # an empty package has none
+    except Exception as error:  # MuJoCo and PyOpenGL raise errors of many classes
+        if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
+            problem, remedy = "needs MuJoCo, which is not installed", "pip install 'surctl[mujoco]'"
+        elif given and "mujoco" not in sys.modules:
+            raise wrong_renderer(given, str(error)) from None
+        else:
+            problem = f"the installation of mujoco is broken ({error})"
+            remedy = "reinstall it: pip install --force-reinstall mujoco"
+        raise ToolMissing(problem, key="--plant", value="mujoco", remedy=remedy) from None
     module: ModuleType = mujoco
     return module
 

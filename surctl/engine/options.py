@@ -108,16 +108,18 @@ def parse_plant(text: str) -> EngineOptions | None:
         >>> parse_plant("own") is None
         True
     """
-    name, _, rest = text.partition(":")
+    name, colon, rest = text.partition(":")
     if name not in PLANTS:
         raise InputError("is not known", key="--plant", value=text, remedy=nearest(name, PLANTS))
     if name == "own":
-        if rest:
+        if colon:
             raise InputError("has no options", key="--plant", value=text, remedy="write --plant own")
         return None
     values: dict[str, Any] = {}
     known = [f.name for f in fields(EngineOptions)]
-    for part in filter(None, rest.split(",")):
+    for part in rest.split(",") if colon else ():
+        if not part:
+            raise InputError("has an option that is empty", key="--plant", value=text, remedy=_FORM)
         key, equals, value = part.partition("=")
         if not equals or key not in known:
             remedy = nearest(key, known) if equals else _FORM

@@ -32,7 +32,7 @@ Vector = NDArray[np.float64]
 _PERIOD = 0.025  # [s] of `advance`
 AWAY = (0.0, 0.0, 500.0)
 """Where an obstacle is [m] that is not in the water."""
-_FARTHEST = 50.0  # [m] distances are measured up to here
+_FARTHEST = 1e9  # [m] distances are measured up to here, which is every distance
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import sys
 
 from surctl.errors import ToolMissing
 
-__all__ = ["choose_renderer", "no_renderer"]
+__all__ = ["choose_renderer", "no_renderer", "wrong_renderer"]
 
 _LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
 
@@ -33,4 +33,14 @@ def no_renderer(why: str) -> ToolMissing:
         f"MuJoCo cannot render here ({why})",
         key="--film",
         remedy="install Mesa (Debian: apt install libegl1 libgl1-mesa-dri) and set MUJOCO_GL=egl",
+    )
+
+
+def wrong_renderer(value: str, why: str) -> ToolMissing:
+    """Return the error that MuJoCo cannot be imported with a value of the environment variable MUJOCO_GL."""
+    return ToolMissing(
+        f"MuJoCo cannot be imported with this renderer ({why})",
+        key="environment variable MUJOCO_GL",
+        value=value,
+        remedy="set it to egl, osmesa or glfw, or unset it",
     )

@@ -156,6 +156,11 @@ def test_a_steered_craft_turns_as_in_the_own_plant_with_the_side_force_of_its_ru
     assert abs(float(here.state[5])) > 0.03  # it drifts
 
 
+def test_a_far_wall_is_measured() -> None:
+    far = begun(physics(FREE)).clearance([])[1]
+    assert far == pytest.approx(begun(own(FREE)).clearance([])[1], abs=1e-9) and far > 199
+
+
 def test_the_state_can_be_set_and_read_back() -> None:
     value = STATE.pack(
         {"eta": [*MIDDLE, 9.0], "nu": [0.1, 0.2, 0.3, 0.4], "tau": [1, 2, 3, 0.1], "tilt": [0.3, -0.2, 0.1, 0]}

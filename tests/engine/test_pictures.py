@@ -6,6 +6,7 @@ import builtins
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,11 @@ def invoke(*words: str) -> str:
     [
         ("--plant mujco", "did you mean 'mujoco'"),
         ("--plant own:dof=4", "has no options"),
+        ("--plant own:", "has no options"),
+        ("--plant mujoco:", "is empty"),
+        ("--plant mujoco:dof=4,", "is empty"),
+        ("--plant mujoco --film=", "--film = '': is empty"),
+        ("--plant mujoco --film x.gif --animate ./x.gif", "name two files"),
         ("--plant mujoco:dof=5", "use 4 or 6"),
         ("--plant mujoco:dof=four", "give a whole number"),
         ("--plant mujoco:drag=cubic", "mujoco:drag"),
@@ -105,13 +111,37 @@ def test_without_mujoco_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatc
 
     def refuse(name: str, *rest: Any) -> Any:
         if name == "mujoco":
-            raise ImportError(name)
+            raise ModuleNotFoundError(name, name=name)
         return found(name, *rest)
 
     mujoco_library.cache_clear()
     monkeypatch.setattr(builtins, "__import__", refuse)
     try:
         assert "pip install 'surctl[mujoco]'" in invoke("--plant", "mujoco")
+    finally:
+        mujoco_library.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("renderer", "said"), [("nonsense", "MUJOCO_GL = 'nonsense'"), ("", "installation of mujoco is broken")]
+)
+def test_a_renderer_or_an_installation_that_fails(monkeypatch: pytest.MonkeyPatch, renderer: str, said: str) -> None:
+    found = builtins.__import__
+
+    def fails(name: str, *rest: Any) -> Any:
+        if name == "mujoco":
+            raise RuntimeError("invalid value")
+        return found(name, *rest)
+
+    mujoco_library.cache_clear()
+    monkeypatch.setenv("MUJOCO_GL", renderer)
+    if renderer:
+        monkeypatch.delitem(sys.modules, "mujoco", raising=False)
+        monkeypatch.setattr(builtins, "__import__", fails)
+    else:
+        monkeypatch.setitem(sys.modules, "mujoco", ModuleType("mujoco"))
+    try:
+        assert said in invoke("--plant", "mujoco")
     finally:
         mujoco_library.cache_clear()
 
