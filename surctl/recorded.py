@@ -16,10 +16,14 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.recorded_arrays import ARRAY_FILES, read_arrays
 
-__all__ = ["Recorded", "read_recorded", "read_unnamed", "shown", "xml_root"]
+__all__ = ["NO_HEADER", "Recorded", "read_recorded", "read_unnamed", "shown", "xml_root"]
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _MISSING = {"", "na", "n/a", "null", "none"}  # cells that mean "no number", in addition to nan
+
+
+NO_HEADER = "has no header"
+"""The problem of a table whose first line holds numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,6 +261,8 @@ def _comments(text: str) -> tuple[tuple[str, ...], str]:
 
 def _check_separator(place: str, text: str) -> None:
     header = text.lstrip().partition("\n")[0]
+    if all(_is_number(cell) for cell in re.split(r"\s*[;,]\s*|\s+", header.strip())):
+        raise InputError(NO_HEADER, file=place, remedy="name the columns in the first line")
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if mark in header and "," not in header:
             raise InputError(
@@ -268,8 +274,6 @@ def _check_separator(place: str, text: str) -> None:
 
 def _checked_header(place: str, row: list[str]) -> list[str]:
     header = [cell.strip() for cell in row]
-    if all(_is_number(cell) for cell in header):
-        raise InputError("has no header", file=place, remedy="name the columns in the first line")
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
         raise InputError(f"column {twice[0]!r} appears twice", file=place, remedy="remove one of them")

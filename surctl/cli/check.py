@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from surctl.cli.output import as_json, finish, printable
+from surctl.cli.output import FiniteRange, as_json, finish, printable
 
 __all__ = ["check"]
 
@@ -26,7 +26,7 @@ __all__ = ["check"]
 )
 @click.option(
     "--time-limit",
-    type=click.FloatRange(min=0, min_open=True),
+    type=FiniteRange(min=0, min_open=True),
     default=None,
     metavar="S",
     help="Largest processor time [s] of the check (default 8); then the certificate is rejected.",

@@ -9,11 +9,11 @@ import click
 
 from surctl.cli.gains_choice import derive_words
 from surctl.cli.new import write_new
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import FiniteRange, as_json, finish
 
 __all__ = ["gains"]
 
-_SPEED = click.FloatRange(min=0, max=100, min_open=True)
+_SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 
 @click.group()

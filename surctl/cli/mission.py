@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import FiniteRange, as_json, finish
 
 __all__ = ["scenario"]
 
@@ -24,13 +24,13 @@ def scenario() -> None:
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.option("--name", metavar="TEXT", help="Name of the scenario (default: that of the file).")
 @click.option("--vehicle", default="sur540-flooded", metavar="FILE", help="Vehicle: name or file.")
-@click.option("--cruise", type=click.FloatRange(min=0, min_open=True), metavar="X", help="Speed along the path [m/s].")
+@click.option("--cruise", type=FiniteRange(min=0, min_open=True), metavar="X", help="Speed along the path [m/s].")
 @click.option(
     "--depth", type=float, metavar="Z", help="Height of the path [m], below 0 (default: the lowest of the plan)."
 )
 @click.option(
     "--margin",
-    type=click.FloatRange(min=0, min_open=True),
+    type=FiniteRange(min=0, min_open=True),
     default=5.0,
     help="Free water around the path [m] (default 5).",
 )

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from surctl.verification import Inapplicable
 
 __all__ = [
+    "FiniteRange",
     "Stopped",
     "as_json",
     "at_hand",
@@ -36,6 +37,17 @@ __all__ = [
 ]
 
 C = TypeVar("C", bound=Callable[..., Any])
+
+
+class FiniteRange(click.FloatRange):
+    """A finite number in a range (NaN passes every comparison of `click.FloatRange`)."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number; fail if it is NaN or infinite."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return number
 
 
 def together(*options: Callable[[C], C]) -> Callable[[C], C]:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import FiniteRange, as_json, finish
 
 __all__ = ["sonar_replay"]
 
-_METRES = click.FloatRange(min=0.0, min_open=True)
+_METRES = FiniteRange(min=0.0, min_open=True)
 
 
 @click.command("sonar-replay")
@@ -38,7 +38,7 @@ _METRES = click.FloatRange(min=0.0, min_open=True)
 )
 @click.option(
     "--noise-sd",
-    type=click.FloatRange(min=0.0),
+    type=FiniteRange(min=0.0),
     default=0.015,
     metavar="M",
     help="Standard deviation of a sample [m], from surctl calibrate (default 0.015).",

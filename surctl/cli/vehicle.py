@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import FiniteRange, as_json, finish
 from surctl.cli.thrusters import thrusters
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def from_gazebo(
 @click.option(
     "--held-out",
     "share",
-    type=click.FloatRange(0.0, 0.9),
+    type=FiniteRange(0.0, 0.9),
     default=0.4,
     metavar="X",
     help="Share of the log, at its end, predicted by a fit to the rest (default 0.4; 0: no prediction).",
@@ -202,7 +202,7 @@ def from_gazebo(
 @click.option(
     "--window",
     "windows",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     multiple=True,
     default=(5.0,),
     metavar="S",
@@ -255,7 +255,8 @@ def from_log(
 
         if len(logs) > 1:
             raise click.UsageError("--topics takes one log")
-        recording = read_recording(logs[0], log_map=load_log_map(map_file) if map_file else None)
+        named = load_log_map(map_file) if map_file else None
+        recording = read_recording(logs[0], log_map=named, map_name=str(map_file or ""))
         fields = {topic: list(held.fields) for topic, held in recording.topics.items()}
         finish({"topics": fields}, topic_lines(recording), as_json=as_json, passed=True)
     robot = load_vehicle(start)
@@ -323,11 +324,17 @@ def _fit_lines(fit: Identified) -> list[str]:
     lines.append(f"  {'':<10} {'estimate':>9}   95 % interval   {'in file':>8} {'start':>8}")
     for key, (value, half) in fit.estimates.items():
         unit = fit.unit(key)
-        estimate = f"{value:>9.4g} ± {half:<9.3g}" if key in fit.identified else f"{'':>9}   not determined"
+        estimate = f"{value:>9.4g} ± {half:<9.3g}" if key in fit.identified else f"{'':>9}   {_kind(fit, key)}"
         lines.append(f"  {key:<10} {estimate:<23} {fit.fitted_value(key):>8.4g} {fit.start_value(key):>8.4g} {unit}")
     lines += [f"  noise of {column}: {level:.3g}" for column, level in fit.noise.items()]
     lines += [f"  not determined: {text}" for text in fit.directions]
     return lines + [f"  note: {note}" for note in fit.notes]
+
+
+def _kind(fit: Identified, key: str) -> str:
+    if key in fit.zeroed:
+        return "fixed at 0"
+    return "not determined" if key in fit.held else "with those held"
 
 
 def _prediction_lines(predictions: tuple[Prediction, ...], share: float) -> list[str]:

@@ -15,7 +15,7 @@ import click
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains, derive_words
 from surctl.cli.motion_verify import are_problems, verify_motion
-from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
+from surctl.cli.output import FiniteRange, as_json, finish, progress, refusal_line, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system
 from surctl.cli.system_verify import verify_system
@@ -35,7 +35,7 @@ __all__ = ["claim_line", "verify"]
 
 _SHORT, _LONG = 20.0, 60.0  # s
 _GAIN_FILE = "gains.toml"  # in the printed commands, if the gains are derived
-_SPEED = click.FloatRange(min=0, max=100, min_open=True)
+_SPEED = FiniteRange(min=0, max=100, min_open=True)
 
 
 @click.command
@@ -67,7 +67,7 @@ _SPEED = click.FloatRange(min=0, max=100, min_open=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the falsifier (default 0).")
 @click.option(
     "--time-limit",
-    type=click.FloatRange(min=0, max=1e6, min_open=True),
+    type=FiniteRange(min=0, max=1e6, min_open=True),
     default=None,
     metavar="S",
     help="Largest processor time per claim [s] (default 20; 60 for dynamics).",

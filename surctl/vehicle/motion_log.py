@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.recorded import Recorded, read_recorded
+from surctl.recorded import NO_HEADER, Recorded, read_recorded
 from surctl.units import in_unit
 from surctl.vehicle.frames import FRAME_TEXT, Frame, check_frame, swap_body, swap_pose
 
@@ -112,7 +112,13 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
         >>> log.motion.shape, round(float(log.motion[-1, 4]), 2)
         ((60, 8), 0.59)
     """
-    table = read_recorded(path)
+    try:
+        table = read_recorded(path)
+    except InputError as error:
+        if error.problem != NO_HEADER:
+            raise
+        remedy = "name the columns in the first line, or in a map: --map with columns in [log]"
+        raise InputError(NO_HEADER, file=error.file, remedy=remedy) from None
     written = _frame(table, frame)
     columns = {name: _written_as(table, name) for name in _UNITS}
     table.need(name for name in ("t_s", *LOG_THRUST) if columns[name] is None)

@@ -136,6 +136,10 @@ WORDS = {
         ["--fallback", "single runs"],
     ),
     "unknown sensing": (["simulate", "tank-static", "--sensing", "sonr"], ["sensing", "'sonar'"]),
+    "a window of NaN": (
+        ["vehicle", "from-log", "a.csv", "--start", "sur400", "--window", "nan"],
+        ["--window", "finite"],
+    ),
     "negative seed": (["simulate", "tank-static", "--seed", "-1"], ["--seed"]),
     "unknown claim": (["verify", "v1-print"], ["claim", "'v1-printed'"]),
     "too fast a cruise": (["verify", "--cruise", "9"], ["--cruise = 9.0", "thrust"]),

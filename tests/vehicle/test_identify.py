@@ -1,4 +1,6 @@
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -196,3 +198,19 @@ def test_a_sphere_that_cannot_be(change: dict[str, float], fragment: str) -> Non
     given = {"diameter": 0.54, "dry_mass": 7.9, "thrust": 5.0, "yaw_thrust": 0.5}
     with pytest.raises(InputError, match=fragment):
         sphere("no", **{**given, **change})
+
+
+def test_a_log_without_thrust_and_one_with_absurd_motion_are_refused_without_a_warning() -> None:
+    log = made_log(TRUE, seed=1, rows=60)
+    with pytest.raises(InputError, match="the log has no thrust"):
+        identify(replace(log, thrust=np.zeros_like(log.thrust)), START, name="fitted")
+    absurd = log.motion * np.where(np.arange(8) == 4, 1e200, 1.0)
+    with warnings.catch_warnings(), pytest.raises(InputError, match="no simulated motion fits"):
+        warnings.simplefilter("error")
+        identify(replace(log, motion=absurd), START, name="fitted")
+
+
+def test_a_mass_that_is_not_determined_keeps_its_value() -> None:
+    log = made_log(TRUE, seed=1, axes=(0,), rows=60)
+    found = identify(replace(log, thrust=0.03 * log.thrust), START, name="fitted")
+    assert "m11" not in found.identified and "m11" in found.held and found.vehicle["m11"] == START["m11"]

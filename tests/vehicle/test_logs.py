@@ -307,3 +307,15 @@ def test_matlab_7_3_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(InputError, match=r"needs the package h5py.*surctl\[matlab\]"):
         read_motion_log(path)
+
+
+def test_a_table_without_a_header_or_time_says_where_to_name_them(tmp_path: Path) -> None:
+    table, named = tmp_path / "run.txt", tmp_path / "map.toml"
+    table.write_text("0.0 1.0 2.0\n0.1 1.0 2.0\n")
+    with pytest.raises(InputError, match=r"run.txt:1: has no header.*--map with columns"):
+        read_motion_log(table)
+    table.write_text("seconds,r,Fr\n0.0,1.0,2.0\n0.1,1.0,2.0\n")
+    text = 'kind = "log-map"\n[log]\nframe = "enu"\n[rates]\nfields = ["r"]\n[thrust]\nfields = ["", "", "", "Fr"]\n'
+    named.write_text(text)
+    with pytest.raises(InputError, match=r"^\S*map.toml: log.time = 't_s': is no column of \S*run.txt"):
+        read_mapped_log(table, named)

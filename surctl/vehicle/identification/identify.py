@@ -29,7 +29,7 @@ from surctl.vehicle.identification.outliers import outliers, without_outliers
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.identification.solve import beginning, minimise, simulable
 from surctl.vehicle.identification.trim import Trial, drift_trial
-from surctl.vehicle.motion_log import LOG_TILT, MotionLog
+from surctl.vehicle.motion_log import LOG_THRUST, LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Parameter, Vehicle
 from surctl.vehicle.specs import TERMS, parameter_spec
 
@@ -63,6 +63,7 @@ class _Full:
         return {k: (v, float(half[j])) for j, (k, v) in enumerate(self.model.values(self.theta).items())}
 
 
+@np.errstate(over="ignore")  # a motion that overflows does not fit, and is refused
 def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     """Fit masses, drag, couplings, thrust lag and a constant force to a log, together with the unknown initial motion.
 
@@ -76,7 +77,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     Raises:
         InputError: `start` rolls and pitches, and the log has neither roll nor pitch, or they are near 90°; no
             simulated motion is finite, which shows that the columns of motion and thrust do not match; or the log has
-            no part of sufficient length without a gap.
+            no part of sufficient length without a gap, or no thrust.
 
     Example:
         >>> import numpy as np
@@ -93,6 +94,13 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         >>> round(result.estimates["m11"][0], 1), "m11" in result.identified, "m22" in result.identified
         (60.0, True, False)
     """
+    if not log.thrust.any():
+        raise InputError(
+            "the log has no thrust, so it shows no mass",
+            file=log.source,
+            key=", ".join(LOG_THRUST),
+            remedy="give a log in which the vehicle is driven",
+        )
     if start.form.tilts:
         _check_tilt(log, start)
     full = _full_fit(log, start)
@@ -113,7 +121,9 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     small = {
         k for k in OFFSETS if k in estimates and abs(estimates[k][0]) <= estimates[k][1] and k not in start.parameters
     }
-    theta, held, zeroed = _consistent(full, excluded | small)
+    # only the ratio of drag to mass shows in a motion, so a mass that is not determined stays as it is
+    masses = {k for k in model.masses if k in estimates and k not in identified}
+    theta, held, zeroed = _consistent(full, excluded | small | masses)
     identified = tuple(k for k in identified if k not in held)
     notes += _negative_notes(zeroed, estimates)
     values = model.values(theta)

@@ -29,13 +29,16 @@ READERS: dict[str, Reader] = {
 """Readers by the suffix of the file; a folder is a bag of ROS 2, any other file a table."""
 
 
-def read_recording(path: Path, topics: Collection[str] | None = None, *, log_map: LogMap | None = None) -> Recording:
+def read_recording(
+    path: Path, topics: Collection[str] | None = None, *, log_map: LogMap | None = None, map_name: str = ""
+) -> Recording:
     """Read a recording; the format follows from the suffix.
 
     Args:
         path: a file or, for ROS 2, a folder.
         topics: names of the topics to read; default: all.
         log_map: names the time of a table; default: column t_s.
+        map_name: its file, for errors.
 
     Raises:
         InputError: the file does not exist or cannot be read, or a package for its format is not installed.
@@ -58,7 +61,14 @@ def read_recording(path: Path, topics: Collection[str] | None = None, *, log_map
     if log_map is None:
         return read_table(path, time="t_s", unit="s")
     clock = log_map.log
-    return read_table(path, time=clock.time, unit=clock.time_unit, columns=clock.columns, skip_lines=clock.skip_lines)
+    return read_table(
+        path,
+        time=clock.time,
+        unit=clock.time_unit,
+        columns=clock.columns,
+        skip_lines=clock.skip_lines,
+        map_name=map_name,
+    )
 
 
 def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
@@ -93,7 +103,7 @@ def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
     """
     log_map = load_log_map(map_path)
     topics = {part.topic for _, part in log_map.sources()}
-    recording = read_recording(path, topics, log_map=log_map)
+    recording = read_recording(path, topics, log_map=log_map, map_name=shown(map_path))
     if not topics <= recording.topics.keys():
         recording = read_recording(path, log_map=log_map)  # for a message that names all topics
     return joined(recording, log_map, map_name=shown(map_path))

@@ -16,7 +16,7 @@ __all__ = ["read_table"]
 
 
 def read_table(
-    path: Path, *, time: str, unit: str, columns: Sequence[str] | None = None, skip_lines: int = 0
+    path: Path, *, time: str, unit: str, columns: Sequence[str] | None = None, skip_lines: int = 0, map_name: str = ""
 ) -> Recording:
     """Read the numeric columns of a table as the fields of one topic with an empty name.
 
@@ -26,6 +26,7 @@ def read_table(
         unit: unit of the time.
         columns: names of the columns of a file without a header.
         skip_lines: lines above its numbers.
+        map_name: file that names the time, for errors; default: the table.
 
     Raises:
         InputError: the file cannot be read, the time is missing or not a number, or its unit is unknown.
@@ -33,7 +34,11 @@ def read_table(
     table = read_recorded(path) if columns is None else read_unnamed(path, columns, skip=skip_lines)
     if time not in table.columns:
         raise InputError(
-            "is no column", file=table.name, key="log.time", value=time, remedy=nearest(time, table.columns)
+            f"is no column of {table.name}",
+            file=map_name or table.name,
+            key="log.time",
+            value=time,
+            remedy=nearest(time, table.columns),
         )
     seconds = table.numbers(time) * in_unit(1.0, unit, "s")
     fields = {name: column for name in table.columns if name != time and (column := _numbers(table, name)) is not None}
@@ -41,7 +46,11 @@ def read_table(
     order = np.flatnonzero(known)[np.argsort(seconds[known], kind="stable")]
     if len(order) < 2:
         raise InputError(
-            "has no times", file=table.name, key="log.time", value=time, remedy="name the column of the time"
+            f"has no times in {table.name}",
+            file=map_name or table.name,
+            key="log.time",
+            value=time,
+            remedy="name the column of the time",
         )
     order = order[np.append(np.diff(seconds[order]) > 0, True)]
     return Recording(table.name, {"": Topic(seconds[order], {k: v[order] for k, v in fields.items()})})
