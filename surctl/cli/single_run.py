@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["activity_line", "failure", "further_output", "linear_part", "linear_warning", "run_line"]
 
+_ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
 _CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
 
 
@@ -43,8 +44,9 @@ def activity_line(run: Run) -> str:
         m.variation_heave_n_per_s,
         m.variation_yaw_n_m_per_s,
     )
+    varies = ", ".join(f"{one if abs(one) > _ROUNDING else 0:.2g}" for one in axes)
     return (
-        f"  {angles}thrust varies by {', '.join(f'{one:.2g}' for one in axes)} (N/s in surge, sway, heave, N m/s in "
+        f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
         f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
         f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
     )

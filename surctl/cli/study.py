@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.output import as_json, at_hand, finish, progress, refusal_line, same_command, stoppable
 from surctl.cli.verify import claim_line
+
+if TYPE_CHECKING:
+    from surctl.verification import LoopMargins
 
 __all__ = ["study"]
 
@@ -49,12 +54,11 @@ def study(file: str | None, out: Path, workers: int, vehicle: str | None, trust:
     marks = {True: "ok  ", False: "FAIL", None: "    "}
     lines += [f"{marks[note.passed]} {note.text}" for note in result.notes]
     loops = result.loops
-    lines += ["", "loop          gain   phase   delay   disk"] if loops.margins else []
+    lines += ["", f"{'loop':<12} {'gain':>10} {'phase':>10} {'delay':>10} {'disk':>6}"] if loops.margins else []
     if loops.mode is not None and not loops.stable:
         lines.append(f"unstable      loop {loops.mode.loop}; margins of an unstable loop are 0")
     for m in loops.margins if loops.stable else ():
-        numbers = f"{m.gain_margin:5.2f} {m.phase_margin_deg:6.1f}° {m.delay_margin_s:6.2f}s {m.disk_margin:6.2f}"
-        lines.append(f"{m.name:<12} {numbers}")
+        lines.append(_margin_line(m))
     lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
     lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}", f"report {result.report}"]
     tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
@@ -63,6 +67,18 @@ def study(file: str | None, out: Path, workers: int, vehicle: str | None, trust:
     then = [shlex.join(words) for words in ((tuning,) if not plan.unheard else ())]
     then.append(shlex.join(_examined(plan.law, about)))
     finish(result.to_dict(), lines, as_json=as_json, passed=result.passed, then=then)
+
+
+def _margin_line(margin: LoopMargins) -> str:
+    gain, phase, delay = (
+        "never lost" if math.isinf(value) else f"{value:{form}}{unit}"
+        for value, form, unit in (
+            (margin.gain_margin, ".2f", ""),
+            (margin.phase_margin_deg, ".1f", "°"),
+            (margin.delay_margin_s, ".2f", "s"),
+        )
+    )
+    return f"{margin.name:<12} {gain:>10} {phase:>10} {delay:>10} {margin.disk_margin:6.2f}"
 
 
 def _examined(law: str, about: list[str]) -> list[str]:

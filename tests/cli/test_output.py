@@ -2,11 +2,29 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 from surctl.cli.output import finite
+from surctl.cli.single_run import activity_line
+from surctl.cli.study import _margin_line
 
 
 def test_json_holds_numbers_that_are_finite_alone() -> None:
     told = {"a": math.inf, "b": [math.nan, 1.5, ("x", -math.inf)], 3: {"c": 0, "d": None}}
     assert finite(told) == {"a": None, "b": [None, 1.5, ["x", None]], "3": {"c": 0, "d": None}}
     assert json.loads(json.dumps(finite(told), allow_nan=False)) == finite(told)
+
+
+def test_a_variation_within_rounding_is_0() -> None:
+    names = "crab_angle_deg max_crab_angle_deg heading_error_deg axis_sign_changes_per_s axis_saturated_share "
+    names += "wasted_impulse_n_s wasted_share variation_surge_n_per_s variation_sway_n_per_s "
+    metrics = dict.fromkeys((names + "variation_heave_n_per_s variation_yaw_n_m_per_s").split(), 0.0)
+    metrics |= {"variation_surge_n_per_s": 1.5, "variation_heave_n_per_s": 1.3e-17}
+    assert "varies by 1.5, 0, 0, 0 (" in activity_line(SimpleNamespace(metrics=SimpleNamespace(**metrics)))
+
+
+def test_a_margin_without_bound_is_never_lost() -> None:
+    margin = SimpleNamespace(
+        name="heave", gain_margin=2.5, phase_margin_deg=math.inf, delay_margin_s=math.inf, disk_margin=0.9
+    )
+    assert _margin_line(margin).split() == ["heave", "2.50", *2 * ["never", "lost"], "0.90"]
