@@ -20,15 +20,9 @@ from surctl.vehicle.gazebo import gazebo_vehicle
 from surctl.vehicle.geometry import sphere
 from surctl.vehicle.identification.consistency import velocity_notes
 from surctl.vehicle.identification.fitted import CONSTANT_FORCE, FITTED
+from surctl.vehicle.identification.held_out import HELD_OUT, held_out, held_out_windows
 from surctl.vehicle.identification.identify import identify
-from surctl.vehicle.identification.prediction import (
-    HELD_OUT,
-    Prediction,
-    held_out,
-    held_out_windows,
-    predict,
-    predict_with,
-)
+from surctl.vehicle.identification.prediction import Prediction, predict, predict_with
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.iosystem import plant_system
 from surctl.vehicle.kinematics import jacobian, planar_rotation

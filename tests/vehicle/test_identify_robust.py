@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from surctl.vehicle import FITTED, MotionLog, identify
+from surctl.vehicle.identification.model import drift_sections_of
 from surctl.vehicle.identification.outliers import outliers
 from tests.vehicle.test_identify import START, TRUE, made_log
 
@@ -76,3 +77,17 @@ def test_a_trim_that_drifts_is_said_and_does_not_change_masses_and_drag() -> Non
         assert found.estimates[name][0] == pytest.approx(TRUE[name], rel=0.02), name
     assert sum(abs(found.estimates[k][0] - TRUE[k]) > found.estimates[k][1] for k in FITTED) <= 3
     assert found.sections == 2 and any("the constant force drifts (X0 from -0." in note for note in found.notes)
+
+
+def test_a_drift_that_predicts_nothing_is_not_fitted() -> None:
+    """A beat, as of a tail, makes residuals slow too. A drifting force explains a part of it, and nothing unseen."""
+    beat = np.sin(2.0 * np.pi * 0.1 * np.arange(400) / 6.0)[:, None] * np.array([0.8, 0.8, 0.0, 0.05])
+    found = identify(made_log(TRUE, seed=1, rows=400, drift=beat), START, name="fitted")
+    assert found.sections == 1 and not any("the constant force drifts" in note for note in found.notes)
+    assert any("a constant force that drifts was tried and not used" in note for note in found.notes)
+
+
+def test_sections_of_a_drifting_force_are_not_too_short_for_a_log_with_few_rows() -> None:
+    slow = replace(LOG, time=10.0 * LOG.time)  # one row per second
+    assert sum(s.rows.stop - s.rows.start for s in drift_sections_of(slow)) == len(slow.time)
+    assert max(float(np.sum(s.dt)) for s in drift_sections_of(LOG)) <= 20.0

@@ -34,7 +34,6 @@ from surctl.vehicle import (
 )
 from surctl.verification import build_cascade
 from surctl.verification.braking_claims import braking_keeps
-from surctl.verification.region.turning import turning_claim
 
 Array = NDArray[np.float64]
 STILL = PLANT_DISTURBANCE.pack()
@@ -244,7 +243,6 @@ def test_claims_about_equation_3_do_not_apply_to_coupled_vehicles() -> None:
     vehicle, gains = boat({"m24": 0.1}, "sur400"), load_gains("default")
     for claim in (
         lambda: braking_keeps(vehicle, 0.2),
-        lambda: turning_claim("region-turning", vehicle, gains),
         lambda: safety_claim(load_scenario("pool-behind"), vehicle, gains),
     ):
         with pytest.raises(NotApplicable, match=r"it has m24, and the claim assumes equation \(3\)"):

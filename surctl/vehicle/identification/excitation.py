@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surctl.vehicle.identification.fitted import AXIS_OF, CONSTANT_FORCE, OFFSETS, axes_of
 from surctl.vehicle.identification.intervals import Spread
 from surctl.vehicle.identification.model import Model, Section
+from surctl.vehicle.identification.trim import Trial
 from surctl.vehicle.motion_log import MotionLog
 from surctl.vehicle.specs import TERMS
 
@@ -149,10 +150,16 @@ def slow_residuals(model: Model, left: list[Array]) -> bool:
     return False
 
 
-def drift_note(model: Model, theta: Array) -> list[str]:
-    """Return a text with the range of the constant force over the log, if it drifts."""
-    if not model.drift:
+def drift_note(model: Model, theta: Array, trial: Trial | None) -> list[str]:
+    """Return a text with the range of the constant force over the log, if it drifts, or why a drift is not fitted."""
+    if trial is None:
         return []
+    if not model.drift:
+        return [
+            "residuals are slow: a constant force that drifts was tried and not used, because with it the errors of "
+            f"predicting unseen parts over {trial.window:g} s are {trial.ratio:.3g} times those without it; the "
+            "model misses something else"
+        ]
     own = theta[model.size :].reshape(-1, model.local)[:, model.order :]
     values = model.values(theta)
     ends = np.concatenate([own[:, :4] - own[:, 4:], own[:, :4] + own[:, 4:]])
@@ -162,5 +169,6 @@ def drift_note(model: Model, theta: Array) -> list[str]:
     ]
     return [
         f"the constant force drifts ({', '.join(listed)}); each section of the log has its own force, which changes "
-        "linearly, and the file has the mean"
+        "linearly, and the file has the mean; with it the errors of predicting unseen parts over "
+        f"{trial.window:g} s are {trial.ratio:.3g} times those without it"
     ]

@@ -24,10 +24,11 @@ from surctl.vehicle.identification.excitation import (
 )
 from surctl.vehicle.identification.fitted import MASS_OF, OFFSETS, axes_of
 from surctl.vehicle.identification.intervals import Spread, spread_of
-from surctl.vehicle.identification.model import LONGEST_DRIFT, Model, sections_of
+from surctl.vehicle.identification.model import Model, drift_sections_of, sections_of
 from surctl.vehicle.identification.outliers import outliers, without_outliers
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.identification.solve import beginning, minimise, simulable
+from surctl.vehicle.identification.trim import Trial, drift_trial
 from surctl.vehicle.motion_log import LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Parameter, Vehicle
 from surctl.vehicle.specs import TERMS, parameter_spec
@@ -39,7 +40,6 @@ _SMALL_FORCE = 0.1  # share of the thrust limit below which a constant force cou
 _ROUNDS = 5  # largest number of alternations between fit and noise estimate
 _STEADY, _ROUGH = 0.02, 1e-3  # relative change of the noise that ends them; of the cost that ends each fit
 _MOST_TILT = np.radians(85.0)  # roll and pitch; at 90° the heading has no meaning
-_DRIFTS = 0.9  # sum of squares, relative to that with a constant force, below which the force counts as drifting
 _REFITS = 6  # largest number of fits with more and more parameters held
 
 Array = NDArray[np.float64]
@@ -54,6 +54,8 @@ class _Full:
     spread: Spread
     left: list[Array]  # residuals
     converged: bool
+    rest: frozenset[str] = frozenset()  # masses of the axes that do not move, with a constant force
+    trial: Trial | None = None  # of a drifting force, if residuals are slow
 
     @property
     def estimates(self) -> dict[str, tuple[float, float]]:
@@ -95,10 +97,9 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         _check_tilt(log, start)
     full = _full_fit(log, start)
     model, estimates = full.model, full.estimates
-    rest = at_rest(model, full.theta, full.noise)
-    excluded = {k for k in estimates if axes_of(k) & rest}
+    excluded = {k for k in estimates if axes_of(k) & full.rest}
     notes: list[str] = _outlier_note(model, log)
-    notes += drift_note(model, full.theta)
+    notes += drift_note(model, full.theta, full.trial)
     notes += [] if full.converged else ["the fit has not converged: estimates and intervals are rough"]
     if "thrust_lag" in estimates:
         reason = few_thrusts(log, model.sections)
@@ -113,6 +114,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         k for k in OFFSETS if k in estimates and abs(estimates[k][0]) <= estimates[k][1] and k not in start.parameters
     }
     theta, held, zeroed = _consistent(full, excluded | small)
+    identified = tuple(k for k in identified if k not in held)
     notes += _negative_notes(zeroed, estimates)
     values = model.values(theta)
     vehicle = _vehicle(start, values, estimates, _Kinds(identified, held, zeroed), log, name)
@@ -124,7 +126,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         identified,
         held,
         zeroed,
-        ill_excited(model, full.spread, estimates, rest),
+        ill_excited(model, full.spread, estimates, full.rest),
         {c: float(full.noise[k]) for k, c in enumerate(model.columns) if present[:, k].any()},
         (*velocity_notes(log), *notes, *notes_of(model, full.left)),
         len(model.sections),
@@ -153,14 +155,14 @@ def _check_tilt(log: MotionLog, start: Vehicle) -> None:
 def _full_fit(log: MotionLog, start: Vehicle) -> _Full:
     log = without_outliers(log)
     full = _fit(Model(log, start, sections_of(log)))
+    full = replace(full, rest=at_rest(full.model, full.theta, full.noise))
     if not slow_residuals(full.model, full.left):
         return full
-    try:
-        drifting = _fit(Model(log, start, sections_of(log, longest=LONGEST_DRIFT), drift=True))
-    except InputError:  # no section has enough rows
-        return full
-    squares = [float(sum(np.sum((e / full.noise) ** 2) for e in one.left)) for one in (full, drifting)]
-    return drifting if squares[1] < _DRIFTS * squares[0] else full
+    trial = drift_trial(log, start, full.theta[: full.model.size], full.noise)
+    if trial is None or not trial.drifts:
+        return replace(full, trial=trial)
+    # a drifting force can explain any motion, also that of an axis at rest
+    return replace(_fit(Model(log, start, drift_sections_of(log), drift=True)), rest=full.rest, trial=trial)
 
 
 def _fit(model: Model) -> _Full:

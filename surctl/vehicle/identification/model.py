@@ -19,10 +19,12 @@ from surctl.vehicle.identification.rates import places, stepper
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Vehicle
 
-__all__ = ["LONGEST", "LONGEST_DRIFT", "Model", "Section", "sections_of"]
+__all__ = ["LONGEST", "Model", "Section", "drift_sections_of", "sections_of"]
 
-LONGEST, LONGEST_DRIFT = 60.0, 20.0
-"""Longest section [s], and longest section if the constant force drifts."""
+LONGEST = 60.0
+"""Longest section [s]."""
+
+_LONGEST_DRIFT = 20.0  # [s] longest section if the constant force drifts, unless it has too few rows
 
 _STEP = 0.05  # [s] integration step
 _STEPS_PER_ROW, _LONGEST_STEP = 5, 0.2  # of a log with few rows per second, whose steps are longer; and their limit [s]
@@ -87,6 +89,17 @@ def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[Section, .
             remedy=f"give a log without a gap of more than {max(_GAP, _GAP_FACTOR * float(np.median(step))):.3g} s",
         )
     return tuple(sections)
+
+
+def drift_sections_of(log: MotionLog) -> tuple[Section, ...]:
+    """Return the sections of a log, each with a constant force of its own: of 20 s, or longer if they have few rows.
+
+    Raises:
+        InputError: no part of the log between its gaps is long enough.
+    """
+    rows = 2 * _LEAST_ROWS  # a part that is a little longer than this is halved
+    longest = max(_LONGEST_DRIFT, rows * float(np.median(np.diff(log.time))))
+    return sections_of(log, longest=longest)
 
 
 def _runs(gap: NDArray[np.bool_], rows: int) -> list[tuple[int, int]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,18 +10,16 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.vehicle.identification.fitted import names_of, with_all_constants
-from surctl.vehicle.identification.identify import identify
 from surctl.vehicle.identification.model import Model, Section, sections_of
 from surctl.vehicle.identification.outliers import without_outliers
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Vehicle
 
-__all__ = ["HELD_OUT", "Prediction", "held_out", "held_out_windows", "predict", "predict_with"]
+__all__ = ["WINDOW", "Prediction", "predict", "predict_with"]
 
-HELD_OUT = 0.4
-"""Share of a log, at its end, that is predicted by a fit to the rest."""
+WINDOW = 5.0
+"""Length of a window [s], if none is given."""
 
-_WINDOW = 5.0  # [s]
 _BEFORE, _BEFORE_ROWS = 1.0, 8  # [s] motion before a window for a velocity without measurement, at least these rows
 _LEAST_ROWS = 4  # rows of a window
 _LAGS = 5.0  # thrust lags after which the thrust no longer depends on its start
@@ -57,7 +54,7 @@ class Prediction:
     held: Array
 
 
-def predict(log: MotionLog, vehicle: Vehicle, *, window: float = _WINDOW) -> Prediction:
+def predict(log: MotionLog, vehicle: Vehicle, *, window: float = WINDOW) -> Prediction:
     """Predict the motion of a log over successive windows with the model of a vehicle.
 
     Each window starts with the measured motion of its first row. A velocity that the log does not contain follows from
@@ -87,7 +84,7 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = _WINDOW) -> Pre
     return predict_with(log, vehicle, {k: whole[k] for k in names_of(whole)}, window=window)
 
 
-def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *, window: float = _WINDOW) -> Prediction:
+def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *, window: float = WINDOW) -> Prediction:
     """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others.
 
     Example:
@@ -130,62 +127,6 @@ def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *,
         all_predicted,
         all_held,
     )
-
-
-def held_out(log: MotionLog, start: Vehicle, *, share: float = HELD_OUT, window: float = _WINDOW) -> Prediction | None:
-    """Predict the last part of a log with a vehicle that is fitted to the part before; None if the log is too short.
-
-    Args:
-        log: the log.
-        start: vehicle with the initial values of the fit.
-        share: share of the time that is predicted.
-        window: length of the windows [s].
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.vehicle import MotionLog, held_out, load_vehicle
-        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
-        >>> held_out(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat) is None
-        True
-    """
-    predictions = held_out_windows(log, start, [window], share=share)
-    return predictions[0] if predictions else None
-
-
-def held_out_windows(
-    log: MotionLog, start: Vehicle, windows: Sequence[float], *, share: float = HELD_OUT
-) -> tuple[Prediction, ...]:
-    """Predict the last part of a log over windows of several lengths with one fit to the part before.
-
-    Lengths for which the log has no window are omitted.
-
-    Args:
-        log: the log.
-        start: vehicle with the initial values of the fit.
-        windows: lengths of the windows [s].
-        share: share of the time that is predicted.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.vehicle import MotionLog, held_out_windows, load_vehicle
-        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
-        >>> held_out_windows(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat, [1.0, 5.0])
-        ()
-    """
-    cut = int(np.searchsorted(log.time, log.time[0] + (1.0 - share) * (log.time[-1] - log.time[0])))
-    results = []
-    try:
-        parts = [
-            MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
-            for rows in (slice(0, cut), slice(cut, len(log.time)))
-        ]
-        fitted = identify(parts[0], start, name=start.name).vehicle
-    except InputError:  # one part is too short, or has no motion
-        return ()
-    for window in windows:
-        with suppress(InputError):  # no part of the log is so long
-            results.append(predict(parts[1], fitted, window=window))
-    return tuple(results)
 
 
 def _before(log: MotionLog) -> float:

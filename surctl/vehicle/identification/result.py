@@ -26,7 +26,7 @@ class Identified:
         start: the vehicle whose parameters are the initial values of the fit.
         estimates: for every fitted parameter by name, and for the constant force (X0, Y0, Z0, N0), the estimate and
             half the width of its 95 % interval, with all parameters free. An estimate of drag may be negative.
-        identified: names of the parameters whose 95 % interval is sufficiently narrow.
+        identified: names of the parameters whose 95 % interval is sufficiently narrow, without those held.
         held: names of the parameters that have the value of `start` in `vehicle`; a constant force that `start` does
             not have is 0.
         zeroed: names of the drag parameters that are 0 in `vehicle` because their estimates are negative.
