@@ -31,6 +31,7 @@ from surctl.export.gain_ranges import gain_orders
 from surctl.export.gain_store import gains_id, stored_gains
 from surctl.export.process import compile_controller
 from surctl.export.records import Records
+from surctl.export.trial import trial_steps
 from surctl.ir import Real, compile_program
 from surctl.simulation import law_numbers, load_scenario
 from tests.export.closed_form import vehicle
@@ -247,4 +248,8 @@ def test_gains_that_contradict_each_other_are_refused_in_c_and_in_python(tmp_pat
     assert list(bundle.envelope.refusals(records)) == [0, RANGE, RANGE]
     with pytest.raises(InputError, match=r"is below 0\.\d+, which it must not be"):
         build_bundle(law, law.gains.unpack(P[2]), envelope=bundle.envelope)
+    level = P[:1].copy()
+    level[0, cap] = level[0, cruise]  # varied by 10 %, half of these would contradict each other
+    varied = trial_steps(law, [Records(records.X[:1], records.U[:1], level)], 640, within=bundle.envelope).P
+    assert all((varied[:, low] <= varied[:, high]).all() for low, high in bundle.envelope.orders)
     assert gain_orders(law.gains, P[2]) == bundle.envelope.orders[:2]  # what the tuned gains break is not demanded
