@@ -33,7 +33,7 @@ def mujoco_library() -> ModuleType:
     """
     from surctl.engine.renderer import choose_renderer, wrong_renderer
 
-    given = os.environ.get("MUJOCO_GL", "")
+    renderer = os.environ.get("MUJOCO_GL", "")
     choose_renderer()
     try:
         import mujoco
@@ -42,8 +42,8 @@ def mujoco_library() -> ModuleType:
     except Exception as error:  # MuJoCo and PyOpenGL raise errors of many classes
         if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
             problem, remedy = "needs MuJoCo, which is not installed", "pip install 'surctl[mujoco]'"
-        elif given and "mujoco" not in sys.modules:
-            raise wrong_renderer(given, str(error)) from None
+        elif renderer and "mujoco" not in sys.modules:
+            raise wrong_renderer(renderer, str(error)) from None
         else:
             problem = f"the installation of mujoco is broken ({error})"
             remedy = "reinstall it: pip install --force-reinstall mujoco"

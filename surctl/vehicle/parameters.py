@@ -120,7 +120,7 @@ class Vehicle:
     @property
     def thrust_range(self) -> NDArray[np.float64]:
         """Least and largest thrust (2, 4) in surge, sway, heave [N] and yaw [N m]; the least thrust is at most 0."""
-        return self._both_ways(np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")]))
+        return self._with_reverse(np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")]))
 
     @property
     def thrust_bound(self) -> NDArray[np.float64]:
@@ -185,9 +185,9 @@ class Vehicle:
     @property
     def delivered_range(self) -> NDArray[np.float64]:
         """Least and largest thrust (2, 4) that the plant accepts: `delivered_limit`, and the stated thrust astern."""
-        return self._both_ways(self.delivered_limit)
+        return self._with_reverse(self.delivered_limit)
 
-    def _both_ways(self, ahead: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _with_reverse(self, ahead: NDArray[np.float64]) -> NDArray[np.float64]:
         astern = ahead.copy()
         for axis, name in self.form.reverse():
             astern[axis] = self[name]

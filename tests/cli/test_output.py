@@ -3,6 +3,7 @@
 import json
 import math
 from types import SimpleNamespace
+from typing import Any
 
 from surctl.cli.output import finite
 from surctl.cli.single_run import activity_line
@@ -20,11 +21,12 @@ def test_a_variation_within_rounding_is_0() -> None:
     names += "wasted_impulse_n_s wasted_share variation_surge_n_per_s variation_sway_n_per_s "
     metrics = dict.fromkeys((names + "variation_heave_n_per_s variation_yaw_n_m_per_s").split(), 0.0)
     metrics |= {"variation_surge_n_per_s": 1.5, "variation_heave_n_per_s": 1.3e-17}
-    assert "varies by 1.5, 0, 0, 0 (" in activity_line(SimpleNamespace(metrics=SimpleNamespace(**metrics)))
+    run: Any = SimpleNamespace(metrics=SimpleNamespace(**metrics))
+    assert "varies by 1.5, 0, 0, 0 (" in activity_line(run)
 
 
 def test_a_margin_without_bound_is_never_lost() -> None:
-    margin = SimpleNamespace(
+    margin: Any = SimpleNamespace(
         name="heave", gain_margin=2.5, phase_margin_deg=math.inf, delay_margin_s=math.inf, disk_margin=0.9
     )
     assert _margin_line(margin).split() == ["heave", "2.50", *2 * ["never", "lost"], "0.90"]
