@@ -41,9 +41,12 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
         for key, most in stated.items():
             if vehicle[key] > most * (1 + _SLACK) + _SLACK:
                 text = f"the thrusters give at most {most:.4g} {unit} in {word} without other forces, "
-                results.append(
-                    Finding("warning", f"thrust.{key}", f"{text}but {key} is {vehicle[key]:g} {unit}: lower it")
-                )
+                remedy = "lower it"
+                if key == name and reverse not in vehicle.parameters and vehicle[key] <= high * (1 + _SLACK) + _SLACK:
+                    text = f"the thrusters give {high:.4g} {unit} in {word} one way and {-low:.4g} {unit} the other, "
+                    remedy = f'add {reverse} = "{-low:.4g} {unit}"' if low < 0 else "give a thruster a force in reverse"
+                text += f"but {key} is {vehicle[key]:g} {unit}: {remedy}"
+                results.append(Finding("warning", f"thrust.{key}", text))
     share = held_share(vehicle)
     if share < 1 - _SLACK:
         first, *_ = [name for name, _ in vehicle.actuators.levels]

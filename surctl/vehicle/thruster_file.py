@@ -15,7 +15,7 @@ from surctl.files import Quantity, Strict, quoted, validate
 from surctl.vehicle.attainable import Attainable, attainable
 from surctl.vehicle.thrusters import DEFAULT_ORDER, ORDERS, Actuators, Fin, Swivel, Thruster
 
-__all__ = ["axis_ends", "axis_limits", "common_lag", "largest_forces", "read_actuators", "thruster_text"]
+__all__ = ["axis_ends", "axis_limits", "common_lag", "read_actuators", "thruster_text"]
 
 _MOST = 16
 _AXES = ("surge", "sway", "heave", "yaw")
@@ -114,15 +114,6 @@ def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) ->
     return lag
 
 
-def largest_forces(actuators: Actuators) -> Mapping[str, float]:
-    """Return `Fu_max`, `Fv_max`, `Fw_max` [N] and `Fr_max` [N m]: the largest value on each axis alone.
-
-    All other axes are 0 meanwhile, and the force is available in both directions. Fins count in yaw only, with their
-    forces at 1 m/s (`axis_limits`).
-    """
-    return dict(zip(_LIMITS, axis_limits(actuators, 1.0).tolist(), strict=True))
-
-
 def axis_limits(actuators: Actuators, speed: float) -> NDArray[np.float64]:
     """Return the largest value (4,) [N, N m] on each axis alone, in both directions, at a forward speed [m/s].
 
@@ -163,7 +154,6 @@ def _alone(forces: Attainable, shares: NDArray[np.float64]) -> NDArray[np.float6
     return ends
 
 
-_LIMITS = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
 _YAW = 3
 
 
