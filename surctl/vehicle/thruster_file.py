@@ -22,6 +22,7 @@ _AXES = ("surge", "sway", "heave", "yaw")
 _UNIT = 0.01  # allowed error of the length of a unit vector, because files round its entries
 _FORM = 'write "44 N"'
 _LIFT = "N s^2/m^2"
+_LARGEST, _FARTHEST = 1e9, 1e6  # [N] of any thruster, [m]
 _STALL = 45.0  # [deg] beyond it no blade has lift in proportion to its deflection
 
 
@@ -195,6 +196,9 @@ def _thruster(table: _ThrusterTable, *, names: Sequence[str]) -> Thruster:
         raise InputError("names two thrusters", key="name", value=table.name, remedy="rename one of them")
     if not table.name.isprintable() or set(table.name) & set(":,= "):
         raise InputError("is not a name", key="name", value=table.name, remedy="use letters and digits, such as T1")
+    if not max(map(abs, table.at_m)) <= _FARTHEST:
+        problem = f"must be finite and within {_FARTHEST:g} m"
+        raise InputError(problem, key="at_m", value=list(table.at_m), remedy="give the place in m")
     direction = _unit(table.direction, "push")
     if table.fin is not None:
         return _finned(table, table.fin, direction)
@@ -229,6 +233,8 @@ def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float
         lift = fin.lift.within(_LIFT).value
     except InputError as error:
         raise error.inside(None, "fin.lift") from None
+    if not lift <= _LARGEST:
+        raise InputError(f"must be at most {_LARGEST:g} {_LIFT}", key="fin.lift", value=lift, remedy="correct it")
     if lift <= 0:
         remedy = "give the force per (m/s)^2 and rad, and turn `push` round if it is negative"
         raise InputError("pushes nowhere: it must be greater than 0", key="fin.lift", value=lift, remedy=remedy)
@@ -250,9 +256,12 @@ def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float
 
 def _newtons(quantity: Quantity, key: str) -> float:
     try:
-        return quantity.within("N").value
+        force = quantity.within("N").value
     except InputError as error:
         raise error.inside(None, key) from None
+    if not abs(force) <= _LARGEST:
+        raise InputError(f"must be at most {_LARGEST:g} N", key=key, value=force, remedy="correct it")
+    return force
 
 
 def _unit(vector: tuple[float, float, float], key: str) -> tuple[float, float, float]:

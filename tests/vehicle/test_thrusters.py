@@ -245,6 +245,13 @@ def test_a_boat_has_the_limits_ahead_and_astern_of_its_propellers(tmp_path: Path
             "screw leaves the craft no force astern.*give screw",
         ),
         ((LEFT | {"reverse": '"0 N"'}, RIGHT | {"reverse": '"0 N"'}), "thruster.0.reverse", "left .*give left a force"),
+        (
+            (SCREW, RUDDER | {"fin": '{ lift = "1e300 N s^2/m^2", limit_deg = 30 }'}),
+            "thruster.1.fin.lift",
+            "at most 1e",
+        ),
+        ((SCREW | {"forward": '"1e308 N"'}, RUDDER), "thruster.0.forward", "at most 1e"),
+        ((SCREW | {"at_m": "[1e300, 0.0, 0.0]"}, RUDDER), "thruster.0.at_m", "within 1e"),
         ((SCREW,), "thruster.0.at_m", "screw gives no yaw moment; .*rudder at x != 0"),
         ((RUDDER,), "thruster", "no thruster pushes ahead; add a"),
         (
@@ -260,3 +267,21 @@ def test_thrusters_without_surge_or_yaw_are_named(
     with pytest.raises(InputError, match=says) as raised:
         _read(tmp_path, *tables, base=BARE)
     assert raised.value.key == key
+
+
+def test_numbers_in_another_unit_are_found(tmp_path: Path) -> None:
+    blade = {"fin": '{ lift = "75 N s^2/m^2", limit_deg = 0.5236 }', "at_m": "[-1050.0, 0.0, 0.0]"}
+    far, radians, *_ = thruster_findings(
+        _read(tmp_path, SCREW | {"at_m": "[-0.7, 0.0, 0.0]"}, RUDDER | blade, base=BARE)
+    )
+    assert far.level == "warning" and far.key == "thruster.rudder.at_m" and "beyond 3 hull radii" in far.text
+    assert radians.key == "thruster.rudder.fin.limit_deg" and "looks like radians: 30°?" in radians.text
+
+
+@pytest.mark.parametrize("name", [r"two\nlines", r"a \"b\""])
+def test_a_vehicle_s_name_has_no_quotes_or_control_characters(name: str, tmp_path: Path) -> None:
+    old = f'name = "{load_vehicle("bluerov2-vonbenzon").name}"'
+    assert old in BASE
+    with pytest.raises(InputError, match="is not a name") as raised:
+        _read(tmp_path, base=BASE.replace(old, f'name = "{name}"'))
+    assert raised.value.key == "name"
