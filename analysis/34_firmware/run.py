@@ -64,6 +64,9 @@ def hostile(p: Vector, within: Envelope, count: int, rng: np.random.Generator) -
     low, high = within.gains.T
     share = rng.choice([0.0, 1.0, 0.5], P[kind == 4].shape)
     P[kind == 4] = np.clip(low + share * (high - low), low, high)
+    obeying = np.flatnonzero(kind == 4)[::2]  # half of the corners also obey the orders between gains
+    for pair in within.orders:
+        P[np.ix_(obeying, pair)] = np.sort(P[np.ix_(obeying, pair)], axis=1)
     return P
 
 
@@ -257,7 +260,7 @@ def main() -> int:
     tried, every = (1_000, 12) if chosen.quick else (3_000, 1)
     lines, bad = [], 0
     bundle, within, p = flown()
-    loose = replace(within, gains=np.tile([-1e308, 1e308], (p.size, 1)))
+    loose = replace(within, gains=np.tile([-1e308, 1e308], (p.size, 1)), orders=())
     unchecked = build_bundle(build_law("closed_form"), build_law("closed_form").gains.unpack(p), envelope=loose)
     P = hostile(p, within, count, np.random.default_rng(0))
     head = (

@@ -163,6 +163,15 @@ def _check_gains(law: Exportable, p: Vector, within: Envelope) -> None:
             value=float(p[at]),
             remedy="change the gain, or widen the range of the envelope",
         )
+    for low, high in within.orders:
+        if p[low] > p[high]:
+            port = next(port for port in law.gains if high < law.gains.slice(port.name).stop)
+            raise InputError(
+                f"is below {float(p[low])!r}, which it must not be",
+                key=port.name,
+                value=float(p[high]),
+                remedy="change the gain, or remove this order from the envelope",
+            )
 
 
 def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,7 @@ class Envelope:
         reasons: for each bounded quantity, where its bounds come from; printed in the C header.
         commands: array (m, 2) with the least and the largest value of each command; the exported step limits its
             commands to these, whatever the gains are. None sets no limit besides those of the law.
+        orders: pairs of indices of gains; the first gain of a pair must not be larger than the second.
     """
 
     state: Vector
@@ -67,6 +68,7 @@ class Envelope:
     rates: tuple[Rate, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
     commands: Vector | None = None
+    orders: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         """Raise InputError for an empty range, or for a rate of an input that does not exist."""
@@ -76,6 +78,8 @@ class Envelope:
                 raise InputError("is not an array (n, 2) of smallest and largest values", key=f"envelope.{name}")
         if any(not 0 <= rate.entry < len(self.inputs) for rate in self.rates):
             raise InputError("has a rate of an input that does not exist", key="envelope.rates")
+        if any(not 0 <= at < len(self.gains) for pair in self.orders for at in pair):
+            raise InputError("orders a gain that does not exist", key="envelope.orders")
 
     def fitted(self, law: Exportable, real: Real) -> Envelope:
         """Return the envelope with bounds rounded to `real`; InputError if its arrays do not fit the law's vectors."""
@@ -87,7 +91,7 @@ class Envelope:
                 raise InputError(f"has {len(box)} entries, but the law has {size}", key=f"envelope.{name}")
             parts.append(np.clip(box, -largest, largest).astype(real).astype(np.float64))
         state, inputs, gains, *limits = parts
-        return Envelope(state, inputs, gains, self.rates, self.reasons, limits[0] if limits else None)
+        return replace(self, state=state, inputs=inputs, gains=gains, commands=limits[0] if limits else None)
 
     def limited(self, rows: Rows) -> Rows:
         """Return the results with commands limited to `commands`; a step whose command changes reports `SATURATED`."""
@@ -104,6 +108,8 @@ class Envelope:
         box = np.vstack([self.state, self.inputs, self.gains])
         with np.errstate(invalid="ignore"):
             inside = ((rows >= box[:, 0]) & (rows <= box[:, 1])).all(axis=1)
+            for low, high in self.orders:
+                inside &= records.P[:, low] <= records.P[:, high]
         return np.where(inside, 0, np.where(np.isfinite(rows).all(axis=1), RANGE, NONFINITE))
 
     def jumped(self, u: Vector, before: Vector, gap: int, *, dt: float, real: Real) -> bool:

@@ -13,12 +13,14 @@ from surctl.ir import Layout
 from surctl.simulation import Scenario
 from surctl.vehicle import Vehicle
 
-__all__ = ["RANGE_REASON", "box_of", "gain_ranges"]
+__all__ = ["ORDER_REASON", "RANGE_REASON", "box_of", "gain_orders", "gain_ranges"]
 
 Vector = NDArray[np.float64]
 Box = Mapping[str, list[tuple[float, float]]]
 
 RANGE_REASON = "sign and unit; feedback gains up to 1/period; 0.5 to 2 times the vehicle's numbers; places in the site"
+
+ORDER_REASON = "each wall's minimum is at most its maximum, and `cruise` at most `cap`"
 
 _LEAST = 1e-3  # least value of a gain that must be greater than 0
 _WIDE = 10.0  # a gain without another bound may be this many times its default
@@ -48,6 +50,17 @@ def gain_ranges(
     if tuned is not None and gains.size:
         box = np.column_stack([np.minimum(box[:, 0], tuned), np.maximum(box[:, 1], tuned)])
     return box
+
+
+def gain_orders(gains: Layout, tuned: Vector | None = None) -> tuple[tuple[int, int], ...]:
+    """Return pairs of indices of gains of which the first must not be larger; only pairs that `tuned` (np,) obeys."""
+    pairs = []
+    if "walls" in gains:
+        first = gains.slice("walls").start
+        pairs += [(first, first + 1), (first + 2, first + 3)]
+    if "cruise" in gains and "cap" in gains:
+        pairs.append((gains.slice("cruise").start, gains.slice("cap").start))
+    return tuple(pair for pair in pairs if tuned is None or tuned[pair[0]] <= tuned[pair[1]])
 
 
 def box_of(layout: Layout, known: Box) -> Vector:

@@ -22,6 +22,7 @@ __all__ = [
     "keep_lines",
     "limit_lines",
     "number_calls",
+    "order_lines",
     "range_text",
 ]
 
@@ -151,6 +152,15 @@ def limit_lines(members: Sequence[str], box: Vector | None, real: Real) -> list[
         if max(-float(low), float(high)) < float(np.finfo(real).max):
             lines.append(f"limited |= limit(&{member}, {_bound(float(low), real)}, {_bound(float(high), real)});")
     return lines
+
+
+def order_lines(layout: Layout, envelope: Envelope) -> list[str]:
+    """Return C lines that end their function with the index, from 1, of a gain that is less than it may be."""
+    members = [member for member, _ in entries(layout)]
+    return [
+        f"if (!(gains->{members[low]} <= gains->{members[high]})) {{ return {high + 1}; }}"
+        for low, high in envelope.orders
+    ]
 
 
 def number_calls(layout: Layout, struct: str) -> list[str]:

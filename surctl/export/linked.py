@@ -255,8 +255,10 @@ class LinkedLaw:
         P = np.tile(rounded(self.gains, self.real), (len(X), 1))
         law: Exportable = Rounded(self.shipped, self.real)
         if self.envelope is not None:
-            gains = self.envelope.gains if self.gains.size else np.zeros((0, 2))
-            law = Guarded(law, replace(self.envelope, gains=gains).fitted(self.shipped, self.real), self.real)
+            within = self.envelope
+            if not self.gains.size:
+                within = replace(within, gains=np.zeros((0, 2)), orders=())
+            law = Guarded(law, within.fitted(self.shipped, self.real), self.real)
         counts = np.array([row[3] for row in self._log])
         rows = replayed(law, Records(X, U, P), counts < 0, counts=counts)
         mine = np.hstack([rows.tau, rows.state, rows.telemetry]).astype(self.real)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surctl.control import Law
 from surctl.export.envelope import Envelope, Rate
-from surctl.export.gain_ranges import RANGE_REASON, box_of, gain_ranges
+from surctl.export.gain_ranges import ORDER_REASON, RANGE_REASON, box_of, gain_orders, gain_ranges
 from surctl.ir import Layout
 from surctl.simulation import Scenario
 from surctl.vehicle import Vehicle
@@ -75,6 +75,7 @@ def operating_envelope(
     }
     along = mission.path.length
     most = _integral(vehicle, fast)
+    orders = gain_orders(gains, tuned)
     state: Mapping[str, list[tuple[float, float]]] = {
         "progress": [(0.0, along + 0.01)],
         "integral": [(-v, v) for v in most],
@@ -90,8 +91,10 @@ def operating_envelope(
             "ranges of velocity": f"{_SAFETY:g} times the largest speed of {vehicle.name}, and {_WATER:g} for currents",
             "jumps": "largest velocities, and the noise of two measurements",
             **({"ranges of gains": RANGE_REASON, "limits of thrust": f"those of {vehicle.name}"} if gains.size else {}),
+            **({"order of gains": ORDER_REASON} if orders else {}),
         },
         _limits(vehicle) if gains.size else None,
+        orders,
     )
 
 

@@ -35,6 +35,7 @@ from surctl.export.guard_text import (
     keep_lines,
     limit_lines,
     number_calls,
+    order_lines,
     range_text,
 )
 from surctl.export.missions import DATA, MISSION_FILES, data_rows, is_fed, mission_values
@@ -306,6 +307,7 @@ def _guard(law: Exportable, within: Envelope, real: Real) -> dict[str, Any]:
             for call in number_calls(layout, struct)
         ],
         "limits": limit_lines(_thrusts(law), within.commands, real),
+        "orders": order_lines(law.gains, within),
         "stored": keep_lines(law.inputs, within),
         "jumps": jump_lines(law.inputs, within, law.dt, real),
         "watched": [(k, inputs[rate.entry][0], rate) for k, rate in enumerate(within.rates)],
@@ -342,9 +344,10 @@ def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
     other = law.inputs.size + law.gains.size + law.outputs.size
     arrays = 0 if isinstance(law.block, Program) else memory(law.block) - 2 * law.state.size
     held = {"state": 2 * law.state.size + len(within.rates), "structs": other, "arrays": arrays}
-    # besides these numbers, the input has one counter (the sample), and the state five or six
+    # the input has one counter (the sample), the state five or six; a struct's size is a multiple of `width`
     counters = 6 if any(port.gap != "keep" for port in law.state) else 5
-    return {what: width * count + {"state": 4 * counters, "structs": 4}.get(what, 0) for what, count in held.items()}
+    padded = {"state": -(-4 * counters // width) * width, "structs": width}
+    return {what: width * count + padded.get(what, 0) for what, count in held.items()}
 
 
 def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:

@@ -85,6 +85,8 @@ def trial_steps(
     gains *= np.repeat(factors, _TURNS, axis=0)[:count]
     if within is not None:
         gains = np.clip(gains, within.gains[:, 0], within.gains[:, 1])
+        for pair in within.orders:
+            gains[:, pair] = np.sort(gains[:, pair], axis=1)
     return Records(rows[:, : X.shape[1]], rows[:, X.shape[1] :], gains)
 
 

@@ -166,7 +166,7 @@ def test_float32_on_its_own_state_is_the_replay(tmp_path: Path) -> None:
     assert "double" not in re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL)
     texts = [file.read_text() for file in sorted((tmp_path / "b").glob("standin*.c"))]
     source = re.sub(r"/\*.*?\*/", "", "".join(texts), flags=re.DOTALL)
-    assert len(texts) == 3
+    assert len(texts) == 4
     assert "double" not in source and not re.search(r"\b\d+\.\d+(?!\d*[ef.p])", source)
 
 

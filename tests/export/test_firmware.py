@@ -74,7 +74,8 @@ void board_log(const surctl_closed_form_input_t *input, int status, const surctl
 {
     (void)output; (void)printf("%d %lu ", status, (unsigned long)input->sample);
 }
-size_t board_stored(unsigned char *bytes, size_t room) { (void)bytes; (void)room; return 0; }
+size_t board_stored(unsigned char *bytes, size_t room) { (void)room; bytes[0] = 0; return 5; }
+void board_gains(int result) { (void)fprintf(stderr, "gains %d", result); }
 """
 
 
@@ -82,6 +83,7 @@ def test_the_example_reacts_to_each_status(folder: Path) -> None:
     (folder / "board_test.c").write_text(BOARD)
     program = build("gcc", folder, ["main_example.c", "board_test.c", *code(guarded()[1])], "scripted")
     done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr == "gains -11"  # stored bytes of another length are reported, not ignored
     first, *rest = done.stdout.split(" ", 1)
     assert first == "0"  # before anything, the actuators are off
     rows = [line.split() for line in rest[0].splitlines()]
@@ -187,10 +189,11 @@ def test_the_smallest_bundle_has_an_example_too(tmp_path: Path) -> None:
 
 
 def test_the_readme_says_where_every_input_comes_from_and_what_every_status_demands() -> None:
-    mission, robot = load_scenario("tank-static"), load_vehicle("sur540-flooded")
-    sensors = mission.sensors.on(robot["radius"])
+    mission, robot = load_scenario("tank-static"), load_vehicle("sur400")
+    sensors = mission.sensors.equipment  # of another hull: the places are those of this vehicle
     law = build_law(sonar=True, equipment=sensors)
-    readme = build_bundle(law, {}, origin=origin_of(law, robot, equipment=sensors)).files["README.md"]
+    files = build_bundle(law, {}, origin=origin_of(law, robot, equipment=sensors)).files
+    readme = files["README.md"]
     wiring = readme.split("## Wiring")[1].split("## Gains")[0]
     for port in law.inputs:
         row = re.search(rf"\| `input\.{port.name}` \| (.*) \|", wiring)
@@ -200,8 +203,16 @@ def test_the_readme_says_where_every_input_comes_from_and_what_every_status_dema
     for words in (
         "A row is one echo",
         "Without an echo, every column is 4.5, not 0",
-        "Origin of the ranges: at the sonar's place on the hull",
-        "0: 0°, 1: 90°, 2: 180°, 3: -90°",
+        "Origin of the ranges: the sonar's place on the hull",
+        "0: (0.2, 0) m, axis 0°; 1: (0, 0.2) m, axis 90°; 2: (-0.2, 0) m, axis 180°; 3: (0, -0.2) m, axis -90°",
+        "fix 10 mm on each axis, yaw 0.01 rad, yaw rate 0.005 rad/s. Larger noise is not covered",
+        "position of the hull's centre",
+        "within about 30°) are not covered",
+        "has not arrived: keep the old number, with flag 0",
+        "the robot coasts",
+        "switch the thrusters off when it is above",
+        "The robot has arrived when",
+        "is refused 10 times",
         "one sonar every 0.025 s in the order 0, 1, 2, 3",
         "Fixes: every 0.1 s, 0.1 s old when they arrive",
         "Messages with moving obstacles: every 0.1 s, 0.1 s old",
@@ -213,6 +224,10 @@ def test_the_readme_says_where_every_input_comes_from_and_what_every_status_dema
     ):
         assert words in wiring, words
     assert "memset(&input, 0, sizeof input);" in readme
+    for file in ("main_example.c", "arduino_example.ino"):  # a refused step keeps what arrived, but not for long
+        cleared = files[file].split("if ((status >= 0) || (refused >= ")[1]
+        assert all(f"input.{flag} = 0.0;" in cleared for flag in ("fix_fresh", "contacts_fresh", "fresh[k]"))
+    assert 'FLAGS = ["fix_fresh", "contacts_fresh", "fresh"]' in files["surctl_guarded.py"]
 
 
 def test_a_module_of_whole_centimetres_with_one_number_a_firing_is_wired_as_such() -> None:

@@ -27,9 +27,11 @@ from surctl.export import (
 )
 from surctl.export.contract import Exportable
 from surctl.export.envelope import RANGE
+from surctl.export.gain_ranges import gain_orders
 from surctl.export.gain_store import gains_id, stored_gains
 from surctl.export.process import compile_controller
 from surctl.export.records import Records
+from surctl.export.trial import trial_steps
 from surctl.ir import Real, compile_program
 from surctl.simulation import law_numbers, load_scenario
 from tests.export.closed_form import vehicle
@@ -206,3 +208,48 @@ def test_the_manifest_binds_law_and_gains() -> None:
     assert read_manifest(table).wrong == ()
     table["gains"]["id"] = "00000000"
     assert read_manifest(table).wrong == ("the stated id of law and gains is wrong",)
+
+
+ORDERS = """#include "surctl_closed_form.h"
+#include <stdio.h>
+int main(void)
+{
+    static surctl_closed_form_state_t s; static surctl_closed_form_gains_t g, kept;
+    static surctl_closed_form_input_t u; static surctl_closed_form_output_t out;
+    (void)printf("%lu %lu", (unsigned long)sizeof s, (unsigned long)(sizeof g + sizeof u + sizeof out));
+    (void)surctl_closed_form_initialize(&s, &kept);
+    if (surctl_closed_form_gains_check(&kept) != 0) { return 1; }
+    g = kept; g.walls[0] = kept.walls[1]; g.walls[1] = kept.walls[0];
+    if (surctl_closed_form_gains_check(&g) != surctl_closed_form_gain_walls + 1) { return 2; }
+    u.sample = 1; u.eta[0] = 1.0; u.eta[1] = 1.0; u.eta[2] = -0.2;
+    if (surctl_closed_form_step(&s, &g, &u, &out) != SURCTL_CLOSED_FORM_STATUS_RANGE) { return 3; }
+    g = kept; g.cap = 0.5 * kept.cruise;
+    if (surctl_closed_form_gains_check(&g) != surctl_closed_form_gain_cap) { return 4; }
+    return (surctl_closed_form_step(&s, &kept, &u, &out) < 0) ? 5 : 0;
+}
+"""
+
+
+def test_gains_that_contradict_each_other_are_refused_in_c_and_in_python(tmp_path: Path) -> None:
+    need_compiler()
+    law, bundle, p = guarded()
+    done = run_main(ORDERS, bundle, tmp_path)
+    assert done.returncode == 0
+    state, structs = done.stdout.decode().split()  # with padding
+    assert f"RAM: {state} bytes in the state struct" in bundle.files["README.md"]
+    assert f"the state unchanged), {structs} bytes in the caller's other structs" in bundle.files["README.md"]
+    walls, cap, cruise = (law.gains.slice(name).start for name in ("walls", "cap", "cruise"))
+    P = np.tile(p, (3, 1))
+    P[1, [walls, walls + 1]] = p[[walls + 1, walls]]
+    P[2, cap] = 0.5 * p[cruise]
+    assert bundle.envelope is not None and len(bundle.envelope.orders) == 3
+    u = law.inputs.pack({"eta": [1.0, 1.0, -0.2, 0.0]})
+    records = Records(np.tile(law.initial_state(), (3, 1)), np.tile(u, (3, 1)), P)
+    assert list(bundle.envelope.refusals(records)) == [0, RANGE, RANGE]
+    with pytest.raises(InputError, match=r"is below 0\.\d+, which it must not be"):
+        build_bundle(law, law.gains.unpack(P[2]), envelope=bundle.envelope)
+    level = P[:1].copy()
+    level[0, cap] = level[0, cruise]  # varied by 10 %, half of these would contradict each other
+    varied = trial_steps(law, [Records(records.X[:1], records.U[:1], level)], 640, within=bundle.envelope).P
+    assert all((varied[:, low] <= varied[:, high]).all() for low, high in bundle.envelope.orders)
+    assert gain_orders(law.gains, P[2]) == bundle.envelope.orders[:2]  # what the tuned gains break is not demanded

@@ -37,8 +37,12 @@ def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle() -> None:
 @pytest.mark.parametrize(
     ("pattern", "new", "kind"),
     [
-        (r"max_of\((v\d+), v\d+\)", r"\1", "division_by_zero|is_nan_or_infinite"),  # a quotient's floor
-        (r"min_of\(max_of\((v\d+), -5\.0f\), 5\.0f\)", r"max_of(\1, -5.0f)", "assertion"),  # a limit of the thrust
+        (r"\w+max_of\((v\d+), v\d+\)", r"\1", "division_by_zero|is_nan_or_infinite"),  # a quotient's floor
+        (
+            r"\w+min_of\((\w+)max_of\((v\d+), -5\.0f\), 5\.0f\)",
+            r"\1max_of(\2, -5.0f)",
+            "assertion",
+        ),  # a limit of the thrust
         (r"if \(!\(fabsf\(input->eta\[3\]\) <= 1000\.0f\)\) \{ return 0; \}", "", "is_nan_or_infinite|overflow"),
     ],
 )
@@ -71,7 +75,7 @@ def test_a_law_that_searches_and_remembers_is_proved_as_a_whole() -> None:
     ("pattern", "new", "kind"),
     [
         (r" \|\| !\(tau\[0\] == tau\[0\]\)", "", "assertion"),  # a thrust that is no number gets out
-        (r"min_of\(max_of\((v\d+), -5\.0f\), 5\.0f\)", r"max_of(\1, -5.0f)", "assertion"),
+        (r"\w+min_of\((\w+)max_of\((v\d+), -5\.0f\), 5\.0f\)", r"\1max_of(\2, -5.0f)", "assertion"),
         (r"piece = (in\d+) \+ 4U \* at;", r"piece = \1 + 4U * (at + 1U);", "mem_access"),  # a row beyond the last
         (r"for \(int i = 0; \(i < 9\); \+\+i\) \{", "for (int i = 0; (i < 8); ++i) {", "initialization"),
     ],
@@ -86,7 +90,7 @@ def test_what_is_wrong_in_a_law_that_searches_is_told(pattern: str, new: str, ki
 def test_a_guard_that_lets_nothing_in_proves_nothing() -> None:
     need("frama-c")
     law, bundle, _ = exported("float32")
-    shut = altered(bundle, r"(static int inside\([^{]*\{)", r"\1\n    return 0;")
+    shut = altered(bundle, r"(static int \w+inside\([^{]*\{)", r"\1\n    return 0;")
     report = prove_bundle(law, shut, vehicle().thrust_limit)
     assert not report.alarms and not report.accepts and not report.proved
     assert "the guard accepts no step" in report.summary()
