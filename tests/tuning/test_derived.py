@@ -135,3 +135,8 @@ def test_a_cruise_beyond_the_symmetric_limit_of_the_law_is_told_before_any_margi
     assert finding.level == "error" and "otter needs 155 N ahead; the law gives at most 133 N" in finding.text
     with pytest.raises(InputError, match=r"needs 155 N ahead.*by otter; lower it or raise Fu_reverse"):
         check_held((2.0,), otter, cap=3.0, key="--cruise")
+
+
+def test_the_speed_that_a_rudder_craft_bears_does_not_hang_on_the_speed_asked_for() -> None:
+    # asked for 0.8, 0.87 or 1 m/s, the same craft bears 0.564 to 0.566 m/s
+    assert derive_gains(load_vehicle("remus100"), cruise=0.7).bearable == pytest.approx(0.565, rel=0.005)
