@@ -44,8 +44,8 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
             if vehicle[key] > most * (1 + _SLACK) + _SLACK:
                 text = f"the thrusters give at most {most:.4g} {unit} in {word} without other forces, "
                 remedy = "lower it"
-                one_way = key == name and reverse not in vehicle.parameters and vehicle["Fv_max"] == 0
-                if one_way and vehicle[key] <= high * (1 + _SLACK) + _SLACK:
+                uneven = key == name and reverse not in vehicle.parameters and vehicle["Fv_max"] == 0
+                if uneven and vehicle[key] <= high * (1 + _SLACK) + _SLACK:
                     text = f"the thrusters give {high:.4g} {unit} in {word} one way and {-low:.4g} {unit} the other, "
                     remedy = f'add {reverse} = "{-low:.4g} {unit}"' if low < 0 else "give a thruster a force in reverse"
                 text += f"but {key} is {vehicle[key]:g} {unit}: {remedy}"

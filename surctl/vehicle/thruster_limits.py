@@ -32,15 +32,15 @@ def largest_forces(actuators: Actuators, *, stated: Container[str], source: str)
         InputError: the thrusters give no surge force or no yaw moment; the message names a thruster and the remedy.
     """
     ends = axis_ends(actuators, 1.0)
-    found = dict(zip(_NAMES, np.minimum(-ends[:, 0], ends[:, 1]).tolist(), strict=True))
+    limits = dict(zip(_NAMES, np.minimum(-ends[:, 0], ends[:, 1]).tolist(), strict=True))
     astern, ahead = (-ends[0, 0]).item(), ends[0, 1].item()
     if "Fu_max" not in stated:
         _check_surge(actuators, astern, ahead, source)
-        if found["Fv_max"] == 0 and astern < ahead:
-            found |= {"Fu_max": ahead, "Fu_reverse": astern}
-    if "Fr_max" not in stated and found["Fr_max"] <= 0:
+        if limits["Fv_max"] == 0 and astern < ahead:
+            limits |= {"Fu_max": ahead, "Fu_reverse": astern}
+    if "Fr_max" not in stated and limits["Fr_max"] <= 0:
         raise _no_yaw(actuators, source)
-    return {name: value for name, value in found.items() if name not in stated}
+    return {name: value for name, value in limits.items() if name not in stated}
 
 
 def _check_surge(actuators: Actuators, astern: float, ahead: float, source: str) -> None:
