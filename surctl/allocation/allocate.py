@@ -35,7 +35,8 @@ class Allocation:
         angles: joint angle [rad] of each swivelling thruster by name.
         roll, pitch: moments [N m] of all thrusters, which the allocation does not control.
         gave_up: distance between desired and achieved value of each level that is not reached [N, N m].
-        binding: for each such level, the thrusters whose limits prevent it.
+        binding: for each such level, the thrusters whose limits or failure prevent it.
+        failed: names of the thrusters that give no force.
     """
 
     actuators: Actuators
@@ -48,16 +49,19 @@ class Allocation:
     pitch: float
     gave_up: Mapping[str, float]
     binding: Mapping[str, tuple[str, ...]]
+    failed: tuple[str, ...] = ()
 
     def explain(self) -> str:
         """Return a sentence for each level that gave something up."""
         lines = []
         for level, missed in self.gave_up.items():
             unit = "N m" if level == "yaw" else "N"
-            names = [f"`{name}`" for name in self.binding[level]]
-            listed = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-            why = f"because {listed} {'bind' if len(names) > 1 else 'binds'}"
-            lines.append(f"`{level}` gave up {missed:.4g} {unit} {why if names else 'for lack of thrusters'}.")
+            lost = [name for name in self.binding[level] if name in self.failed]
+            names = [name for name in self.binding[level] if name not in self.failed]
+            causes = [f"{_listed(lost)} failed"] if lost else []
+            causes += [f"{_listed(names)} {'bind' if len(names) > 1 else 'binds'}"] if names else []
+            why = f"because {' and '.join(causes)}" if causes else "for lack of thrusters"
+            lines.append(f"`{level}` gave up {missed:.4g} {unit} {why}.")
         return " ".join(lines) or "Every level is reached."
 
 
@@ -103,7 +107,13 @@ def allocate(actuators: Actuators, wrench: ArrayLike, *, failed: Sequence[str] =
         pitch=pitch,
         gave_up=gave_up,
         binding=binding,
+        failed=tuple(failed),
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    quoted = [f"`{name}`" for name in names]
+    return " and ".join([", ".join(quoted[:-1]), quoted[-1]] if len(quoted) > 1 else quoted)
 
 
 def working_flags(actuators: Actuators, failed: Sequence[str] = (), *, speed: float = 1.0) -> Array:

@@ -36,9 +36,18 @@ def choose_gains(
     from surctl.tuning import gains_for
 
     gains, derivation = gains_for(word, vehicle, cruise=cruise, own=own)
+    beyond = _beyond([(vehicle, cruise)])
     if derivation is None:
-        return GainsChoice(gains, [], None)
-    return GainsChoice(gains, derivation.lines(), derivation.to_dict())
+        return GainsChoice(gains, beyond, None)
+    return GainsChoice(gains, [*derivation.lines(), *beyond], derivation.to_dict())
+
+
+def _beyond(pairs: Sequence[tuple[Vehicle, float]]) -> list[str]:
+    # one line for each vehicle whose cruise speed needs more thrust than laws give
+    from surctl.vehicle.linearise import WITHIN_LAW, beyond_law
+
+    said = [(f"{cruise:g} m/s {vehicle.name}", beyond_law(vehicle, cruise)) for vehicle, cruise in pairs]
+    return list(dict.fromkeys(f"  warning: at {who} {beyond}; {WITHIN_LAW}" for who, beyond in said if beyond))
 
 
 def choose_shared(
@@ -49,7 +58,7 @@ def choose_shared(
 
     gains, derivation = shared_gains(word, pairs, own=own)
     if derivation is not None:
-        return GainsChoice(gains, derivation.lines(), derivation.to_dict())
+        return GainsChoice(gains, [*derivation.lines(), *_beyond(pairs)], derivation.to_dict())
     others = dict.fromkeys(one.name for one, _ in pairs if word is None and not has_tuned(one))
     why = "different vehicles share one set; for gains of one vehicle: surctl gains derive"
     return GainsChoice(gains, [f"gains default, not derived from {', '.join(others)}: {why}"] if others else [], None)

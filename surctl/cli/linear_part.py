@@ -70,7 +70,7 @@ def linear_part(
     import numpy as np
 
     from surctl.errors import InputError
-    from surctl.vehicle.linearise import check_trim
+    from surctl.vehicle.linearise import check_cruise
     from surctl.verification import build_cascade, worst_margins
     from surctl.verification.linear import (
         DISK_PLACES,
@@ -84,9 +84,9 @@ def linear_part(
 
     tried = corners(vehicle, uncertainty or None)
     try:
-        check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+        check_cruise(vehicle, cruise)
     except InputError as error:
-        why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem} N"
+        why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem}"
         return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None, cruise)
     margins = worst_margins(vehicle, gains, uncertainty=uncertainty, cruise=cruise, dt=dt)
     nominal = linear_side(vehicle, gains, cruise=cruise, dt=dt)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from pathlib import Path
 
 import click
@@ -11,6 +10,7 @@ from surctl.cli.output import as_json, finish, out_folder
 
 __all__ = ["thrusters"]
 
+_FASTEST, _LARGEST = 100.0, 1e9  # [m/s], [N, N m]
 _AXES = ("surge", "sway", "heave", "yaw")
 
 
@@ -45,8 +45,12 @@ def thrusters(
     from surctl.simulation import held_share, thruster_findings
     from surctl.vehicle import axis_ends, load_vehicle
 
-    if not (isfinite(speed) and speed >= 0):
-        raise InputError("must be at least 0", key="speed", value=speed, remedy="give a forward speed in m/s")
+    if not 0 <= speed <= _FASTEST:
+        problem = f"must be at least 0 and at most {_FASTEST:g}"
+        raise InputError(problem, key="--speed", value=speed, remedy="give a forward speed in m/s")
+    if wrench is not None and not max(map(abs, wrench)) <= _LARGEST:
+        problem = f"must be finite and at most {_LARGEST:g} in size"
+        raise InputError(problem, key="--force", value=list(wrench), remedy="give F_u, F_v, F_w in N and F_r in N m")
     vehicle = load_vehicle(name).at_speed(speed)
     actuators = vehicle.actuators
     if actuators is None:

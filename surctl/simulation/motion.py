@@ -14,6 +14,7 @@ from surctl.simulation.mission_fit import leg_speeds
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
+from surctl.vehicle.linearise import WITHIN_LAW
 
 __all__ = ["closest", "motion_findings"]
 
@@ -118,15 +119,14 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     d = scenario.disturbance
     current, weak = np.array(d.current_m_per_s), 1 - d.thrust_error - d.thrust_bias
     worst, figures = 0.0, (0.0, 0.0, 0.0, 0.0)
+    ahead_most, aside_most = (weak * vehicle.thrust_limit[:2]).tolist()
     for leg, cruise in zip(np.diff(scenario.path.waypoints, axis=0), leg_speeds(scenario).tolist(), strict=True):
         ahead = leg / np.linalg.norm(leg)
         through = cruise * ahead - current
         along, across = float(through @ ahead), float(through[1] * ahead[0] - through[0] * ahead[1])
         speed = float(np.linalg.norm(through))
-        surge, sway = (
-            (_drag(vehicle, "Xu", abs(u)) + d.drift_force_n, vehicle["Fu_max"] * weak) for u in (speed, along)
-        )
-        side = (_drag(vehicle, "Yv", abs(across)) + d.drift_force_n, vehicle["Fv_max"] * weak)
+        surge, sway = ((_drag(vehicle, "Xu", abs(u)) + d.drift_force_n, ahead_most) for u in (speed, along))
+        side = (_drag(vehicle, "Yv", abs(across)) + d.drift_force_n, aside_most)
         # a craft without sway force always heads into the water that it moves through
         aside = vehicle["Fv_max"] > 0
         needed, limit = min(surge, max(sway, side, key=_share), key=_share) if aside else surge
@@ -139,6 +139,11 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         f"at the cruise speed of {cruise:g} m/s {vehicle.name} moves at {speed:.3g} m/s through the water and "
         f"needs {needed:.2f} N, but its thrusters deliver {limit:.2f} N"
     )
+    if needed < vehicle["Fu_max"] * weak and limit < vehicle["Fu_max"] * weak:
+        text = (
+            f"at the cruise speed of {cruise:g} m/s {vehicle.name} needs {needed:.3g} N ahead; the law gives at most "
+            f"{limit:.3g} N, the smaller of ahead and astern; {WITHIN_LAW}"
+        )
     return [Finding("error", "cruise_m_per_s", text)]
 
 
@@ -154,7 +159,8 @@ def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 def _held(vehicle: Vehicle, axis: str, limit: str) -> float:
     # speed [m/s] at which drag and thrust limit are equal
-    linear, quadratic, most = vehicle[axis], vehicle[axis + axis[-1]], vehicle[limit]
+    linear, quadratic = vehicle[axis], vehicle[axis + axis[-1]]
+    most = float(vehicle.thrust_limit[("Fu_max", "Fv_max").index(limit)])
     root = linear + sqrt(linear**2 + 4 * quadratic * most)
     return 2 * most / root if root > 0 else inf
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import degrees
 
 import numpy as np
 
@@ -14,6 +15,7 @@ __all__ = ["held_share", "thruster_findings"]
 
 _LIMITS = {"Fu_max": "surge", "Fv_max": "sway", "Fw_max": "heave", "Fr_max": "yaw"}
 _SLACK = 1e-6
+_HULLS, _LEAST_DEG = 3.0, 1.0  # farthest thruster in hull radii, least deflection [deg] of a fin in earnest
 
 
 def thruster_findings(vehicle: Vehicle) -> list[Finding]:
@@ -33,7 +35,7 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     """
     if vehicle.actuators is None:
         return []
-    results = list[Finding]()
+    results = _odd(vehicle)
     for axis, (name, word) in enumerate(_LIMITS.items()):
         reverse, unit = name.replace("_max", "_reverse"), vehicle.parameters[name].unit
         low, high = axis_ends(vehicle.actuators, vehicle.speed)[axis].tolist()
@@ -41,9 +43,13 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
         for key, most in stated.items():
             if vehicle[key] > most * (1 + _SLACK) + _SLACK:
                 text = f"the thrusters give at most {most:.4g} {unit} in {word} without other forces, "
-                results.append(
-                    Finding("warning", f"thrust.{key}", f"{text}but {key} is {vehicle[key]:g} {unit}: lower it")
-                )
+                remedy = "lower it"
+                uneven = key == name and reverse not in vehicle.parameters and vehicle["Fv_max"] == 0
+                if uneven and vehicle[key] <= high * (1 + _SLACK) + _SLACK:
+                    text = f"the thrusters give {high:.4g} {unit} in {word} one way and {-low:.4g} {unit} the other, "
+                    remedy = f'add {reverse} = "{-low:.4g} {unit}"' if low < 0 else "give a thruster a force in reverse"
+                text += f"but {key} is {vehicle[key]:g} {unit}: {remedy}"
+                results.append(Finding("warning", f"thrust.{key}", text))
     share = held_share(vehicle)
     if share < 1 - _SLACK:
         first, *_ = [name for name, _ in vehicle.actuators.levels]
@@ -54,6 +60,24 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
         )
         turns = vehicle["Fv_max"] == 0 and vehicle.actuators.order[0] == "yaw"
         results.append(Finding("info" if turns else "warning", "thrust", text))
+    return results
+
+
+def _odd(vehicle: Vehicle) -> list[Finding]:
+    # numbers that look like another unit
+    assert vehicle.actuators is not None
+    results = []
+    for one in vehicle.actuators.thrusters:
+        distance, hull = float(np.linalg.norm(one.at)), vehicle["radius"]
+        if distance > _HULLS * hull:
+            text = (
+                f"{one.name} is {distance:g} m from the middle, beyond {_HULLS:g} hull radii of {hull:g} m: give metres"
+            )
+            results.append(Finding("warning", f"thruster.{one.name}.at_m", text))
+        if one.fin is not None and degrees(one.fin.limit) < _LEAST_DEG:
+            limit = degrees(one.fin.limit)
+            text = f"{one.name} deflects by {limit:.4g}° only, which looks like radians: {degrees(limit):.3g}°?"
+            results.append(Finding("warning", f"thruster.{one.name}.fin.limit_deg", text))
     return results
 
 

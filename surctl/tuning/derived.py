@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from surctl.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
 from surctl.errors import InputError
-from surctl.tuning.vehicle_rule import DEPENDENT, inner_start, munk_rate, rule, top_speed
+from surctl.tuning.vehicle_rule import DEPENDENT, held_speed, inner_start, munk_rate, rule, top_speed
 from surctl.vehicle import LIBRARY, Vehicle, load_vehicle, plant_parameters
-from surctl.vehicle.linearise import check_trim
+from surctl.vehicle.linearise import check_cruise
 from surctl.verification import law_loop
 from surctl.verification.cascade import Cascade, build_cascade, build_cascades
 from surctl.verification.linear import disk_margin, open_loop, radius_of, screened_peaks
@@ -58,7 +58,8 @@ _HELD = 0.9  # largest share of the top speed for which gains are derived
 _MUNK_DELAY = 0.34  # product of Munk rate and delay at which the margin is about reached
 _BRACKET, _BEARABLE_STEPS = 1.2, 6
 _LOWERED = 10  # largest number of times that the result is lowered by 2 %
-_SLOWER, _SLOWER_SPEEDS = 0.85, 9  # ratio and number of the speeds tried for a craft without sway force
+# ratio and number of the speeds tried for a craft without sway force, and bisections that follow (0.5 %)
+_SLOWER, _SLOWER_SPEEDS, _SLOWER_STEPS = 0.85, 9, 5
 _UNSTABLE = 1e-3  # margin of an unstable loop in the search
 
 Array = NDArray[np.float64]
@@ -74,8 +75,7 @@ class Derivation:
         cruise: cruise speed [m/s] for which the gains were derived.
         dt: control period [s].
         disk_margin: disk margin of all loops at once at the cruise speed, shown at all frequencies; 0 if unstable.
-        bearable: largest speed [m/s], at most `cruise`, at which derived gains have a disk margin of `DERIVED_MARGIN`;
-            0 if there is none.
+        bearable: largest speed [m/s] found, at most `cruise`, with a disk margin of `DERIVED_MARGIN`; 0 if none.
         searched: whether the formulae alone did not suffice and the search changed the gains.
         munk: growth rate [1/s] of the turn that the Munk moment causes without control; 0 if m22 ≤ m11.
     """
@@ -99,11 +99,11 @@ class Derivation:
         head = f"gains {self.gains.provenance}"
         if self.reached:
             return [head]
-        if self.bearable > 0:
-            slower = f"derived gains reach {DERIVED_MARGIN:g} up to {self.bearable:.3g} m/s"
-        else:
-            slower = f"derived gains reach {DERIVED_MARGIN:g} at no speed"
-        return [head, f"  warning: {slower}; for {self.cruise:.3g} m/s, {self.remedy}"]
+        where = f"up to at least {self.bearable:.3g} m/s" if self.bearable > 0 else "at no speed"
+        return [
+            head,
+            f"  warning: derived gains reach {DERIVED_MARGIN:g} {where}; for {self.cruise:.3g} m/s, {self.remedy}",
+        ]
 
     @property
     def warning(self) -> str:
@@ -146,7 +146,7 @@ def default_cruise(vehicle: Vehicle) -> float:
         >>> [round(default_cruise(load_vehicle(name)), 2) for name in ("bluerov2-wu", "bluerov2-vonbenzon")]
         [0.48, 0.17]
     """
-    return float(f"{_CRUISE_SHARE * top_speed(vehicle):.2g}")
+    return float(f"{min(_CRUISE_SHARE * top_speed(vehicle), _HELD * held_speed(vehicle)):.2g}")
 
 
 def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
@@ -187,7 +187,7 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
     for key, value in (("cruise", cruise), ("dt", dt)):
         if not (np.isfinite(value) and value > 0):
             raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
-    check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    check_cruise(vehicle, cruise)
     return _derive(_Hashed(vehicle), float(cruise), float(dt))
 
 
@@ -227,7 +227,7 @@ def gains_for(
     """
     if word is not None or has_tuned(vehicle):
         return load_gains(word or "default", own=own), None
-    derivation = derive_gains(vehicle, cruise=min(cruise, _HELD * top_speed(vehicle)), dt=dt)
+    derivation = derive_gains(vehicle, cruise=min(cruise, _HELD * held_speed(vehicle)), dt=dt)
     return (derivation.gains.with_own(own) if own else derivation.gains), derivation
 
 
@@ -274,14 +274,12 @@ class _Hashed:
 
 @lru_cache(maxsize=64)
 def _derive(hashed: _Hashed, cruise: float, dt: float) -> Derivation:
-    vehicle = hashed.vehicle.at_speed(cruise)
-    if vehicle["Fv_max"] == 0:
+    if (vehicle := hashed.vehicle.at_speed(cruise))["Fv_max"] == 0:
         return _steered(vehicle, cruise, dt)
     inner, _ = _searched(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
-    margin, bearable = _shown(vehicle, inner, cruise, dt), cruise
-    if margin < DERIVED_MARGIN:
-        bearable = _bearable(vehicle, cruise, dt, inner)
+    margin = _shown(vehicle, inner, cruise, dt)
+    bearable = _bearable(vehicle, cruise, dt, inner) if margin < DERIVED_MARGIN else cruise
     gains = _named(vehicle, inner, cruise, dt, margin)
     return Derivation(gains, vehicle.name, cruise, dt, margin, bearable, searched, munk_rate(vehicle, cruise))
 
@@ -289,8 +287,8 @@ def _derive(hashed: _Hashed, cruise: float, dt: float) -> Derivation:
 def _named(vehicle: Vehicle, inner: Array, cruise: float, dt: float, margin: float) -> Gains:
     values = rule(vehicle, inner, cruise=cruise, dt=dt)
     reached = f"disk margin of all loops {margin:.2f}" if margin > 0 else "UNSTABLE"
-    short = "" if margin >= DERIVED_MARGIN else f", below {DERIVED_MARGIN:g}"
-    provenance = f"derived from the vehicle {vehicle.name} at {cruise:.3g} m/s, {reached}{short}"
+    reached += "" if margin >= DERIVED_MARGIN else f", below {DERIVED_MARGIN:g}"
+    provenance = f"derived from the vehicle {vehicle.name} at {cruise:.3g} m/s, {reached}"
     return Gains("derived", {name: values[name] for name in GAINS}, provenance)
 
 
@@ -305,8 +303,12 @@ def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
 
     reached, bearable = margin(cruise), cruise
     if reached < DERIVED_MARGIN:
-        speeds = (float(f"{cruise * _SLOWER**k:.3g}") for k in range(1, _SLOWER_SPEEDS))
-        bearable = next((speed for speed in speeds if margin(speed) >= DERIVED_MARGIN), 0.0)
+        slower = [float(f"{cruise * _SLOWER**k:.3g}") for k in range(1, _SLOWER_SPEEDS)]
+        bearable = next((speed for speed in slower if margin(speed) >= DERIVED_MARGIN), 0.0)
+        high = min(bearable / _SLOWER, cruise)
+        for _ in range(_SLOWER_STEPS if bearable > 0 else 0):
+            at = float(f"{(bearable + high) / 2:.3g}")
+            bearable, high = (at, high) if margin(at) >= DERIVED_MARGIN else (bearable, at)
     gains = _named(vehicle, inner_start(vehicle, cruise=cruise, dt=dt), cruise, dt, reached)
     return Derivation(gains, vehicle.name, cruise, dt, reached, bearable, False, munk_rate(vehicle, cruise))
 
@@ -314,9 +316,8 @@ def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
 def _searched(vehicle: Vehicle, cruise: float, dt: float, near: Array | None = None) -> tuple[Array, float]:
     """Return the inner gains (3,) of the formulae, or better ones, and their estimated margin.
 
-    The search goes to the best neighbour until the margin is reached or no neighbour is better; then the steps become
-    smaller. The gains stay within `_LEAST` and `_MOST` times those of the formulae. `near` is the result at a similar
-    speed.
+    The search goes to the best neighbour until the margin is reached or none is better; then the steps become smaller.
+    The gains stay within `_LEAST` and `_MOST` times those of the formulae. `near` is the result at a similar speed.
     """
     start = inner_start(vehicle, cruise=cruise, dt=dt)
     best, factors = (start, _FACTORS) if near is None else (near, _FACTORS[1:])
@@ -396,5 +397,4 @@ def _shown(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> float:
     delayed, plain = (build_cascade(vehicle, values, cruise=cruise, dt=dt, delay=d) for d in (None, 0.0))
     if not delayed.stable or radius_of(plain, dt, 1) >= 1:
         return 0.0
-    shown = disk_margin(open_loop(delayed, "both")).guaranteed
-    return 0.0 if np.isnan(shown) else shown
+    return float(np.nan_to_num(disk_margin(open_loop(delayed, "both")).guaranteed))

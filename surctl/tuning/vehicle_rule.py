@@ -44,6 +44,11 @@ def top_speed(vehicle: Vehicle) -> float:
     return min(steady_speed(vehicle["Fu_max"], vehicle["Xu"], vehicle["Xuu"]), 10.0)
 
 
+def held_speed(vehicle: Vehicle) -> float:
+    """Return the largest speed [m/s] that a law holds, whose thrust ahead is limited to that astern; at most 10 m/s."""
+    return min(steady_speed(float(vehicle.thrust_limit[0]), vehicle["Xu"], vehicle["Xuu"]), 10.0)
+
+
 def inner_start(vehicle: Vehicle, *, cruise: float, dt: float) -> Array:
     """Return k_v, k_r and k_psi (3,) [1/s] of the formulae.
 

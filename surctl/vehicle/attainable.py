@@ -87,7 +87,8 @@ class Attainable:
         low, high = self.bounds(working)
         slack = np.minimum(high, -low)
         used = most > _FLAT
-        return max(0.0, float((slack[used] / most[used]).min())) if used.any() else float("inf")
+        share = float((slack[used] / most[used]).min()) if used.any() else float("inf")
+        return share if share > _FLAT else 0.0
 
     def planar(self, *, yaw: float = 0.0, working: ArrayLike | None = None) -> Array:
         """Return the corners (k, 2) of all (F_u, F_v) [N] with F_w = 0 and a given F_r [N m], counter-clockwise.

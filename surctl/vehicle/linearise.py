@@ -27,7 +27,10 @@ __all__ = [
     "STATE_NAMES",
     "THRUST_NAMES",
     "TILT_NAMES",
+    "WITHIN_LAW",
+    "beyond_law",
     "can_hold",
+    "check_cruise",
     "check_trim",
     "dynamic_states",
     "labelled",
@@ -132,6 +135,31 @@ def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
         )
 
 
+def beyond_law(vehicle: Vehicle, cruise: float) -> str:
+    """Return why a law cannot hold a cruise speed [m/s] that the thrusters could hold; empty if it can.
+
+    Laws limit the thrust on each axis to the same value in both directions (`Vehicle.thrust_limit`).
+
+    Example:
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.vehicle.linearise import beyond_law
+        >>> beyond_law(load_vehicle("otter"), 2.0)
+        'needs 155 N ahead; the law gives at most 133 N, the smaller of ahead and astern'
+    """
+    needed, limit = float(trim_thrust(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))[0]), float(vehicle.thrust_limit[0])
+    if needed < limit or vehicle["Fu_max"] <= limit:
+        return ""
+    return f"needs {needed:.3g} N ahead; the law gives at most {limit:.3g} N, the smaller of ahead and astern"
+
+
+def check_cruise(vehicle: Vehicle, cruise: float) -> None:
+    """Raise InputError if the vehicle, or a law within its symmetric limits, cannot hold a cruise speed [m/s]."""
+    check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    if beyond := beyond_law(vehicle, cruise):
+        raise InputError(beyond, key="cruise", value=cruise, remedy=WITHIN_LAW)
+
+
+WITHIN_LAW = "lower the cruise speed or raise Fu_reverse"
 _NONE = 1e-9  # [N, N m] rounding of a thrust that is zero
 
 

@@ -16,7 +16,8 @@ from pydantic import Field, ValidationError
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
 from surctl.vehicle.specs import NEEDED_TO_TILT, PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
-from surctl.vehicle.thruster_file import axis_limits, common_lag, largest_forces, read_actuators
+from surctl.vehicle.thruster_file import axis_limits, common_lag, read_actuators
+from surctl.vehicle.thruster_limits import largest_forces
 from surctl.vehicle.thrusters import Actuators
 
 __all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
@@ -260,6 +261,9 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
             "is not a vehicle file", file=source, key="kind", value=table.get("kind"), remedy='write kind = "vehicle"'
         )
     model = validate(table, _VehicleFile, file=source)
+    if not model.name.isprintable() or '"' in model.name:
+        remedy = "leave out quotes and control characters"
+        raise InputError("is not a name", file=source, key="name", value=model.name, remedy=remedy)
     parameters: dict[str, Parameter] = {}
     for section in ("hull", "inertia", "drag", "thrust", "force", "attitude"):
         parameters |= _read_section(section, getattr(model, section), source)
@@ -317,7 +321,8 @@ def _of_thrusters(
     if actuators is None:
         return {}
     said = "follows from the thrusters: the largest value with 0 on all other axes"
-    derived = {name: Parameter(v, PARAMETERS[name].unit, None, said) for name, v in largest_forces(actuators).items()}
+    limits = largest_forces(actuators, stated=stated, source=source)
+    derived = {name: Parameter(v, _spec(name).unit, None, said) for name, v in limits.items()}
     known = stated.get("thrust_lag")
     lag = common_lag(tables, known=None if known is None else known.value, source=source)
     derived |= {} if lag is None else {"thrust_lag": Parameter(lag, "s", None, "lag of every thruster")}

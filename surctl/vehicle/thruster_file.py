@@ -15,13 +15,14 @@ from surctl.files import Quantity, Strict, quoted, validate
 from surctl.vehicle.attainable import Attainable, attainable
 from surctl.vehicle.thrusters import DEFAULT_ORDER, ORDERS, Actuators, Fin, Swivel, Thruster
 
-__all__ = ["axis_ends", "axis_limits", "common_lag", "largest_forces", "read_actuators", "thruster_text"]
+__all__ = ["axis_ends", "axis_limits", "common_lag", "read_actuators", "thruster_text"]
 
 _MOST = 16
 _AXES = ("surge", "sway", "heave", "yaw")
 _UNIT = 0.01  # allowed error of the length of a unit vector, because files round its entries
 _FORM = 'write "44 N"'
 _LIFT = "N s^2/m^2"
+_LARGEST, _FARTHEST = 1e9, 1e6  # [N] of any thruster, [m]
 _STALL = 45.0  # [deg] beyond it no blade has lift in proportion to its deflection
 
 
@@ -114,15 +115,6 @@ def common_lag(thrusters: Sequence[Any], *, known: float | None, source: str) ->
     return lag
 
 
-def largest_forces(actuators: Actuators) -> Mapping[str, float]:
-    """Return `Fu_max`, `Fv_max`, `Fw_max` [N] and `Fr_max` [N m]: the largest value on each axis alone.
-
-    All other axes are 0 meanwhile, and the force is available in both directions. Fins count in yaw only, with their
-    forces at 1 m/s (`axis_limits`).
-    """
-    return dict(zip(_LIMITS, axis_limits(actuators, 1.0).tolist(), strict=True))
-
-
 def axis_limits(actuators: Actuators, speed: float) -> NDArray[np.float64]:
     """Return the largest value (4,) [N, N m] on each axis alone, in both directions, at a forward speed [m/s].
 
@@ -163,7 +155,6 @@ def _alone(forces: Attainable, shares: NDArray[np.float64]) -> NDArray[np.float6
     return ends
 
 
-_LIMITS = ("Fu_max", "Fv_max", "Fw_max", "Fr_max")
 _YAW = 3
 
 
@@ -205,6 +196,9 @@ def _thruster(table: _ThrusterTable, *, names: Sequence[str]) -> Thruster:
         raise InputError("names two thrusters", key="name", value=table.name, remedy="rename one of them")
     if not table.name.isprintable() or set(table.name) & set(":,= "):
         raise InputError("is not a name", key="name", value=table.name, remedy="use letters and digits, such as T1")
+    if not max(map(abs, table.at_m)) <= _FARTHEST:
+        problem = f"must be finite and within {_FARTHEST:g} m"
+        raise InputError(problem, key="at_m", value=list(table.at_m), remedy="give the place in m")
     direction = _unit(table.direction, "push")
     if table.fin is not None:
         return _finned(table, table.fin, direction)
@@ -239,6 +233,8 @@ def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float
         lift = fin.lift.within(_LIFT).value
     except InputError as error:
         raise error.inside(None, "fin.lift") from None
+    if not lift <= _LARGEST:
+        raise InputError(f"must be at most {_LARGEST:g} {_LIFT}", key="fin.lift", value=lift, remedy="correct it")
     if lift <= 0:
         remedy = "give the force per (m/s)^2 and rad, and turn `push` round if it is negative"
         raise InputError("pushes nowhere: it must be greater than 0", key="fin.lift", value=lift, remedy=remedy)
@@ -260,9 +256,12 @@ def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float
 
 def _newtons(quantity: Quantity, key: str) -> float:
     try:
-        return quantity.within("N").value
+        force = quantity.within("N").value
     except InputError as error:
         raise error.inside(None, key) from None
+    if not abs(force) <= _LARGEST:
+        raise InputError(f"must be at most {_LARGEST:g} N", key=key, value=force, remedy="correct it")
+    return force
 
 
 def _unit(vector: tuple[float, float, float], key: str) -> tuple[float, float, float]:

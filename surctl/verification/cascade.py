@@ -23,7 +23,7 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
 from surctl.vehicle.dynamics import PAPER
-from surctl.vehicle.linearise import check_trim, dynamic_states
+from surctl.vehicle.linearise import check_cruise, dynamic_states
 
 __all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive", "has_cascade"]
 
@@ -131,7 +131,7 @@ def build_cascade(
                 value=craft["Fv_max"],
                 remedy="use law_loop with the law steered",
             )
-    check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    check_cruise(vehicle, cruise)
     many = build_cascades(
         plant_parameters(vehicle)[None],
         {name: np.atleast_1d(float(value)) for name, value in gains.items()},

@@ -28,7 +28,7 @@ from surctl.ir import Layout, Port
 from surctl.own_code import label
 from surctl.system import Action, Controller, Linearisation, Plant, System, linearise
 from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
-from surctl.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_trim
+from surctl.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_cruise
 from surctl.verification.linear.disk import DiskMargin
 from surctl.verification.margins import LoopMargins
 from surctl.verification.sampled_margins import system_disk_margin, system_margins
@@ -125,7 +125,7 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
     if "samples" in law.inputs:
         raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
     nu, gains = np.array([cruise, 0.0, 0.0, 0.0]), gains.with_own(law_source(law.ref).gains)
-    check_trim(vehicle, nu)
+    check_cruise(vehicle, cruise)
     system = _system(law, vehicle, law_numbers(law, model or vehicle, gains, cruise=cruise), nu)
     return LawLoop(label(law.ref), cruise, linearise(system))
 

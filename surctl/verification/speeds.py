@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.vehicle import Vehicle
-from surctl.vehicle.linearise import check_trim
+from surctl.vehicle.linearise import WITHIN_LAW, check_cruise
 from surctl.verification.linear_table import LINEAR_METRICS, linear_table
 
 __all__ = ["OverSpeeds", "check_held", "cruise_speeds", "over_speeds", "speeds_text", "worst_place", "worst_text"]
@@ -58,10 +58,11 @@ def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: st
             remedy = "lower it, or raise the cap"
             raise InputError(f"is above the cap, {cap:g} m/s", key=key, value=speed, remedy=remedy)
         try:
-            check_trim(vehicle, np.array([speed, 0.0, 0.0, 0.0]))
+            check_cruise(vehicle, speed)
         except InputError as error:
-            problem = f"{error.problem} N by {vehicle.name}"
-            raise InputError(problem, key=key, value=speed, remedy="lower it") from None
+            remedy = "lower it or raise Fu_reverse" if error.remedy == WITHIN_LAW else "lower it"
+            problem = f"{error.problem}, by {vehicle.name}"
+            raise InputError(problem, key=key, value=speed, remedy=remedy) from None
 
 
 def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:

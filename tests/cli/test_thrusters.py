@@ -22,6 +22,8 @@ def test_the_thrusters_and_an_allocation_are_printed(tmp_path):
 
 def test_mistakes_are_one_line(tmp_path):
     assert "describes no thrusters" in surctl("vehicle", "thrusters", "sur400", cwd=tmp_path).complaint
+    for option, more in (("--speed", ["1e300"]), ("--force", ["1e300", "0", "0", "0"])):
+        assert f"{option} = " in surctl("vehicle", "thrusters", "remus100", option, *more, cwd=tmp_path).complaint
     words = ("simulate", "pool-behind", "--vehicle", "bluerov2-heavy", "--fault", "thruster:T9")
     assert "did you mean" in surctl(*words, cwd=tmp_path).complaint
 

@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surctl.cli.gains_choice import choose_gains
 from surctl.control import GAINS, load_gains, write_gains
 from surctl.errors import InputError
+from surctl.simulation import findings
 from surctl.tuning import DERIVED_MARGIN, default_cruise, derive_gains, derived_gains, gains_for, shared_gains
 from surctl.tuning.vehicle_rule import inner_start, munk_rate, rule
 from surctl.vehicle import Vehicle, load_vehicle
+from surctl.verification import check_held
 from surctl.verification.linear import estimated_margin
+from tests.craft import mission
 
 WU, VON_BENZON = load_vehicle("bluerov2-wu"), load_vehicle("bluerov2-vonbenzon")
 DT = 0.05
@@ -56,7 +60,9 @@ def test_a_speed_that_no_gains_bear_is_stated_with_the_largest_that_they_do() ->
     assert estimated_margin(WU, fast.gains.values, cruise=0.47, dt=DT) > 0  # stable: the best set at this speed
     head, warning = fast.lines()
     assert head.startswith("gains derived from the vehicle bluerov2-wu at 0.47 m/s, disk margin of all loops 0.1")
-    assert f"reach 0.4 up to {fast.bearable:.3g} m/s" in warning and "thrust lag" in warning and "m44" in warning
+    assert (
+        f"reach 0.4 up to at least {fast.bearable:.3g} m/s" in warning and "thrust lag" in warning and "m44" in warning
+    )
     assert derive_gains(WU, cruise=fast.bearable).reached
     quick = made("quick", **{n: p.value for n, p in WU.parameters.items()} | {"thrust_lag": 0.05})
     assert derive_gains(quick, cruise=0.47).disk_margin > fast.disk_margin + 0.2, "the remedy that it names"
@@ -110,3 +116,27 @@ def test_mistakes_are_one_line() -> None:
     with pytest.raises(InputError, match="thrust"):
         derive_gains(WU, cruise=3.0)
     assert default_cruise(WU) == 0.48
+
+
+def test_a_cruise_beyond_the_symmetric_limit_of_the_law_is_told_before_any_margin() -> None:
+    otter = load_vehicle("otter")  # 239 N ahead, 133 N astern
+    with pytest.raises(InputError, match="needs 155 N ahead; the law gives at most 133 N, the smaller of") as raised:
+        derive_gains(otter, cruise=2.0)
+    assert raised.value.key == "cruise" and "raise Fu_reverse" in (raised.value.remedy or "")
+    assert choose_gains("default", otter, cruise=2.0).lines == [
+        "  warning: at 2 m/s otter needs 155 N ahead; the law gives at most 133 N, the smaller of ahead and astern; "
+        "lower the cruise speed or raise Fu_reverse"
+    ]
+    assert choose_gains("default", otter, cruise=1.7).lines == []
+    scenario = replace(
+        mission([[30.0, 30.0], [60.0, 30.0]], "otter", size=(120.0, 120.0), time=90.0), cruise=2.0, cap=2.2
+    )
+    (finding,) = [one for one in findings(scenario, otter) if one.key == "cruise_m_per_s"]
+    assert finding.level == "error" and "otter needs 155 N ahead; the law gives at most 133 N" in finding.text
+    with pytest.raises(InputError, match=r"needs 155 N ahead.*by otter; lower it or raise Fu_reverse"):
+        check_held((2.0,), otter, cap=3.0, key="--cruise")
+
+
+def test_the_speed_that_a_rudder_craft_bears_does_not_hang_on_the_speed_asked_for() -> None:
+    # asked for 0.8, 0.87 or 1 m/s, the same craft bears 0.564 to 0.566 m/s
+    assert derive_gains(load_vehicle("remus100"), cruise=0.7).bearable == pytest.approx(0.565, rel=0.005)

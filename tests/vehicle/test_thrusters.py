@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from surctl.allocation import allocate
 from surctl.errors import InputError
+from surctl.simulation import held_share, thruster_findings
 from surctl.vehicle import LIBRARY, Actuators, MotionLog, Vehicle, attainable, identify, load_vehicle, write_vehicle
 
 NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml") if "[[thruster]]" in path.read_text(encoding="utf-8"))
@@ -205,3 +207,81 @@ def test_limits_and_lag_follow_from_the_thrusters(tmp_path: Path) -> None:
     assert vehicle["Fr_max"] == pytest.approx(4 * 30 * 2 * c)
     assert vehicle["thrust_lag"] == 0.2
     assert _read(tmp_path, *tables[:-1], base=base)["Fw_max"] == 0
+
+
+SCREW = TABLE | {"name": '"screw"', "at_m": "[-1.0, 0.0, 0.0]"}
+RUDDER = {
+    "name": '"rudder"',
+    "at_m": "[-1.05, 0.0, 0.0]",
+    "push": "[0.0, 1.0, 0.0]",
+    "fin": '{ lift = "75 N s^2/m^2", limit_deg = 30 }',
+    "provenance": '"a test"',
+}
+LEFT, RIGHT = (
+    TABLE | {"name": f'"{name}"', "at_m": f"[-0.6, {y}, 0.0]"} for name, y in (("left", 0.3), ("right", -0.3))
+)
+BARE = BASE[: BASE.index("[thrust]")]
+
+
+def test_a_boat_has_the_limits_ahead_and_astern_of_its_propellers(tmp_path: Path) -> None:
+    cat = _read(tmp_path, LEFT, RIGHT, base=BARE)
+    assert (cat["Fu_max"], cat["Fu_reverse"]) == pytest.approx((80.0, 60.0))
+    assert cat["Fr_max"] == pytest.approx(2 * 30 * 0.3)
+    assert cat.actuators is not None and held_share(cat, ["left"]) == 0.0
+    lost = allocate(cat.actuators, [50.0, 0.0, 0.0, 0.0], failed=["left"])
+    assert lost.explain() == "`force` gave up 50 N because `left` failed."
+    ahead_alone = cat.with_values({"Fu_max": 80.0})
+    kept = {name: known for name, known in ahead_alone.parameters.items() if name != "Fu_reverse"}
+    first = thruster_findings(replace(ahead_alone, parameters=kept))[0]
+    assert first.key == "thrust.Fu_max" and first.text.endswith('but Fu_max is 80 N: add Fu_reverse = "60 N"')
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "says"),
+    [
+        (
+            (SCREW | {"reverse": '"0 N"'}, RUDDER),
+            "thruster.0.reverse",
+            "screw leaves the craft no force astern.*give screw",
+        ),
+        ((LEFT | {"reverse": '"0 N"'}, RIGHT | {"reverse": '"0 N"'}), "thruster.0.reverse", "left .*give left a force"),
+        (
+            (SCREW, RUDDER | {"fin": '{ lift = "1e300 N s^2/m^2", limit_deg = 30 }'}),
+            "thruster.1.fin.lift",
+            "at most 1e",
+        ),
+        ((SCREW | {"forward": '"1e308 N"'}, RUDDER), "thruster.0.forward", "at most 1e"),
+        ((SCREW | {"at_m": "[1e300, 0.0, 0.0]"}, RUDDER), "thruster.0.at_m", "within 1e"),
+        ((SCREW,), "thruster.0.at_m", "screw gives no yaw moment; .*rudder at x != 0"),
+        ((RUDDER,), "thruster", "no thruster pushes ahead; add a"),
+        (
+            (SCREW, RUDDER | {"at_m": "[0.0, 0.0, 0.0]"}),
+            "thruster.1.at_m",
+            "rudder gives no yaw moment; place rudder at x",
+        ),
+    ],
+)
+def test_thrusters_without_surge_or_yaw_are_named(
+    tables: tuple[dict[str, str], ...], key: str, says: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=says) as raised:
+        _read(tmp_path, *tables, base=BARE)
+    assert raised.value.key == key
+
+
+def test_numbers_in_another_unit_are_found(tmp_path: Path) -> None:
+    blade = {"fin": '{ lift = "75 N s^2/m^2", limit_deg = 0.5236 }', "at_m": "[-1050.0, 0.0, 0.0]"}
+    far, radians, *_ = thruster_findings(
+        _read(tmp_path, SCREW | {"at_m": "[-0.7, 0.0, 0.0]"}, RUDDER | blade, base=BARE)
+    )
+    assert far.level == "warning" and far.key == "thruster.rudder.at_m" and "beyond 3 hull radii" in far.text
+    assert radians.key == "thruster.rudder.fin.limit_deg" and "looks like radians: 30°?" in radians.text
+
+
+@pytest.mark.parametrize("name", [r"two\nlines", r"a \"b\""])
+def test_a_vehicle_s_name_has_no_quotes_or_control_characters(name: str, tmp_path: Path) -> None:
+    old = f'name = "{load_vehicle("bluerov2-vonbenzon").name}"'
+    assert old in BASE
+    with pytest.raises(InputError, match="is not a name") as raised:
+        _read(tmp_path, base=BASE.replace(old, f'name = "{name}"'))
+    assert raised.value.key == "name"
