@@ -155,7 +155,7 @@ class Vehicle:
         return float(1 - alone / most)
 
     def munk(self, cruise: float) -> float:
-        """Return μ = m22 − m11 + Nuv + Nv/U [kg]: at a sway speed v, Munk moment and lift are μ u v; U: cruise [m/s]."""
+        """Return μ = m22 − m11 + Nuv + Nv/U [kg]: at a sway speed v, Munk moment and lift are μ u v; U: speed [m/s]."""
         return self["m22"] - self["m11"] + self._term("Nuv") + self._term("Nv") / cruise
 
     def centripetal(self, cruise: float) -> float:
