@@ -77,7 +77,10 @@ class SensorOptions:
         from surctl.control import law_source
         from surctl.errors import InputError, nearest
         from surctl.own_code import label
+        from surctl.simulation import SENSING
 
+        if sensing not in SENSING:
+            raise InputError("is not known", key="--sensing", value=sensing, remedy=nearest(sensing, SENSING))
         options = {
             "--fault": self.faults,
             "--chance": self.chances,

@@ -127,7 +127,7 @@ def build_bundle(
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> bundle = build_bundle(law, law.gains.unpack(p), real="float32")
         >>> bundle.name, bundle.real, bundle.sources
-        ('surctl_closed_form', 'float32', ('surctl_closed_form.c', 'surctl_closed_form_law.c'))
+        ('surctl_closed_form', 'float32', ('surctl_closed_form.c', 'surctl_closed_form_gains.c', 'surctl_closed_form_law.c'))
     """
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:
@@ -251,7 +251,7 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> written = write_bundle(build_bundle(law, law.gains.unpack(p)), "closed_form")
         >>> sorted(file.path.name for file in written)[:4], len(written[0].sha256)
-        (['Makefile', 'README.md', 'controller.c', 'link.c'], 64)
+        (['CMakeLists.txt', 'LICENSE', 'Makefile', 'README.md'], 64)
     """
     target = Path(directory)
     staging = target.parent / f".{target.name}.{os.getpid()}.tmp"

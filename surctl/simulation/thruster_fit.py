@@ -85,6 +85,13 @@ def held_share(vehicle: Vehicle, failed: Sequence[str] = ()) -> float:
     """Return the largest share of the thrust limits of a vehicle with thrusters that its thrusters give all at once.
 
     The sway force of a rudder belongs to its yaw moment, so axes without a limit of their own do not count.
+
+    Example:
+        >>> from surctl.simulation import held_share
+        >>> from surctl.vehicle import load_vehicle
+        >>> heavy = load_vehicle("bluerov2-heavy")
+        >>> held_share(heavy) >= 1.0, held_share(heavy, ["T2"]) >= 1.0
+        (True, False)
     """
     assert vehicle.actuators is not None
     axes = tuple(np.flatnonzero(vehicle.thrust_limit > 0).tolist()) if vehicle.actuators.fins else (0, 1, 2, 3)

@@ -258,8 +258,8 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
             "is not a vehicle file", file=source, key="kind", value=table.get("kind"), remedy='write kind = "vehicle"'
         )
     model = validate(table, _VehicleFile, file=source)
-    if not model.name.isprintable() or '"' in model.name:
-        remedy = "leave out quotes and control characters"
+    if not model.name.isprintable():
+        remedy = "leave out line breaks and other control characters"
         raise InputError("is not a name", file=source, key="name", value=model.name, remedy=remedy)
     parameters: dict[str, Parameter] = {}
     for section in ("hull", "inertia", "drag", "thrust", "force", "attitude"):

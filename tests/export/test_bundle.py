@@ -275,7 +275,7 @@ def test_the_law_that_senses_is_readable_and_small() -> None:
     assert re.search(r"    surctl_guarded_at_map_cells = \d+, /\* map_cells\[2304\] \[1\] 1 marked", header)
     assert header.count(f"[{law.state.size}];") == 2
     assert len(header.splitlines()) < 240
-    assert sum(len(text.encode()) for text in files.values()) < 355_000  # with wiring, examples and wrapper
+    assert sum(len(text.encode()) for text in files.values()) < 360_000  # with wiring, examples and wrapper
     assert bundle.sources == tuple(f"surctl_guarded{part}.c" for part in ("", "_gains", "_law", "_sensing", "_map"))
     code = [files[file] for file in (*bundle.sources, bundle.selftest)]
     assert max(map(len, code)) < 93_000 and sum(map(len, code)) <= 235_000

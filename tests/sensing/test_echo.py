@@ -118,7 +118,7 @@ def test_scenes_against_ray_casting(beam, limit):
 @pytest.mark.parametrize("limit", [None, WEBOTS], ids=["all", "facing"])
 def test_the_hulls_shadow_against_ray_casting(beam, limit):
     array, shadowed = _array(beam, limit=limit, mounted=True), 0
-    for seed in range(100, 106):
+    for seed in range(100, 112):
         _, shapes, place, heading = _scene(seed)
         for sensor in range(array.size):
             x, y, axis = array.apex(sensor, position=place, heading=heading)

@@ -95,11 +95,13 @@ def _stepped(step: Step) -> Callable[..., None]:
     def advanced(loop: Any, time: float, tau: Array, drawn: Any) -> None:
         current = [*loop.world.scenario.disturbance.current_m_per_s, 0.0]
         first, second = (np.array([*current, *loop.world.force(time + at)]) for at in (0.0, _HALF))
-        loop.state, end = step(loop.state, tau, first, second, loop.plant)
+        physics = loop.physics
+        middle, end = step(loop.state, tau, first, second, physics.plant)
+        loop.state = physics.state = middle
         bodies = loop.world.bodies(time + _HALF)
         loop._listen(bodies, drawn, 1)
         loop._clearance(bodies)
-        loop.state = end
+        loop.state = physics.state = end
 
     return advanced
 

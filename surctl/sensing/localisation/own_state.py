@@ -94,7 +94,7 @@ class OwnStateFilter:
     disturbance_sd: float = 0.005
     disturbance_time: float = 10.0
     acceleration_noise: float = 0.003
-    model_noise: float = 0.1
+    model_noise: float = 0.3
     yaw_acceleration_noise: float = 0.1
     velocity_start_sd: float = 0.1
     thrust_lag: float = 0.3

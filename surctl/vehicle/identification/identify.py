@@ -94,7 +94,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         >>> round(result.estimates["m11"][0], 1), "m11" in result.identified, "m22" in result.identified
         (60.0, True, False)
     """
-    if not log.thrust.any():
+    if not log.thrust.any() and not start.form.tilts:  # free swinging shows ratios
         raise InputError(
             "the log has no thrust, so it shows no mass",
             file=log.source,
