@@ -28,7 +28,6 @@ class Around(NamedTuple):
     uncertainty: ca.SX
     placed: ca.SX
     movers: ca.SX
-    noise: ca.SX
 
     @property
     def heading(self) -> ca.SX:

@@ -11,7 +11,6 @@ import casadi as ca
 
 from surctl.control.allocated import with_allocation
 from surctl.control.baselines import Situation
-from surctl.control.calm import CALM_PORTS
 from surctl.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
 from surctl.control.decision import Decision, Scan, TaskLevel
@@ -259,7 +258,7 @@ def _decide(
     avoidance, mode, dt, guidance = chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
     scans, depths = "unknown" in inputs, "column" in inputs
-    state = _state_layout(source, dt, guidance, sonar=sonar, depths=depths, scans=scans)
+    state = _state_layout(source, dt, guidance, sonar=sonar, depths=depths)
     listed = scan_telemetry(inputs.port("sonars").shape[0]) if scans else TELEMETRY
     outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ()), *((DEPTH_PORT,) if depths else ())))
     x, xs = state.symbols("x")
@@ -309,7 +308,6 @@ def _decide(
             **decision.state,
             "progress": desired.progress,
             "integral": xs["integral"],
-            **{port.name: xs[port.name] for port in CALM_PORTS if port.name in xs},
         }
         if "drift" in xs:
             carried["drift"] = learnt(guidance, desired, xs["drift"], eta, nu, decision.avoiding, guided, dt=dt)
@@ -380,9 +378,7 @@ def _step_inputs(levels: list[TaskLevel], rows: list[LimitRow], p: dict[str, ca.
     return [ca.densify(output) for output in outputs]
 
 
-def _state_layout(
-    source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool, scans: bool
-) -> Layout:
+def _state_layout(source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool) -> Layout:
     unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
     memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
     return Layout(
@@ -393,7 +389,6 @@ def _state_layout(
             *(DEAD_END_PORTS if source.gives_up else ()),
             *(LAYER_PORTS if depths else ()),
             *source.ports,
-            *(CALM_PORTS if scans else ()),
             *perception_ports(dt, sonar=sonar),
         )
     )

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 
-from surctl.control.calm import calmed
 from surctl.control.law import DEGRADED, SATURATED, TRAPPED
 from surctl.control.ports import YAW_SHARE
 from surctl.control.velocity import velocity_control
@@ -80,10 +78,7 @@ class Closing:
         `stage` says which fallback of the priority solver computed `nu_reference`; 0 if the solver did not run.
         """
         carried = self.state.split(memory.carried)
-        calm = partial(calmed, held=carried["held"], noise=self.u["noise"], p=self.p) if "held" in carried else None
-        tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"], calm)
-        if calm is not None:
-            carried = {**carried, "held": tau}
+        tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"])
         opened = ca.logic_and(stage >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
         status = memory.flags + SATURATED * saturated + DEGRADED * opened
         return {
@@ -93,9 +88,7 @@ class Closing:
             "telemetry": ca.vertcat(clamped, memory.reported),
         }
 
-    def _thrust(
-        self, nu_reference: ca.SX, integral: ca.SX, calm: Callable[[ca.SX], ca.SX] | None
-    ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    def _thrust(self, nu_reference: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         p = self.p
         speed = ca.sqrt(ca.sumsqr(nu_reference[:2]))
         horizontal = nu_reference[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
@@ -111,6 +104,6 @@ class Closing:
             tau = ca.fmin(ca.fmax(free, -limit), limit)
             return tau, following, ca.mmax(ca.fabs(free - tau) > _CLIPPED), clamped
         tau, integral, saturated = velocity_control(
-            clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt, calm=calm
+            clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt
         )
         return tau, integral, saturated, clamped

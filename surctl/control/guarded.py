@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
-from surctl.control.calm import EASE, EVADE, eased
 from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
@@ -63,7 +62,6 @@ def guarded_law(
     p: Mapping[str, ca.SX],
     *,
     stop: Stop,
-    dt: float,
     scan: Scan | None = None,
     moving: bool = True,
 ) -> Decision:
@@ -71,17 +69,6 @@ def guarded_law(
 
     The braking distance to each obstacle limits the closing speed. With sonars, the robot turns continuously, and its
     speed is limited so that it can stop before unknown space.
-
-    Args:
-        desired: the desired motion without obstacles.
-        perceived: the obstacle points around the robot.
-        x: state entries by name: `side`, `blocker`, `last_velocity`, `stalled`.
-        eta, nu: (4, 1) pose in {E} and velocity in {B}.
-        p: parameters by name.
-        stop: the bound on the closing speed.
-        dt: control period [s].
-        scan: what the sonar map says; None for a law without sonars.
-        moving: whether known obstacles may move.
     """
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0
@@ -136,14 +123,10 @@ def guarded_law(
 
         chased = fold("met_soon", met, chased, tabulated(cones, 17))
         velocity = ca.if_else(chased, velocity, cautious)
-        # unknown space slows the robot down gently: a cell that is unknown for a moment must not reverse the thrust
-        time = ca.if_else(chased, EVADE, EASE)
-        velocity = eased(velocity, x["last_velocity"], bounds, time=time, dt=dt)
-        velocity = followed = ca.if_else(scan.placed, velocity, 0)
         blind = ca.sum1(scan.sonars[:, 2]) < 0.5
         calm = ca.logic_not(chased)
         velocity = braked(velocity, over_ground, bounds[:marks], calm=calm)
-        velocity = braked(velocity, over_ground, bounds[marks:], calm=calm)
+        velocity = braked(velocity, over_ground, [*bounds[marks:], *caution], calm=calm)
         # the walls' normals are at right angles, so one projection after the other is exact
         for sector in sectors[-len(perceived.walls) :]:
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
@@ -162,7 +145,7 @@ def guarded_law(
         velocity,
         choice.blocked,
         choice.violation > 0.02,
-        {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity if scan is None else followed},
+        {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity},
         stopped,
     )
 

@@ -188,7 +188,7 @@ class _Builder:
         pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
         column = (self.outputs.port("column"),) if "column" in self.outputs else ()
         uncertainty = Port("uncertainty", (1,), "m", "position uncertainty that the margin does not cover")
-        flags = tuple(self.outputs.port(name) for name in ("placed", "echoed", "noise"))
+        flags = tuple(self.outputs.port(name) for name in ("placed", "echoed"))
         return Layout((*pose, uncertainty, *flags, *known, sonars, *column))
 
     def _split(self) -> Program:
@@ -271,7 +271,6 @@ class _Builder:
             "uncertainty": around.uncertainty,
             "placed": around.placed,
             "echoed": _least(ca.vertcat(*silent)) < _NEVER,
-            "noise": around.noise,
             "sonars": ca.vertcat(*sonars),
         }
         if self._movers:
@@ -307,7 +306,7 @@ class _Builder:
             rows = tracked.rows
             movers = ca.horzcat(rows[:, :2], rows[:, 2] + tracked.bound, rows[:, 3:])
         if self._own is None:
-            return Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers, ca.SX.zeros(2)), after
+            return Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
         own = self._own.update(
             x,
             fix=u["fix"],
@@ -320,8 +319,7 @@ class _Builder:
         )
         placed = own.position_sd < _PLACED_SD
         uncertainty = 3 * ca.fmax(ca.fmin(own.position_sd, _PLACED_SD) - _MARGIN_SD, 0)
-        noise = ca.vertcat(own.velocity_sd, self._own.rate_sd)
-        return Around(own.eta, own.nu, uncertainty, placed, movers, noise), {**after, **own.state}
+        return Around(own.eta, own.nu, uncertainty, placed, movers), {**after, **own.state}
 
     def _report(self) -> Block:
         local_map = self._map
@@ -356,7 +354,6 @@ class _Builder:
             "sonars": perceived["sonars"],
             "placed": perceived["placed"],
             "echoed": perceived["echoed"],
-            "noise": perceived["noise"],
         }
         if "column" in perceived:
             values["column"] = perceived["column"]

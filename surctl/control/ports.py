@@ -150,7 +150,6 @@ def scan_inputs(contacts: int, *, sensors: int, depths: bool = False) -> Layout:
             ),
             Port("placed", (1,), "1", "1 while the robot knows its position", 1.0),
             Port("echoed", (1,), "1", "1 once a firing of any sonar was plausible", 1.0),
-            Port("noise", (2,), "m/s, rad/s", "standard deviations of the estimated velocity and of the yaw rate"),
             *((_COLUMN,) if depths else ()),
         )
     )

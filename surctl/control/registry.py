@@ -25,7 +25,7 @@ __all__ = ["LAWS", "LAW_NAMES", "SONARLESS", "check_forces", "default_law", "law
 def _guarded(s: Situation) -> Decision:
     stop = BARRIERS[s.barrier](s.p, s.dt)
     moving = s.moving and s.movers == "predict"
-    return guarded_law(s.desired, s.perceived, s.x, s.eta, s.nu, s.p, stop=stop, dt=s.dt, scan=s.scan, moving=moving)
+    return guarded_law(s.desired, s.perceived, s.x, s.eta, s.nu, s.p, stop=stop, scan=s.scan, moving=moving)
 
 
 def _paper(s: Situation) -> Decision:

@@ -21,7 +21,20 @@ from surctl.verification import claims
 from tests.cli.process import Outcome, surctl
 from tests.report.reader import Reader
 
-KEYS = {"id", "group", "what", "paper", "ours", "verdict", "expected", "as_expected", "numbers", "command", "seconds", "independent"}
+KEYS = {
+    "id",
+    "group",
+    "what",
+    "paper",
+    "ours",
+    "verdict",
+    "expected",
+    "as_expected",
+    "numbers",
+    "command",
+    "seconds",
+    "independent",
+}
 
 
 @pytest.fixture(scope="module")

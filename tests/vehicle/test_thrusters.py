@@ -278,8 +278,8 @@ def test_numbers_in_another_unit_are_found(tmp_path: Path) -> None:
     assert radians.key == "thruster.rudder.fin.limit_deg" and "looks like radians: 30°?" in radians.text
 
 
-@pytest.mark.parametrize("name", [r"two\nlines", r"a \"b\""])
-def test_a_vehicle_s_name_has_no_quotes_or_control_characters(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [r"two\nlines", r"a\tb"])
+def test_a_vehicle_s_name_has_no_control_characters(name: str, tmp_path: Path) -> None:
     old = f'name = "{load_vehicle("bluerov2-vonbenzon").name}"'
     assert old in BASE
     with pytest.raises(InputError, match="is not a name") as raised:
