@@ -92,11 +92,11 @@ def flown_by(step: Step) -> Iterator[None]:
 
 
 def _stepped(step: Step) -> Callable[..., None]:
-    def advanced(loop: Any, time: float, tau: Array, drawn: Any) -> None:
+    def advanced(loop: Any, time: float, decided: Any, drawn: Any) -> None:
         current = [*loop.world.scenario.disturbance.current_m_per_s, 0.0]
         first, second = (np.array([*current, *loop.world.force(time + at)]) for at in (0.0, _HALF))
         physics = loop.physics
-        middle, end = step(loop.state, tau, first, second, physics.plant)
+        middle, end = step(loop.state, decided.tau, first, second, physics.plant)
         loop.state = physics.state = middle
         bodies = loop.world.bodies(time + _HALF)
         loop._listen(bodies, drawn, 1)
