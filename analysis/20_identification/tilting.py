@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 import numpy as np
+from conclusion import concluded
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -157,12 +158,7 @@ def main() -> int:
             model <= 0.5 * hold for model, hold in errors.values()
         ),
     }
-    print("\n| statement | holds |\n|---|---|")
-    for text, holds in statements.items():
-        print(f"| {text} | {'holds' if holds else '**does not hold**'} |")
-    print(f"\nA fit took {np.median([t.seconds for t in found]):.2g} s.")
-    judged = list(statements.values())[3:] if given.quick else list(statements.values())
-    return 0 if all(judged) else 1
+    return concluded(statements, [t.seconds for t in found], quick=given.quick)
 
 
 if __name__ == "__main__":

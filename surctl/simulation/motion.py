@@ -148,8 +148,9 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    axes = {"surge": ("Xu", "Fu_max"), "sway": ("Yv", "Fv_max")}
-    held = {axis: _held(vehicle, *names) for axis, names in axes.items() if vehicle[names[1]] > 0}
+    ahead, most = vehicle.thrust_range[1], vehicle.thrust_limit
+    axes = {"surge": ("Xu", 0), "sway": ("Yv", 1)}
+    held = {axis: _held(vehicle, drag, float(most[k])) for axis, (drag, k) in axes.items() if ahead[k] > 0}
     if scenario.cap <= min(held.values()):
         return []
     speeds = " and ".join(f"{speed:.3g} m/s in {axis}" for axis, speed in held.items())
@@ -157,10 +158,9 @@ def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     return [Finding("warning", "cap_m_per_s", text)]
 
 
-def _held(vehicle: Vehicle, axis: str, limit: str) -> float:
-    # speed [m/s] at which drag and thrust limit are equal
+def _held(vehicle: Vehicle, axis: str, most: float) -> float:
+    # speed [m/s] at which the drag equals the largest thrust
     linear, quadratic = vehicle[axis], vehicle[axis + axis[-1]]
-    most = float(vehicle.thrust_limit[("Fu_max", "Fv_max").index(limit)])
     root = linear + sqrt(linear**2 + 4 * quadratic * most)
     return 2 * most / root if root > 0 else inf
 
