@@ -11,12 +11,10 @@ leaves alone (heave without heave force) does not belong to the loop.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,11 +22,10 @@ from surctl.allocation import allocate
 from surctl.control import Gains, Law, law_parameters, law_source
 from surctl.errors import InputError
 from surctl.guidance import Path
-from surctl.ir import Layout, Port
 from surctl.own_code import label
-from surctl.system import Action, Controller, Linearisation, Plant, System, linearise
+from surctl.system import LinearLoop, LoopNames
 from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
-from surctl.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_cruise
+from surctl.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
 from surctl.verification.linear.disk import DiskMargin
 from surctl.verification.margins import LoopMargins
 from surctl.verification.sampled_margins import system_disk_margin, system_margins
@@ -56,7 +53,7 @@ class LawLoop:
 
     law: str
     cruise: float
-    linear: Linearisation
+    linear: LinearLoop
 
     @cached_property
     def poles(self) -> NDArray[np.complex128]:
@@ -71,7 +68,7 @@ class LawLoop:
     @cached_property
     def disk(self) -> DiskMargin:
         """Disk margin of all thrust commands together."""
-        return system_disk_margin(self.linear, *(port.name for port in self.linear.system.commands))
+        return system_disk_margin(self.linear, *self.linear.names.commands)
 
     @property
     def stable(self) -> bool:
@@ -126,8 +123,8 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
         raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
     nu, gains = np.array([cruise, 0.0, 0.0, 0.0]), gains.with_own(law_source(law.ref).gains)
     check_cruise(vehicle, cruise)
-    system = _system(law, vehicle, law_numbers(law, model or vehicle, gains, cruise=cruise), nu)
-    return LawLoop(label(law.ref), cruise, linearise(system))
+    linear = _loop(law, vehicle, law_numbers(law, model or vehicle, gains, cruise=cruise), nu)
+    return LawLoop(label(law.ref), cruise, linear)
 
 
 def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Array:
@@ -137,7 +134,7 @@ def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Arr
     return law_parameters(gains, model, path=path, depth=0.0, cruise=cruise, cap=_HEADROOM * cruise, walls=site)
 
 
-def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
+def _loop(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> LinearLoop:
     form = vehicle.form
     (A,), (B,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], form=form)
     B = B @ _delivered(vehicle, nu)
@@ -158,30 +155,20 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     names, axes = states[: len(moving)], [_AXES[k] for k in driven]
     # a state of the law may have several entries, so the loop names them by number
     inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
-    zero = np.zeros((len(driven), len(driven)))
-    law_A = np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]])
-    law_B = np.vstack([By, D])
-    law_C = np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))])
-
-    def ode(x: Any, f: Any, d: Any, q: Any) -> dict[str, ca.SX]:
-        return _named(states, ca.SX(A @ _stacked(x, states) + B @ _stacked(f, axes)))
-
-    def step(x: Any, u: Any, q: Any) -> Any:
-        held = _stacked(x, inner)
-        after = law_A @ held + law_B @ _stacked(u, names)
-        return Action(_named(axes, ca.SX(law_C @ held)), _named(inner, ca.SX(after)))
-
-    thrust = _layout(axes, {axis: "N m" if axis == "yaw" else "N" for axis in axes})
-    plant = Plant(
-        "craft",
-        _layout(states, SIGNAL_UNITS),
-        thrust,
-        ode,
-        outputs=_layout(names, SIGNAL_UNITS),
-        measure=lambda x, d, q: {name: x[name] for name in names},
+    zero, none = np.zeros((len(driven), len(driven))), np.zeros((len(driven), 0))
+    measured = np.eye(len(names), len(states))
+    plant = (A, B, np.zeros((len(states), 0)), measured, np.zeros((len(names), 0)))
+    controller = (
+        np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]]),
+        np.vstack([By, D]),
+        np.zeros((len(inner), 0)),
+        np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))]),
+        np.zeros((len(driven), len(names))),
+        none,
     )
-    return System(
-        plant, Controller("law", law.dt, _layout(names, SIGNAL_UNITS), thrust, step, state=_layout(inner, {}))
+    force = tuple(axes)
+    return LinearLoop(
+        plant, controller, LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names)), law.dt
     )
 
 
@@ -232,15 +219,3 @@ def _in_loop(A: Array, B: Array, C: Array) -> list[int]:
         reached = reached | (links @ reached)
         reaches = reaches | (links.T @ reaches)
     return [int(k) for k in np.flatnonzero(reached & reaches)]
-
-
-def _layout(names: Sequence[str], units: Mapping[str, str]) -> Layout:
-    return Layout(tuple(Port(name, (1,), units.get(name, "1"), "deviation from the cruise") for name in names))
-
-
-def _stacked(parts: Mapping[str, ca.SX], names: Sequence[str]) -> ca.SX:
-    return ca.vertcat(*(parts[name] for name in names)) if names else ca.SX.zeros(0, 1)
-
-
-def _named(names: Sequence[str], column: ca.SX) -> dict[str, ca.SX]:
-    return {name: column[k] for k, name in enumerate(names)}
