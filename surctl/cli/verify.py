@@ -108,8 +108,8 @@ def verify(
     braking claims are checked only if named (see surctl list). A file holds an inequality of your own (kind claim;
     --show prints examples), a region claim with other numbers (kind region), or a region of attraction or a barrier of
     any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent or
-    dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable, the linear loop
-    is unstable, or the safety claim fails.
+    dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable, the
+    linear loop is unstable, or the safety claim fails.
 
     For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop; with
     within.STATE=LOW..HIGH for every state, it also proves a region of attraction.

@@ -12,12 +12,11 @@ followed), do not belong to the loop.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,11 +24,10 @@ from surctl.allocation import allocate
 from surctl.control import Gains, Law, law_parameters, law_source
 from surctl.errors import InputError
 from surctl.guidance import Path
-from surctl.ir import Layout, Port
 from surctl.own_code import label
-from surctl.system import Action, Controller, Linearisation, Plant, System, linearise
+from surctl.system import LinearLoop, LoopNames
 from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
-from surctl.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_cruise
+from surctl.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
 from surctl.verification.linear.disk import DiskMargin
 from surctl.verification.margins import LoopMargins
 from surctl.verification.operating_point import OperatingPoint
@@ -63,7 +61,7 @@ class LawLoop:
 
     law: str
     cruise: float
-    linear: Linearisation
+    linear: LinearLoop
     place: str = ""
     free: tuple[str, ...] = ()
     kink: float = 0.0
@@ -81,7 +79,7 @@ class LawLoop:
     @cached_property
     def disk(self) -> DiskMargin:
         """Disk margin of all thrust commands together."""
-        return system_disk_margin(self.linear, *(port.name for port in self.linear.system.commands))
+        return system_disk_margin(self.linear, *self.linear.names.commands)
 
     @property
     def stable(self) -> bool:
@@ -171,13 +169,13 @@ def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Arr
 
 def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, *, place: str = "") -> LawLoop:
     (Az, By, C, D), kink = _differentiated(law, at)
-    system, free = _system(law, vehicle, at.nu, (Az, By, C, D))
-    return LawLoop(label(law.ref), at.speed, linearise(system), place, free, kink)
+    linear, free = _linear(law, vehicle, at.nu, (Az, By, C, D))
+    return LawLoop(label(law.ref), at.speed, linear, place, free, kink)
 
 
-def _system(
+def _linear(
     law: Law, vehicle: Vehicle, nu: Array, slopes: tuple[Array, Array, Array, Array]
-) -> tuple[System, tuple[str, ...]]:
+) -> tuple[LinearLoop, tuple[str, ...]]:
     # the loop, and the coordinates that are left out
     form = vehicle.form
     (A,), (B,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], form=form)
@@ -203,30 +201,20 @@ def _system(
     names, axes = states[: len(moving)], [_AXES[k] for k in driven]
     # a state of the law may have several entries, so the loop names them by number
     inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
-    zero = np.zeros((len(driven), len(driven)))
-    law_A = np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]])
-    law_B = np.vstack([By, D])
-    law_C = np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))])
-
-    def ode(x: Any, f: Any, d: Any, q: Any) -> dict[str, ca.SX]:
-        return _named(states, ca.SX(A @ _stacked(x, states) + B @ _stacked(f, axes)))
-
-    def step(x: Any, u: Any, q: Any) -> Any:
-        held = _stacked(x, inner)
-        after = law_A @ held + law_B @ _stacked(u, names)
-        return Action(_named(axes, ca.SX(law_C @ held)), _named(inner, ca.SX(after)))
-
-    thrust = _layout(axes, {axis: "N m" if axis == "yaw" else "N" for axis in axes})
-    plant = Plant(
-        "craft",
-        _layout(states, SIGNAL_UNITS),
-        thrust,
-        ode,
-        outputs=_layout(names, SIGNAL_UNITS),
-        measure=lambda x, d, q: {name: x[name] for name in names},
+    zero, none = np.zeros((len(driven), len(driven))), np.zeros((len(driven), 0))
+    measured = np.eye(len(names), len(states))
+    plant = (A, B, np.zeros((len(states), 0)), measured, np.zeros((len(names), 0)))
+    controller = (
+        np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]]),
+        np.vstack([By, D]),
+        np.zeros((len(inner), 0)),
+        np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))]),
+        np.zeros((len(driven), len(names))),
+        none,
     )
-    controller = Controller("law", law.dt, _layout(names, SIGNAL_UNITS), thrust, step, state=_layout(inner, {}))
-    return System(plant, controller), tuple(STATE_NAMES[k] for k in free)
+    force = tuple(axes)
+    labels = LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names))
+    return LinearLoop(plant, controller, labels, law.dt), tuple(STATE_NAMES[k] for k in free)
 
 
 def _free(A: Array, felt: NDArray[np.bool_], coordinates: Sequence[int]) -> list[int]:
@@ -300,15 +288,3 @@ def _in_loop(A: Array, B: Array, C: Array) -> list[int]:
         reached = reached | (links @ reached)
         reaches = reaches | (links.T @ reaches)
     return [int(k) for k in np.flatnonzero(reached & reaches)]
-
-
-def _layout(names: Sequence[str], units: Mapping[str, str]) -> Layout:
-    return Layout(tuple(Port(name, (1,), units.get(name, "1"), "deviation from the cruise") for name in names))
-
-
-def _stacked(parts: Mapping[str, ca.SX], names: Sequence[str]) -> ca.SX:
-    return ca.vertcat(*(parts[name] for name in names)) if names else ca.SX.zeros(0, 1)
-
-
-def _named(names: Sequence[str], column: ca.SX) -> dict[str, ca.SX]:
-    return {name: column[k] for k, name in enumerate(names)}
