@@ -1,7 +1,7 @@
 """Goals of your own: compare two gain sets with normalised values
 
-Goals are bounds on metrics of the loop and of runs. Each has a normalised value that is at most 1 if the goal is met, as
-in Control System Tuner. The hand-chosen gains and a faster set are compared.
+Goals are bounds on metrics of the loop and of runs. A normalised value of at most 1 means that the goal is met, as in
+Control System Tuner. The hand-chosen gains and a faster set are compared.
 """
 
 from pathlib import Path
