@@ -63,9 +63,9 @@ def pages(*, quick: bool) -> list[Page]:
 
 _HEAD = """# Python
 
-Each function states shapes, units, errors and source, and has an example; the tests run every example. Numbers in parentheses
-such as (13) are [equations of the paper](../equations.md). Inside the code all numbers are in SI units and radians, with ENU axes
-for the world and FLU axes for the body.
+Each function states shapes, units, errors and source, and has an example; the tests run every example. Numbers in
+parentheses such as (13) are [equations of the paper](../equations.md). Inside the code all numbers are in SI units and
+radians, with ENU axes for the world and FLU axes for the body.
 
 """
 

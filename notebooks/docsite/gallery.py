@@ -68,7 +68,8 @@ def run_example(name: str) -> Shown:
 
 def _cached(name: str) -> Shown:
     """Run an example, or return what it showed when it and surctl were last the same."""
-    sources = [FOLDER / f"{name}.py", *sorted((ROOT / "surctl").rglob("*.py")), *sorted((ROOT / "surctl").rglob("*.toml"))]
+    package = ROOT / "surctl"
+    sources = [FOLDER / f"{name}.py", *sorted(package.rglob("*.py")), *sorted(package.rglob("*.toml"))]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:20]
     store = ROOT / "build" / "gallery" / f"{name}-{digest}"
     if not store.with_suffix(".png").exists():
@@ -108,7 +109,7 @@ def pages(*, run: bool) -> tuple[list[Page], dict[str, bytes]]:
 
 _HEAD = """# Gallery
 
-Each example is one file of `notebooks/gallery/` without further modules. It prints a few lines and draws one picture. The build
-of this site runs the examples, so output and pictures are those of this version.
+Each example is one file of `notebooks/gallery/` without further modules. It prints a few lines and draws one picture.
+The build of this site runs the examples, so output and pictures are those of this version.
 
 """

@@ -1,4 +1,4 @@
-"""What MkDocs calls while it builds the site: it adds generated pages, follows links out of the guides, sets formulas."""
+"""What MkDocs calls while it builds the site: generated pages, links that leave the guides, formulas, terms."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     """Set formulas as MathML, and link equation numbers and terms of the glossary."""
     uri = page.file.src_uri
     html = with_mathml(html)
-    html = re.sub(r'<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))', '<img class="plot" loading="lazy" ', html)
+    html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
         html = equation_links(html, f"{up}reference/equations.html")
