@@ -11,7 +11,7 @@ from surctl.control.gains import _GainFile
 from surctl.lyapunov.problem import _ProblemTable
 from surctl.simulation.scenario import _ScenarioFile
 from surctl.study.plan import _StudyFile
-from surctl.tuning.goals import _GoalsFile
+from surctl.tuning.goals import GoalsFile
 from surctl.vehicle.logs.log_map import LogMap
 from surctl.vehicle.parameters import _VehicleFile
 from surctl.vehicle.thruster_file import _AllocationTable, _ThrusterTable
@@ -65,12 +65,12 @@ FILES: Mapping[str, FileKind] = {
         "([own law](../../own-law.md#its-own-gains)).",
     ),
     "goals": FileKind(
-        _GoalsFile,
+        GoalsFile,
         "Goals file",
         "goals",
         "hard and soft goals of a tuning",
-        "The guide [Tune the gains](../../tune.md#goals-of-your-own) shows an example. A goal has either "
-        "`at_most` or `at_least`.",
+        "The guide [Tune the gains](../../tune.md#goals-of-your-own) shows an example. A goal is about a "
+        "metric and has `at_most` or `at_least`, or it has a `type` and is about the loop.",
     ),
     "claim": FileKind(
         _ClaimTable,
@@ -288,7 +288,33 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "provenance": "source of the gains; `tune` writes its whole request",
         "gains": "gains by name",
     },
-    "_GoalsFile": _KIND | {"goals": "the goals"},
+    "GoalsFile": _KIND | {"points": "operating points of a system", "goals": "the goals"},
+    "PointTable": {"name": "name of the operating point", "values": "numbers of the system by name"},
+    "LoopGoalTable": {
+        "type": "type of a goal about the loop, see below",
+        "points": "operating points at which it holds; default: all",
+        "at": "signal at which the loop is opened, or several",
+        "source": "signal at which the input enters",
+        "end": "signal that responds",
+        "frequency_rad_per_s": "frequencies of the profile",
+        "gain": "gain of the profile at these frequencies",
+        "gain_db": "the same in dB",
+        "attenuation": "factor by which a disturbance at the signal is reduced",
+        "band_db": "width of the band around the loop shape",
+        "side": "side of the loop shape on which the loop gain may lie",
+        "response_s": "response time",
+        "steady_error": "relative error at low frequencies",
+        "peak_error": "largest relative error over all frequencies",
+        "time_constant_s": "time constant of the reference response",
+        "natural_frequency_rad_per_s": "natural frequency of the reference response",
+        "damping": "least damping; damping of the reference response",
+        "decay_per_s": "least decay rate of the poles",
+        "fastest_rad_per_s": "largest natural frequency of the poles",
+        "gain_margin": "least gain margin, as a factor",
+        "phase_margin_deg": "least phase margin",
+        "delay_margin_s": "least delay margin",
+        "disk_margin": "least disk margin",
+    },
     "GoalTable": {
         "name": "name in tables and pictures",
         "metric": "a metric of the tables below",

@@ -15,8 +15,11 @@ from pydantic_core import PydanticUndefined
 from surctl.control import GAINS
 from surctl.files import Quantity
 from surctl.simulation import METRICS
+from surctl.tuning import LOOP_GOAL_KEYS
 from surctl.vehicle import PARAMETERS, TERMS
 from surctl.verification import LINEAR_METRICS
+
+_SHOWN = {"source": "from", "end": "to"}
 
 __all__ = ["pages", "undocumented"]
 
@@ -209,7 +212,14 @@ def _extra(name: str) -> str:
         runs = [_metric(key, spec) for key, spec in METRICS.items()]
         loop = [_metric(key, spec) for key, spec in LINEAR_METRICS.items()]
         head = ("metric", "unit", "better if", "meaning")
-        return f"## Metrics of a run\n\n{table(head, runs)}\n\n## Metrics of the linear loop\n\n{table(head, loop)}"
+        types = [(f"`{name}`", _keys(keys)) for name, keys in LOOP_GOAL_KEYS.items()]
+        kinds = table(("type", "keys beside name, kind and points"), types)
+        sections = {
+            "Goals about the loop": kinds,
+            "Metrics of a run": table(head, runs),
+            "Metrics of the linear loop": table(head, loop),
+        }
+        return "\n\n".join(f"## {title}\n\n{text}" for title, text in sections.items())
     return ""
 
 
@@ -219,3 +229,7 @@ def _number(value: float | None) -> str:
 
 def _metric(key: str, spec: Any) -> tuple[str, ...]:
     return f"`{key}`", spec.unit, {"low": "small", "high": "large"}.get(str(spec.better), "–"), spec.meaning
+
+
+def _keys(names: frozenset[str]) -> str:
+    return ", ".join(f"`{key}`" for key in sorted(_SHOWN.get(name, name) for name in names))
