@@ -56,7 +56,9 @@ def _uri(path: Path) -> str:
         return f"gallery/{path.stem}.md"
     if name.startswith("analysis/") and path.suffix == ".md":
         below = name.removeprefix("analysis/")
-        return "studies/" + (below.removesuffix("/README.md") + ".md" if "/" in below else below.replace("README", "index"))
+        if below.endswith("/README.md"):
+            return f"studies/{below.removesuffix('/README.md')}.md"
+        return "studies/" + below.replace("README", "index")
     return f"sources/{name}" + ("" if path.suffix in _PICTURES else ".md")
 
 
