@@ -36,7 +36,7 @@ from surctl.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
 from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
-from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
+from surctl.simulation.record_file import RECORD_FORMATS, RUN_FORMATS, RecordFormat, record_columns, save_record
 from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
 from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scaling import (
@@ -47,6 +47,7 @@ from surctl.simulation.scaling import (
     two_leg_mission,
 )
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
+from surctl.simulation.scene_file import LAYOUT, SceneFile, save_scene, write_layout
 from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
 from surctl.simulation.stopping import stop_reason
@@ -59,10 +60,12 @@ __all__ = [
     "ENGINES",
     "GONE",
     "LATE",
+    "LAYOUT",
     "LIBRARY",
     "LINK_LOST",
     "METRICS",
     "RECORD_FORMATS",
+    "RUN_FORMATS",
     "SENSING",
     "STANDSTILL",
     "STOPPED_LIMIT",
@@ -93,6 +96,7 @@ __all__ = [
     "Run",
     "SafetyClaim",
     "Scenario",
+    "SceneFile",
     "Sensing",
     "Sensors",
     "SlowerEngine",
@@ -121,6 +125,7 @@ __all__ = [
     "record_columns",
     "safety_claim",
     "save_record",
+    "save_scene",
     "scaled_scenario",
     "simulate",
     "simulate_batch",
@@ -130,4 +135,5 @@ __all__ = [
     "thruster_use",
     "turn_rate",
     "two_leg_mission",
+    "write_layout",
 ]
