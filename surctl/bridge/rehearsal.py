@@ -12,6 +12,7 @@ import numpy as np
 from surctl.bridge.autopilot import SimulatedSub
 from surctl.bridge.bridge import Bridge
 from surctl.bridge.channel import Channel, LinkQuality
+from surctl.bridge.live import SessionLog
 from surctl.simulation.sensors import FIRING
 
 __all__ = ["ACTIONS", "Act", "Action", "Rehearsal", "RehearsalResult", "rehearse"]
@@ -71,6 +72,7 @@ class Rehearsal:
     Attributes:
         bridge, sub: bridge and simulated autopilot.
         down, up: links from and to the autopilot.
+        log: records the session, or None.
         now: simulated time [s].
     """
 
@@ -78,6 +80,7 @@ class Rehearsal:
     sub: SimulatedSub
     down: Channel
     up: Channel
+    log: SessionLog | None = None
     now: float = 0.0
     quit: bool = False
     thrusts: list[tuple[float, bool, bool]] = field(default_factory=list)
@@ -87,10 +90,14 @@ class Rehearsal:
         now = self.now
         for frame in self.down.arrived(now):
             if not self.quit:
+                self._logged(frame, sent=False)
                 self.bridge.hear(frame, now)
         if period and not self.quit:
             for frame in self.bridge.period(now):
+                self._logged(frame, sent=True)
                 self.up.send(frame, now)
+            if self.log is not None:
+                self.log.period(self.bridge)
         for frame in self.up.arrived(now):
             for reply in self.sub.hear(frame, now):
                 self.down.send(reply, now)
@@ -99,6 +106,10 @@ class Rehearsal:
         acts = bool(np.any(np.abs(self.sub.pilot_thrust(now)) > 1e-9))
         self.thrusts.append((now, acts, self.sub.armed))
         self.now = now + FIRING
+
+    def _logged(self, frame: bytes, *, sent: bool) -> None:
+        if self.log is not None:
+            self.log.frame(self.now, frame, sent=sent)
 
     def act(self, action: Action) -> None:
         """Do what an `Act` says, now."""
@@ -125,6 +136,7 @@ def rehearse(
     acts: Sequence[Act] | None = None,
     limit: float | None = None,
     each: Callable[[Rehearsal], None] | None = None,
+    log: SessionLog | None = None,
 ) -> RehearsalResult:
     """Run a session with the simulated autopilot and return its result.
 
@@ -136,6 +148,7 @@ def rehearse(
         acts: what happens when. If nobody arms, the operator arms after 3 s; he disarms 1 s after the arrival.
         limit: longest simulated time [s]; default: the scenario's time limit.
         each: called after each control period.
+        log: records the session.
 
     Example:
         >>> from surctl.bridge import Act, Bridge, SimulatedSub, Wire, plan_session, rehearse
@@ -148,7 +161,7 @@ def rehearse(
         ([True], 1)
     """
     quality = link or LinkQuality()
-    run = Rehearsal(bridge, sub, Channel(quality, 2 * seed), Channel(quality, 2 * seed + 1))
+    run = Rehearsal(bridge, sub, Channel(quality, 2 * seed), Channel(quality, 2 * seed + 1), log)
     plan = bridge.plan
     end = plan.scenario.time_limit if limit is None else limit
     pending = sorted(acts or ())

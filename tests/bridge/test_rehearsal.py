@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from surctl.bridge import (
     LinkQuality,
     Plan,
     RehearsalResult,
+    SessionRecord,
     SimulatedSub,
     Site,
     Wire,
@@ -25,6 +27,8 @@ from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.simulation import load_scenario, simulate
 from surctl.vehicle import load_vehicle
+from surctl.vehicle.logs.read import read_recording
+from tests.simulation.test_scene_file import messages
 from tests.tools import need_compiler, need_module
 
 WORST = LinkQuality(loss=0.2, delay=0.3)
@@ -142,3 +146,18 @@ def test_a_mission_that_must_be_fed_is_refused() -> None:
     made = plan()
     with pytest.raises(InputError, match="--mode manual or guided"):
         replace(made, scenario=replace(made.scenario, depths=(-0.9, -0.1)))
+
+
+def test_the_record_of_a_session_can_be_read(tmp_path: Path) -> None:
+    bridge, sub = Bridge(plan(), Wire()), SimulatedSub(plan().scenario, plan().vehicle)
+    with SessionRecord(tmp_path, "swim", bridge, epoch=1000.0) as record:
+        rehearse(bridge, sub, acts=[Act(2.0, "arm")], limit=4.0, log=record)
+    read = messages((tmp_path / "swim.mcap").read_bytes())
+    assert len(read["/pose"]) > 70 and read["/pose"][0][0] > 1000.0
+    assert {m["values"]["phase"] for _, _, m in read["/status"]} == {"ready", "steering"}
+    assert max(m["surge_n"] for _, _, m in read["/thrust"]) == 5.0
+    assert any("steering" in m["message"] for _, _, m in read["/log"])
+    log = read_recording(tmp_path / "swim.tlog", None)
+    sent, positions = log.topics["RC_CHANNELS_OVERRIDE"], log.topics["LOCAL_POSITION_NED"]
+    assert sent.fields["chan5_raw"].max() == 1900.0 and len(positions.time) > 70
+    assert sent.time[0] == pytest.approx(1002.0, abs=1.1)
