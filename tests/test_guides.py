@@ -25,7 +25,7 @@ from tests.tools import PATIENCE, need_compiler, need_module
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
-GUIDES = sorted((ROOT / "notebooks" / "guides").glob("*.md"))
+GUIDES = sorted((ROOT / "notebooks" / "guides").rglob("*.md"))
 PAGES = [README, *GUIDES]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 NAMES = {
