@@ -139,6 +139,7 @@ def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
         for scheme in ("light", "dark"):
             opened.page.emulate_media(color_scheme=scheme)
             for name in PAGES:
+                opened.page.evaluate("localStorage.clear()")
                 opened.page.goto((site / f"{name}.html").as_uri())
                 dark = opened.page.evaluate("document.body.dataset.mdColorScheme") == "slate"
                 assert dark == (scheme == "dark")
