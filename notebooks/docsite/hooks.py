@@ -37,6 +37,7 @@ def on_config(config: Any) -> Any:
     config.extra["version_text"] = surctl.__version__
     if QUICK:
         config.plugins["mkdocstrings"].config.enabled = False
+        config.extra_css = [name for name in config.extra_css if "mkdocstrings" not in str(name)]
     return config
 
 
