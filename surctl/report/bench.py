@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from surctl.control import Gains, law_source, load_gains, write_gains
+from surctl.errors import InputError
 from surctl.files import write_file
-from surctl.own_code import label
+from surctl.own_code import is_own, label
 from surctl.report.design_bench import RunView, Slider, SlowView, activity, gain_file
 from surctl.report.panel import Curve, Panel, Shade
 from surctl.report.plan_view import plot_run
@@ -31,7 +34,14 @@ from surctl.tuning import (
     judged_goals,
 )
 from surctl.vehicle import Vehicle
-from surctl.verification import Inapplicable, Verdict, applicable_claims, decide
+from surctl.verification import (
+    Inapplicable,
+    OperatingPoint,
+    Verdict,
+    applicable_claims,
+    decide,
+    steady_motion,
+)
 
 __all__ = ["Bench", "save_gains"]
 
@@ -70,6 +80,7 @@ class Bench:
     cruise: tuple[float, ...] = ()
     law: str = ""
     others: tuple[Vehicle, ...] = ()
+    _motions: dict[Any, OperatingPoint] = field(default_factory=dict, repr=False)
 
     @cached_property
     def case(self) -> Case:
@@ -104,10 +115,22 @@ class Bench:
             f"{u:g} m/s": (u, {}, None) for u in self.speeds
         }
         u = self.scenario.cruise
+        if self.own:
+            places = {"its own run": (u, {}, None)}
         _, *ends = corners(self.vehicle)
         for name, plant in (("first corner", ends[:1]), ("last corner", ends[-1:])):
-            places |= {f"{name}, {u:g} m/s": (u, one, None) for one in plant}
-        return places | {f"{craft.name}, {u:g} m/s": (u, {}, craft) for craft in self.others}
+            places |= {name if self.own else f"{name}, {u:g} m/s": (u, one, None) for one in plant}
+        return places | {f"{craft.name}, {u:g} m/s": (u, {}, craft) for craft in self.others if not self.own}
+
+    @property
+    def own(self) -> bool:
+        """Whether the law is the user's own, and so linearised about the steady motion of its run."""
+        return is_own(self.case.law)
+
+    @property
+    def version(self) -> int:
+        """Return a number that changes when loops of equal gains change, because another run is known."""
+        return len(self._motions)
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -118,10 +141,13 @@ class Bench:
     def goals(self) -> tuple[LoopGoal, ...]:
         """Return the goals about the loop, each at its own speeds."""
         return tuple(
-            replace(g.loop, points=tuple(f"{u:g} m/s" for u in g.cruise or (self.scenario.cruise,)))
+            replace(g.loop, points=(self.points[0],) if self.own else tuple(f"{u:g} m/s" for u in self._speeds(g)))
             for g in self.stated
             if g.loop is not None
         )
+
+    def _speeds(self, goal: Goal) -> tuple[float, ...]:
+        return goal.cruise or (self.scenario.cruise,)
 
     @cached_property
     def _judged(self) -> tuple[Goal, ...]:
@@ -150,14 +176,31 @@ class Bench:
         return self.base.with_values(values, provenance=f"tuning page, from {self.base.name}: {self.base.provenance}")
 
     def loop(self, values: Mapping[str, float], point: str) -> LinearLoop:
-        """Return the linear loop of the law at an operating point."""
+        """Return the linear loop of the law at an operating point.
+
+        A law of the user's own is linearised about the steady motion of its run with these gains; until they have been
+        simulated, about that of the latest run.
+        """
         speed, plant, craft = self._places[point]
         case = self.case if craft is None else replace(self.case, vehicle=craft)
-        return case_loop(case, self.gains(values), cruise=speed, plant=plant)
+        motion = self._motion(values) if self.own else None
+        return case_loop(case, self.gains(values), cruise=speed, plant=plant, motion=motion)
+
+    def _motion(self, values: Mapping[str, float]) -> OperatingPoint:
+        if not self._motions:
+            self.simulate(values)
+        if not self._motions:
+            raise InputError("has no steady motion", key=self.scenario.name, remedy="give a longer straight part")
+        return self._motions.get(tuple(values.items()), next(reversed(self._motions.values())))
 
     def simulate(self, values: Mapping[str, float]) -> Run:
         """Simulate the closed loop with seed 0; the law is compiled once, with the gains as its parameters."""
-        return simulate(self.scenario, self.vehicle, gains=self.gains(values), law=self.case.build())
+        run = simulate(self.scenario, self.vehicle, gains=self.gains(values), law=self.case.build())
+        key = tuple(values.items())
+        if self.own and key not in self._motions:
+            with suppress(InputError):  # without a steady motion, the last one stays
+                self._motions[key] = steady_motion(run)
+        return run
 
     def judge(self, values: Mapping[str, float]) -> Evaluation | None:
         """Evaluate the goals about metrics for the nominal plant and for the corners; None without such goals."""

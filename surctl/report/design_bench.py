@@ -239,8 +239,8 @@ def gain_file(file: str) -> Path:
 def activity(values: Array, dt: float, unit: str) -> str:
     """Return how a command moves: root mean square, changes of sign, and share of time at its largest size."""
     known = values[np.isfinite(values)]
-    if not known.size:
-        return "no values"
+    if not known.any():
+        return "none" if known.size else "no values"
     rms, most = float(np.sqrt(np.mean(known**2))), float(np.abs(known).max())
     signs = np.sign(known[np.abs(known) > 1e-3 * most]) if most > 0 else np.zeros(0)
     changes = int(np.count_nonzero(np.diff(signs)))

@@ -37,7 +37,9 @@ def loop_panels(
     """
     each = [*((name, loop, k, False) for k, (name, loop) in enumerate(loops.items()))]
     each += [(f"{name}, B", loop, k, True) for k, (name, loop) in enumerate((compared or {}).items())]
-    gain, phase, S, T, nyquist, steps, poles = ([] for _ in range(7))  # type: list[list[Curve]]
+    names = ("gain", "phase", "S", "T", "nyquist", "steps", "poles")
+    found: dict[str, list[Curve]] = {name: [] for name in names}
+    gain, phase, S, T, nyquist, steps, poles = (found[name] for name in names)
     for name, loop, k, faint in each:
         omega = frequencies(loop, [opening])
         L = response(loop.opened(opening), omega, loop.dt)[:, 0, 0]
@@ -127,7 +129,8 @@ def _goal_panel(name: str, own: Sequence[Score], others: Sequence[Score]) -> Pan
             shades.append(Shade(view.x, _db(bound) if decibels else bound, side))  # type: ignore[arg-type]
     quantity = view.quantity.rpartition(" [")[0] + " [dB]" if decibels else view.quantity
     x = "frequency [rad/s]" if decibels else "time [s]"
-    return Panel(title, x, quantity, curves, shades, log_x=decibels, note=note, mark=mark)
+    limits = _about(shades, curves) if decibels else None
+    return Panel(title, x, quantity, curves, shades, log_x=decibels, limits=(None, limits), note=note, mark=mark)
 
 
 def plot_loops(loops: Loops, opening: str, *, source: str = "", end: str = "") -> Figure:
@@ -190,6 +193,14 @@ def plot_loop_goals(scores: LoopScores) -> Figure:
     return draw_panels(goal_panels(scores))
 
 
+def _about(shades: Sequence[Shade], curves: Sequence[Curve]) -> tuple[float, float]:
+    # the range about the bounds: a curve may fall to -200 dB
+    bounds = np.concatenate([shade.y for shade in shades])
+    highest = max(float(np.nanmax(one.y)) for one in curves)
+    low = max(float(np.nanmin(bounds)) - 40.0, min(float(np.nanmin(one.y)) for one in curves) - 3.0)
+    return min(low, float(np.nanmin(bounds)) - 6.0), max(highest, float(np.nanmax(bounds))) + 6.0
+
+
 def _db(values: Array) -> Array:
     return np.asarray(20 * np.log10(np.maximum(values, 1e-12)), dtype=float)
 
@@ -234,9 +245,8 @@ def _pole_panel(title: str, curves: Sequence[Curve]) -> Panel:
 
 def _region(view: LoopView, panel: Panel) -> list[tuple[Array, Array]]:
     # outlines of the parts of the s-plane outside of the region
-    assert view.region is not None and panel.limits[0] is not None and panel.limits[1] is not None
-    decay, damping, fastest = view.region
-    (left, right), (low, high) = panel.limits
+    (left, right), (low, high) = (limits or (-1.0, 1.0) for limits in panel.limits)
+    decay, damping, fastest = view.region or (0.0, 0.0, np.inf)
     far = 2 * max(-left, right, high)
     outlines = [(np.array([-decay, far, far, -decay]), np.array([low, low, high, high]) * 2)]
     if damping > 0:

@@ -109,11 +109,12 @@ def _values(bench: DesignBench, values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _loops(bench: DesignBench, values: Mapping[str, float], points: Sequence[str]) -> dict[str, LinearLoop]:
-    return {point: _one_loop(bench, tuple(values.items()), point) for point in points if point in bench.points}
+    version = getattr(bench, "version", 0)
+    return {point: _one_loop(bench, tuple(values.items()), point, version) for point in points if point in bench.points}
 
 
 @lru_cache(maxsize=64)
-def _one_loop(bench: DesignBench, values: tuple[tuple[str, float], ...], point: str) -> LinearLoop:
+def _one_loop(bench: DesignBench, values: tuple[tuple[str, float], ...], point: str, version: int) -> LinearLoop:
     return bench.loop(dict(values), point)
 
 
@@ -160,6 +161,7 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
 
 
 def _run(bench: DesignBench, request: Request) -> dict[str, Any]:
+    before = getattr(bench, "version", 0)
     view = bench.run(_values(bench, request["values"]), request["points"] or bench.points[:1])
     cells = "".join(
         f'<tr><td>{escape(label)}</td><td><span id="{escape(name, quote=True)}" class="{mark}">{escape(text)}</span>'
@@ -171,7 +173,8 @@ def _run(bench: DesignBench, request: Request) -> dict[str, Any]:
         f'<thead><tr><th scope="col">figure</th><th scope="col">value</th></tr></thead><tbody>{cells}</tbody>'
         "</table></div>"
     )
-    return {"table": table, "html": "".join(map(panel_svg, view.panels)) + _picture(view.picture)}
+    html = "".join(map(panel_svg, view.panels)) + _picture(view.picture)
+    return {"table": table, "html": html, "moved": getattr(bench, "version", 0) != before}
 
 
 def _slow(bench: DesignBench, request: Request) -> dict[str, Any]:

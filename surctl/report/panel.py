@@ -105,9 +105,9 @@ def draw_panel(panel: Panel, ax: Axes) -> Axes:
         ax.plot(shade.x, finite(shade.y), color=BAD, linewidth=1.2)
     for x, y in panel.regions:
         ax.fill(x, y, color=BAD, alpha=0.12, linewidth=0)
-    for x, y, text in panel.marks:
-        ax.plot(x, y, "+", color=INK, markersize=8)
-        ax.annotate(text, (x, y), textcoords="offset points", xytext=(4, 4), fontsize=8, color=INK)
+    for px, py, text in panel.marks:
+        ax.plot(px, py, "+", color=INK, markersize=8)
+        ax.annotate(text, (px, py), textcoords="offset points", xytext=(4, 4), fontsize=8, color=INK)
     (left, right), (low, high) = _limits(panel)
     ax.set_xlim(left, right)
     ax.set_ylim(low, high)

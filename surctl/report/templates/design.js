@@ -85,12 +85,19 @@ async function send(path, place) {
   if (next[path]) { const then = next[path]; next[path] = null; send(path, then); }
 }
 function later(path, wait, place) { clearTimeout(timers[path]); timers[path] = setTimeout(() => send(path, place), wait); }
-function ask() {
-  fresh += 1;
+function loops() {
   send("linear", (found) => { $("linear").innerHTML = found.html; });
   if (about.goals) later("goals", 30, (found) => { $("goals").innerHTML = found.html; });
   later("details", 200, (found) => { $("margins").innerHTML = found.margins; $("locus").innerHTML = found.locus; });
-  later("run", 350, (found) => { $("figures").innerHTML = found.table; $("run").innerHTML = found.html; });
+}
+function ask() {
+  fresh += 1;
+  loops();
+  later("run", 350, (found) => {
+    $("figures").innerHTML = found.table;
+    $("run").innerHTML = found.html;
+    if (found.moved) loops(); // the loops are about the motion of this run
+  });
   $("proofs").textContent = "";
 }
 $("goals-section").hidden = !about.goals;
