@@ -6,6 +6,7 @@ import hmac
 import json
 import secrets
 import signal
+import sys
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Lock, Thread, current_thread, main_thread
@@ -36,16 +37,24 @@ def serve(bench: DesignBench, *, port: int | None = None, ready: Callable[[str],
     """
     token = secrets.token_urlsafe(16)  # the page writes files: scripts of other sites must have no access
     try:
-        server = ThreadingHTTPServer((_HOST, port or 0), _handler(bench, token))
+        server = _Server((_HOST, port or 0), _handler(bench, token))
     except OSError as error:
         remedy = "omit it to use a free port"
         raise InputError(f"cannot be used ({error.strerror})", key="--port", value=port, remedy=remedy) from None
-    server.daemon_threads = True
     with server:
         if current_thread() is main_thread():
             signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have left it ignored
         Thread(target=ready, args=(f"http://{_HOST}:{server.server_address[1]}/?token={token}",), daemon=True).start()
         server.serve_forever(poll_interval=0.1)
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report an error, unless the browser has closed the connection."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
 
 
 def _handler(bench: DesignBench, token: str) -> type[BaseHTTPRequestHandler]:
