@@ -38,8 +38,8 @@ def loop_panels(
     each = [*((name, loop, k, False) for k, (name, loop) in enumerate(loops.items()))]
     each += [(f"{name}, B", loop, k, True) for k, (name, loop) in enumerate((compared or {}).items())]
     names = ("gain", "phase", "S", "T", "nyquist", "steps", "poles")
-    found: dict[str, list[Curve]] = {name: [] for name in names}
-    gain, phase, S, T, nyquist, steps, poles = (found[name] for name in names)
+    by_kind: dict[str, list[Curve]] = {name: [] for name in names}
+    gain, phase, S, T, nyquist, steps, poles = (by_kind[name] for name in names)
     for name, loop, k, faint in each:
         omega = frequencies(loop, [opening])
         L = response(loop.opened(opening), omega, loop.dt)[:, 0, 0]

@@ -228,9 +228,9 @@ def _limits(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
     )
 
 
-def _span(given: tuple[float, float] | None, values: Array, *, margin: float, log: bool = False) -> tuple[float, float]:
-    if given is not None:
-        return given
+def _span(ends: tuple[float, float] | None, values: Array, *, margin: float, log: bool = False) -> tuple[float, float]:
+    if ends is not None:
+        return ends
     known = values[np.isfinite(values) & ((values > 0) | (not log))]
     if not known.size:
         return (0.1, 1.0) if log else (0.0, 1.0)
