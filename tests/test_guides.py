@@ -34,6 +34,7 @@ NAMES = {
     "architecture",
     "design",
     "export",
+    "field",
     "independent-physics",
     "missions",
     "own-law",
@@ -136,6 +137,9 @@ def test_there_is_a_guide_for_each_job() -> None:
 @pytest.mark.parametrize("guide", PAGES, ids=lambda path: path.stem)
 def test_it_does_what_it_says(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
+    if guide.stem == "field":
+        need_module("pymavlink")
+        need_module("mcap")
     if guide.stem == "independent-physics":
         need_module("mujoco")
     monkeypatch.chdir(tmp_path)

@@ -54,7 +54,7 @@ _SYSTEM = click.IntRange(1, 255)
     "acts",
     multiple=True,
     metavar="S:ACT",
-    help="Rehearsal: at time S arm, disarm, reboot, cut, join, quit or a mode.",
+    help="Rehearsal: at time S arm, disarm, reboot, cut, join, quit, blind or a mode.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed (default 0).")
 @click.option(
