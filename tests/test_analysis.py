@@ -65,8 +65,8 @@ def test_the_study_of_sessions_with_an_autopilot() -> None:
     need_module("mcap")
     done = run(ANALYSIS / "36_bridge" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
-    rows = [row for row in table(done.stdout) if len(row) == 7 and row[1] == "2"]
-    assert len(rows) == 8 and all(row[2] == "2" and row[5] == "0" for row in rows)
+    rows = [row for row in table(done.stdout) if len(row) == 7 and row[1] == "1"]
+    assert len(rows) == 8 and all(row[2] == "1" and row[5] == "0" for row in rows)
 
 
 def test_the_study_of_published_vehicles() -> None:

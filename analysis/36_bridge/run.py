@@ -1,7 +1,7 @@
 """Study 36: sessions with an autopilot over a bad link.
 
     python analysis/36_bridge/run.py            # 1,000 sessions, nine flights, an hour as MCAP
-    python analysis/36_bridge/run.py --quick    # 16 sessions, no flight, 20 s as MCAP
+    python analysis/36_bridge/run.py --quick    # 8 sessions, no flight, 20 s as MCAP
 
 Prints Markdown; --write writes the README from it. Status 1 if a thrust lasts longer than its limit, the bridge steers
 without the operator, a flight takes 5 % longer than the direct one, or an hour as MCAP has more than 100 MB.
@@ -189,7 +189,7 @@ def main() -> int:
     parser.add_argument("--write", action="store_true")
     chosen = parser.parse_args()
     parts = (
-        sessions(16 if chosen.quick else 1000),
+        sessions(8 if chosen.quick else 1000),
         *([] if chosen.quick else [flights()]),
         hour(20.0 if chosen.quick else HOUR),
     )
