@@ -1,4 +1,4 @@
-"""What MkDocs calls while it builds the site: it adds generated pages, follows links out of the guides, sets formulas."""
+"""What MkDocs calls while it builds the site: generated pages, links that leave the guides, formulas, terms."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ def on_config(config: Any) -> Any:
     config.extra["version_text"] = surctl.__version__
     if QUICK:
         config.plugins["mkdocstrings"].config.enabled = False
+        config.extra_css = [name for name in config.extra_css if "mkdocstrings" not in str(name)]
     return config
 
 
@@ -45,12 +46,13 @@ def on_files(files: Files, config: Any) -> Files:
     guides = Path(config.docs_dir)
     _SOURCES.clear()
     _SOURCES.update({f.src_uri: Path(str(f.abs_src_path)) for f in files.documentation_pages()})
+    examples, pictures = gallery.pages(run=not QUICK)
     generated = {
         "commands": command_pages.pages(),
         "files": file_pages.pages(),
         "python": api_pages.pages(quick=QUICK),
         "notebooks": notebook_pages(ROOT / "notebooks"),
-        "gallery": gallery.pages(config, files, run=not QUICK),
+        "gallery": examples,
     }
     for pages in generated.values():
         for page in pages:
@@ -65,6 +67,8 @@ def on_files(files: Files, config: Any) -> Files:
         else:
             files.append(File.generated(config, page.uri, content=page.text))
         _SOURCES[page.uri] = page.source
+    for name, picture in pictures.items():
+        files.append(File.generated(config, name, content=picture))
     for asset in sorted((HERE / "assets").iterdir()):
         files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
     config.nav = _filled(config.nav, generated)
@@ -102,7 +106,7 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     """Set formulas as MathML, and link equation numbers and terms of the glossary."""
     uri = page.file.src_uri
     html = with_mathml(html)
-    html = re.sub(r'<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))', '<img class="plot" loading="lazy" ', html)
+    html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
         html = equation_links(html, f"{up}reference/equations.html")
