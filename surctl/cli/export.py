@@ -296,7 +296,7 @@ def export(
         and sil.conclusive
         and (report is None or report.passed)
         and (proof is None or proof.proved),
-        then=[*belong, *(() if mission.path.fed else started)],
+        then=[*belong, *(() if mission.path.fed and real != "float64" else started)],
     )
 
 

@@ -90,7 +90,7 @@ def render_files(
     of_law = _law_files(name, parts)
     values |= {"law_files": [(file, about) for file, about, _ in of_law], "fed": is_fed(law)}
     values |= mission_values(law, real) if is_fed(law) else {}
-    values |= {"rows": data_rows(law, mission, real)} if mission is not None else {}
+    values |= {"rows": data_rows(law, mission, real) if mission is not None else []}
     values |= wiring_values(law, origin) | example_values(law, within, name=name, arrays=values["ram"]["arrays"])
     code = [f"{name}.c", *([f"{name}_gains.c"] if law.gains.size else []), *(file for file, _, _ in of_law)]
     headers = [f"{name}.h", *([f"{name}_gains.h"] if law.gains.size else []), f"{name}_internal.h"]
