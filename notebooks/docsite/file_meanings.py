@@ -182,6 +182,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "corners": "whether corners may be skipped on a detour, or must be visited",
         "site": "size of the basin; one corner of its floor plan is the origin",
         "obstacles": "obstacles",
+        "reflectors": "kinds of surfaces, by name: how they answer a sonar",
         "disturbance": "waves, current and thrust errors",
         "sonar": "range sensors",
         "base_station": "messages about moving obstacles",
@@ -219,6 +220,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "removed": "whether a moving obstacle disappears at its end",
         "bottom_m": "z of the lower end; default: the floor",
         "top_m": "z of the upper end; default: the surface",
+        "reflector": "how its surface answers a sonar; default: as the echo model",
     },
     "Disturbance": {
         "wave_force_n": "amplitude of a sinusoidal force; its direction and phase are random",
@@ -234,6 +236,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "mounts_m": "places of the sensors [x, y] in the body frame; default: on the hull",
         "order": "order of firing, by index",
         "beam_deg": "opening angle (default 75)",
+        "pitch_deg": "angle of the beams' axes above the horizontal",
         "incidence_limit_deg": "largest angle to the normal at which a surface answers; default: every surface answers",
         "echoes": "echo model: every surface answers, or within 22.5° of the normal",
         "minimum_m": "blind range (default 0.2)",
