@@ -190,7 +190,26 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "uncertainty": "what a Monte Carlo campaign draws",
         "paper": "numbers of the paper for this scenario",
     },
-    "_Site": {"length_m": "along x", "width_m": "along y", "depth_m": "depth of the water"},
+    "_Site": {
+        "length_m": "along x",
+        "width_m": "along y",
+        "depth_m": "depth of the water",
+        "walls": "reflector of all walls, or of each; default: as the echo model",
+        "surface": "reflector of the water surface; default: as the echo model",
+        "floor": "reflector of the floor; default: as the echo model",
+    },
+    "WallTable": {
+        "x0": "reflector of the wall x = 0",
+        "x1": "reflector of the wall x = length",
+        "y0": "reflector of the wall y = 0",
+        "y1": "reflector of the wall y = width",
+    },
+    "ReflectorTable": {
+        "incidence_limit_deg": "largest angle to the normal at which a face answers; default: at every angle",
+        "edge_range_m": "range at which an edge on the beam's axis is detected in half of the firings; 0: silent",
+        "cylinder_range_m": "likewise for a cylinder of radius 0.1 m; default: it answers as a face does",
+        "corners": "whether a corner between two such walls answers from any direction",
+    },
     "Leg": _TRAIL | {
         "to_m": "end [x, y]",
         "radius_m": "radius of an arc; without it the leg is straight",
