@@ -44,6 +44,7 @@ NAMES = {
     "explanation/priorities",
     "explanation/sonar",
     "export",
+    "field",
     "glossary",
     "how-to",
     "independent-physics",
@@ -171,6 +172,9 @@ def test_each_block_is_run_or_of_a_kind_that_is_only_shown(page: Path) -> None:
 @pytest.mark.parametrize("guide", PAGES, ids=name_of)
 def test_it_does_what_it_says(guide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
+    if guide.stem == "field":
+        need_module("pymavlink")
+        need_module("mcap")
     if guide.stem == "independent-physics":
         need_module("mujoco")
     monkeypatch.chdir(tmp_path)

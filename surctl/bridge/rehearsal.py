@@ -17,18 +17,22 @@ from surctl.simulation.sensors import FIRING
 
 __all__ = ["ACTIONS", "Act", "Action", "Rehearsal", "RehearsalResult", "rehearse"]
 
-Action: TypeAlias = Literal["arm", "disarm", "manual", "alt_hold", "guided", "reboot", "cut", "join", "quit"]
+Action: TypeAlias = Literal[
+    "arm", "disarm", "manual", "alt_hold", "guided", "reboot", "cut", "mute", "deaf", "blind", "join", "quit"
+]
 
 ACTIONS: tuple[Action, ...] = get_args(Action)
 
 _READY = 3.0  # [s] after which the operator arms
+_QUIET = 5.0  # [s] after the last event and the end of arming, when the rehearsal ends
 _LEFT = 1.0  # [s] after arrival, when the operator disarms
 
 
 class Act(NamedTuple):
-    """What happens at a time [s]: the operator arms, disarms or sets a mode; a restart; the link is cut or joined.
+    """What happens at a time [s]: the operator arms, disarms or sets a mode; the autopilot restarts (`reboot`).
 
-    `quit` ends the bridge without a last command, as a killed process does.
+    `cut` ends both directions of the link, `mute` the one from the autopilot, `deaf` the one to it; `blind` ends its
+    position and attitude alone. `join` undoes these. `quit` ends the bridge without a last command, as kill -9 does.
     """
 
     time: float
@@ -119,8 +123,9 @@ class Rehearsal:
             self.sub.disarm(self.now)
         elif action == "reboot":
             self.sub.reboot(self.now)
-        elif action in ("cut", "join"):
-            self.down.cut = self.up.cut = action == "cut"
+        elif action in ("cut", "mute", "deaf", "blind", "join"):
+            self.down.cut, self.up.cut = action in ("cut", "mute"), action in ("cut", "deaf")
+            self.sub.blind = action == "blind"
         elif action == "quit":
             self.quit = True
         else:
@@ -170,6 +175,7 @@ def rehearse(
     done: list[Act] = []
     counts: dict[str, int] = {}
     began = arrived = left = inf
+    quiet = 0.0
     begun, last, every = 0, "waiting", round(plan.law.dt / FIRING)
     steps = int(end / FIRING)
     for k in range(steps):
@@ -193,7 +199,9 @@ def rehearse(
             each(run)
         if run.now >= left and sub.armed:
             run.act("disarm")
-        if run.now >= left + 1.0:
+        if sub.armed or pending:
+            quiet = run.now
+        if run.now >= min(left + 1.0, quiet + _QUIET):
             break
     time = min(arrived, run.now) - began if began < inf else 0.0
     return RehearsalResult(

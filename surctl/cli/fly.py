@@ -54,7 +54,7 @@ _SYSTEM = click.IntRange(1, 255)
     "acts",
     multiple=True,
     metavar="S:ACT",
-    help="Rehearsal: at time S arm, disarm, reboot, cut, join, quit or a mode.",
+    help="Rehearsal: at time S arm, disarm, reboot, cut, join, quit, blind or a mode.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed (default 0).")
 @click.option(
@@ -156,6 +156,7 @@ def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]
     import time
 
     from surctl.bridge import Ended, SessionRecord, run_session
+    from surctl.errors import SurctlError
 
     with SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
         files = [str(path) for path in record.files]
@@ -164,6 +165,10 @@ def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]
         except (KeyboardInterrupt, Ended) as end:
             why = f" ({end})" if isinstance(end, Ended) else ""
             raise Stopped(f"the session ended{why}, the last commands were neutral; record {files[1]}") from None
+        except OSError as error:
+            raise SurctlError(
+                f"the record cannot be written ({error.strerror}); the last commands were neutral"
+            ) from None
 
 
 def _rehearsed(
