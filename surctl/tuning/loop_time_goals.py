@@ -50,7 +50,7 @@ class Overshoot(Between):
             raise InputError("returns to 0 after a step", key="to", value=self._path, remedy="use step_rejection")
         share = value / final
         over = max(float(share.max()) - 1, 0.0)
-        view = LoopView("time", time, share, f"{self.end} [share of the step]", upper=_flat(time, 1 + self.at_most))
+        view = LoopView("time", time, share, "response / final value [1]", upper=_flat(time, 1 + self.at_most))
         at = f"at {time[int(share.argmax())]:.3g} s"
         return Judgement(over, "1", self.at_most, over / self.at_most, view, at)
 

@@ -260,6 +260,9 @@ def test_a_panel_is_the_same_in_both_forms():
     assert "a &amp; b" in html and html.count('class="miss"') == 1 and 'class="c1"' in html
     path = re.search(r'<path class="c1" stroke-dasharray="[^"]*" d="([^"]*)"/></svg>', html)[1]
     assert path.count("M") == 2 and "nan" not in html  # the line is interrupted
+    time = np.arange(5000) * 0.01
+    cut = panel_svg(Panel("step", "time [s]", "y", [Curve(time, np.sin(time), "", 0)], limits=((0.0, 2.0), None)))
+    assert re.search(r'<path class="c0"[^>]* d="([^"]*)"', cut)[1].count("L") > 150  # of 200 shown points
     ax = draw_panel(panel, new_axes(4, 3))
     assert ax.get_xscale() == "log" and ax.get_title("left") == "a & b" and len(ax.collections) == 1
 
