@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from surctl.errors import InputError
-from surctl.files import load_model
-from surctl.tuning.goals import GoalsFile
+from surctl.files import load_model, pick
+from surctl.tuning.goals import LIBRARY, GoalsFile
 from surctl.tuning.loop_goal_file import PointTable, check_points, loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 
@@ -39,7 +39,7 @@ def load_loop_goals(path: Path | str) -> tuple[tuple[LoopGoal, ...], dict[str, d
         >>> goals[0].name, points
         ('robust', {'rain': {'disturbance.rain': 0.1}})
     """
-    path = Path(path)
+    path = pick(str(path), LIBRARY, what="goals")
     content = load_model(path, GoalsFile)
     try:
         for table in content.goals:
