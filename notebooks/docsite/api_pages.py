@@ -30,6 +30,7 @@ PACKAGES = {
     "sos": "Prove",
     "certcheck": "Prove",
     "export": "Export",
+    "bridge": "Export",
     "ir": "Export",
     "report": "Report",
     "study": "Report",
@@ -55,17 +56,17 @@ def pages(*, quick: bool) -> list[Page]:
     for package, purpose in PACKAGES.items():
         said, names = exported(package)
         rows.append((purpose, f"[`surctl.{package}`]({package}.md)", said))
-        body = ", ".join(f"`{name}`" for name in names) if quick else _directive(package, names)
-        made.append(Page(f"{FOLDER}/{package}.md", f"surctl.{package}", f"# surctl.{package}\n\n{said}\n\n{body}\n"))
+        body = said + "\n\n" + ", ".join(f"`{name}`" for name in names) if quick else _directive(package, names)
+        made.append(Page(f"{FOLDER}/{package}.md", f"surctl.{package}", f"# surctl.{package}\n\n{body}\n"))
     text = _HEAD + table(("to", "package", "contents"), rows)
     return [Page(f"{FOLDER}/index.md", "Python", text, index=True), *made]
 
 
 _HEAD = """# Python
 
-Each function states shapes, units, errors and source, and has an example; the tests run every example. Numbers in parentheses
-such as (13) are [equations of the paper](../equations.md). Inside the code all numbers are in SI units and radians, with ENU axes
-for the world and FLU axes for the body.
+Each function states shapes, units, errors and source, and has an example; the tests run every example. Numbers in
+parentheses such as (13) are [equations of the paper](../equations.md). Inside the code all numbers are in SI units and
+radians, with ENU axes for the world and FLU axes for the body.
 
 """
 
@@ -75,4 +76,4 @@ def _directive(package: str, names: list[str]) -> str:
     members = "\n".join(f"        - {name}" for name in functions)
     constants = [name for name in names if name not in functions]
     said = "Constants: " + ", ".join(f"`{name}`" for name in constants) + ".\n\n" if constants else ""
-    return f"{said}::: surctl.{package}\n    options:\n      show_docstring_description: false\n      members:\n{members}\n"
+    return f"{said}::: surctl.{package}\n    options:\n      members:\n{members}\n"

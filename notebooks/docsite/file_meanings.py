@@ -11,7 +11,7 @@ from surctl.control.gains import _GainFile
 from surctl.lyapunov.problem import _ProblemTable
 from surctl.simulation.scenario import _ScenarioFile
 from surctl.study.plan import _StudyFile
-from surctl.tuning.goals import _GoalsFile
+from surctl.tuning.goals import GoalsFile
 from surctl.vehicle.logs.log_map import LogMap
 from surctl.vehicle.parameters import _VehicleFile
 from surctl.vehicle.thruster_file import _AllocationTable, _ThrusterTable
@@ -41,45 +41,74 @@ class _Vehicle(_VehicleFile):
 
 FILES: Mapping[str, FileKind] = {
     "vehicle": FileKind(
-        _Vehicle, "Vehicle file", "vehicle", "mass, drag, thrust and thrusters, each with a source and a range",
-        "The guide [Add a vehicle](../../add-a-vehicle.md) shows four ways to write one. Each table has the key `provenance`, "
-        "the source of its numbers.",
+        _Vehicle,
+        "Vehicle file",
+        "vehicle",
+        "mass, drag, thrust and thrusters, each with a source and a range",
+        "The guide [Add a vehicle](../../add-a-vehicle.md) shows four ways to write one. Each table has the key "
+        "`provenance`, the source of its numbers.",
     ),
     "scenario": FileKind(
-        _ScenarioFile, "Scenario file", "scenario", "a mission: path, site, obstacles, disturbances and sensors",
-        "The guides [Design a controller](../../design.md) and [Missions](../../missions.md) show examples. Positions are in "
-        "the world frame ENU (x east, y north, z up), so depths are negative.",
+        _ScenarioFile,
+        "Scenario file",
+        "scenario",
+        "a mission: path, site, obstacles, disturbances and sensors",
+        "The guides [Design a controller](../../design.md) and [Missions](../../missions.md) show examples. Positions "
+        "are in the world frame ENU (x east, y north, z up), so depths are negative.",
     ),
     "gains": FileKind(
-        _GainFile, "Gain file", "gains", "every tunable number of a law",
+        _GainFile,
+        "Gain file",
+        "gains",
+        "every tunable number of a law",
         "`surctl gains derive VEHICLE` and `surctl tune` write gain files. A law of your own adds its own gains "
         "([own law](../../own-law.md#its-own-gains)).",
     ),
     "goals": FileKind(
-        _GoalsFile, "Goals file", "goals", "hard and soft goals of a tuning",
-        "The guide [Tune the gains](../../tune.md#goals-of-your-own) shows an example. A goal has either `at_most` or `at_least`.",
+        GoalsFile,
+        "Goals file",
+        "goals",
+        "hard and soft goals of a tuning",
+        "The guide [Tune the gains](../../tune.md#goals-of-your-own) shows an example. A goal is about a "
+        "metric and has `at_most` or `at_least`, or it has a `type` and is about the loop.",
     ),
     "claim": FileKind(
-        _ClaimTable, "Claim file", "claim", "an inequality over a box that is to be proved or refuted",
-        "The tutorial [Your own claim](../../tutorials/own-claim.md) shows an example. `left <= right` is claimed wherever all "
-        "constraints hold.\n\nExpressions have numbers, names, `pi`, `+ - * / ^`, parentheses, and the functions `abs`, `acos`, "
-        "`asin`, `atan`, `atan2`, `cos`, `cosh`, `exp`, `log` (natural), `max`, `min`, `select`, `sin`, `sinh`, `sqrt`, `tan` and "
-        "`tanh`; `select(a, b, x, y)` is x if a ≤ b, and y otherwise.",
+        _ClaimTable,
+        "Claim file",
+        "claim",
+        "an inequality over a box that is to be proved or refuted",
+        "The tutorial [Your own claim](../../tutorials/own-claim.md) shows an example. `left <= right` is claimed "
+        "wherever all constraints hold.\n\nExpressions have numbers, names, `pi`, `+ - * / ^`, parentheses, and the "
+        "functions `abs`, `acos`, `asin`, `atan`, `atan2`, `cos`, `cosh`, `exp`, `log` (natural), `max`, `min`, "
+        "`select`, `sin`, `sinh`, `sqrt`, `tan` and `tanh`; `select(a, b, x, y)` is x if a ≤ b, and y otherwise.",
     ),
     "dynamics": FileKind(
-        _ProblemTable, "Dynamics file", "lyapunov", "dynamics, with a Lyapunov function or a barrier to be proved or searched",
-        'The guide [A region of attraction](../../region.md) shows examples of `kind = "lyapunov"` and `kind = "barrier"`.',
+        _ProblemTable,
+        "Dynamics file",
+        "lyapunov",
+        "dynamics, with a Lyapunov function or a barrier to be proved or searched",
+        'The guide [A region of attraction](../../region.md) shows examples of `kind = "lyapunov"` and of '
+        '`kind = "barrier"`.',
     ),
     "region": FileKind(
-        RegionStatement, "Region file", "region", "a region claim about the loop of a vehicle",
-        "`surctl verify FILE --vehicle VEHICLE` proves it. `surctl list --show region-cruise-20` prints a built-in one.",
+        RegionStatement,
+        "Region file",
+        "region",
+        "a region claim about the loop of a vehicle",
+        "`surctl verify FILE --vehicle VEHICLE` proves it; `surctl list --show region-cruise-20` prints one.",
     ),
     "study": FileKind(
-        _StudyFile, "Study file", "study", "the runs, sweep, claims and goals of `surctl study` and `surctl tune`",
+        _StudyFile,
+        "Study file",
+        "study",
+        "the runs, sweep, claims and goals of `surctl study` and `surctl tune`",
         "`surctl new study NAME` writes one.",
     ),
     "log-map": FileKind(
-        LogMap, "Log map", "log-map", "which fields of a log are motion and thrust",
+        LogMap,
+        "Log map",
+        "log-map",
+        "which fields of a log are motion and thrust",
         "The guide [Add a vehicle](../../add-a-vehicle.md#a-log-of-another-program) shows an example for a BlueROV2.",
     ),
 }
@@ -153,6 +182,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "corners": "whether corners may be skipped on a detour, or must be visited",
         "site": "size of the basin; one corner of its floor plan is the origin",
         "obstacles": "obstacles",
+        "reflectors": "kinds of surfaces, by name: how they answer a sonar",
         "disturbance": "waves, current and thrust errors",
         "sonar": "range sensors",
         "base_station": "messages about moving obstacles",
@@ -160,7 +190,26 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "uncertainty": "what a Monte Carlo campaign draws",
         "paper": "numbers of the paper for this scenario",
     },
-    "_Site": {"length_m": "along x", "width_m": "along y", "depth_m": "depth of the water"},
+    "_Site": {
+        "length_m": "along x",
+        "width_m": "along y",
+        "depth_m": "depth of the water",
+        "walls": "reflector of all walls, or of each; default: as the echo model",
+        "surface": "reflector of the water surface; default: as the echo model",
+        "floor": "reflector of the floor; default: as the echo model",
+    },
+    "WallTable": {
+        "x0": "reflector of the wall x = 0",
+        "x1": "reflector of the wall x = length",
+        "y0": "reflector of the wall y = 0",
+        "y1": "reflector of the wall y = width",
+    },
+    "ReflectorTable": {
+        "incidence_limit_deg": "largest angle to the normal at which a face answers; default: at every angle",
+        "edge_range_m": "range at which an edge on the beam's axis is detected in half of the firings; 0: silent",
+        "cylinder_range_m": "likewise for a cylinder of radius 0.1 m; default: it answers as a face does",
+        "corners": "whether a corner between two such walls answers from any direction",
+    },
     "Leg": _TRAIL | {
         "to_m": "end [x, y]",
         "radius_m": "radius of an arc; without it the leg is straight",
@@ -190,6 +239,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "removed": "whether a moving obstacle disappears at its end",
         "bottom_m": "z of the lower end; default: the floor",
         "top_m": "z of the upper end; default: the surface",
+        "reflector": "how its surface answers a sonar; default: as the echo model",
     },
     "Disturbance": {
         "wave_force_n": "amplitude of a sinusoidal force; its direction and phase are random",
@@ -205,6 +255,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "mounts_m": "places of the sensors [x, y] in the body frame; default: on the hull",
         "order": "order of firing, by index",
         "beam_deg": "opening angle (default 75)",
+        "pitch_deg": "angle of the beams' axes above the horizontal",
         "incidence_limit_deg": "largest angle to the normal at which a surface answers; default: every surface answers",
         "echoes": "echo model: every surface answers, or within 22.5° of the normal",
         "minimum_m": "blind range (default 0.2)",
@@ -255,8 +306,37 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "position_error_kind": "likewise for the error",
         "position_error_of": "likewise for the error",
     },
-    "_GainFile": _KIND | {"provenance": "source of the gains; `tune` writes its whole request", "gains": "gains by name"},
-    "_GoalsFile": _KIND | {"goals": "the goals"},
+    "_GainFile": _KIND | {
+        "provenance": "source of the gains; `tune` writes its whole request",
+        "gains": "gains by name",
+    },
+    "GoalsFile": _KIND | {"points": "operating points of a system", "goals": "the goals"},
+    "PointTable": {"name": "name of the operating point", "values": "numbers of the system by name"},
+    "LoopGoalTable": {
+        "type": "type of a goal about the loop, see below",
+        "points": "operating points at which it holds; default: all",
+        "at": "signal at which the loop is opened, or several",
+        "source": "signal at which the input enters",
+        "end": "signal that responds",
+        "frequency_rad_per_s": "frequencies of the profile",
+        "gain": "gain of the profile at these frequencies",
+        "gain_db": "the same in dB",
+        "attenuation": "factor by which a disturbance at the signal is reduced",
+        "band_db": "width of the band around the loop shape",
+        "side": "side of the loop shape on which the loop gain may lie",
+        "response_s": "response time",
+        "steady_error": "relative error at low frequencies",
+        "peak_error": "largest relative error over all frequencies",
+        "time_constant_s": "time constant of the reference response",
+        "natural_frequency_rad_per_s": "natural frequency of the reference response",
+        "damping": "least damping; damping of the reference response",
+        "decay_per_s": "least decay rate of the poles",
+        "fastest_rad_per_s": "largest natural frequency of the poles",
+        "gain_margin": "least gain margin, as a factor",
+        "phase_margin_deg": "least phase margin",
+        "delay_margin_s": "least delay margin",
+        "disk_margin": "least disk margin",
+    },
     "GoalTable": {
         "name": "name in tables and pictures",
         "metric": "a metric of the tables below",

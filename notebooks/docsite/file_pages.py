@@ -15,21 +15,24 @@ from pydantic_core import PydanticUndefined
 from surctl.control import GAINS
 from surctl.files import Quantity
 from surctl.simulation import METRICS
+from surctl.tuning import LOOP_GOAL_KEYS
 from surctl.vehicle import PARAMETERS, TERMS
 from surctl.verification import LINEAR_METRICS
+
+_SHOWN = {"source": "from", "end": "to"}
 
 __all__ = ["pages", "undocumented"]
 
 FOLDER = "reference/files"
 _UNITS = (
-    ("_rad_per_s", "rad/s"), ("_deg_per_s", "deg/s"), ("_m_per_s", "m/s"), ("_per_s", "1/s"), ("_per_m", "1/m"), ("_deg", "deg"),
-    ("_rad", "rad"), ("_s", "s"), ("_m", "m"), ("_n", "N"), ("_N", "N"), ("_c", "°C"),
+    ("_rad_per_s", "rad/s"), ("_deg_per_s", "deg/s"), ("_m_per_s", "m/s"), ("_per_s", "1/s"), ("_per_m", "1/m"),
+    ("_deg", "deg"), ("_rad", "rad"), ("_s", "s"), ("_m", "m"), ("_n", "N"), ("_N", "N"), ("_c", "°C"),
 )  # fmt: skip
 
 
 def pages() -> list[Page]:
     """Return a page for each kind of file, after a page with all of them."""
-    rows = [(f"[{kind.title}]({name}.md)", f"`kind = \"{kind.kind}\"`", kind.purpose) for name, kind in FILES.items()]
+    rows = [(f"[{kind.title}]({name}.md)", f'`kind = "{kind.kind}"`', kind.purpose) for name, kind in FILES.items()]
     text = _HEAD + table(("file", "first line", "contains"), rows) + _UNITS_TEXT
     made = [Page(f"{FOLDER}/{name}.md", kind.title, _page(name, kind)) for name, kind in FILES.items()]
     return [Page(f"{FOLDER}/index.md", "Files", text, index=True), *made]
@@ -37,24 +40,24 @@ def pages() -> list[Page]:
 
 _HEAD = """# Files
 
-All input files are TOML. `surctl new KIND NAME` writes a commented file to start from, `surctl lint FILE` names what cannot work,
-and `surctl list --show NAME` prints a built-in file. A mistake is one line with file, key, value and remedy. Unknown keys are
-mistakes.
+All input files are TOML. `surctl new KIND NAME` writes a commented file to start from, `surctl lint FILE` names what
+cannot work, and `surctl list --show NAME` prints a built-in file. A mistake is one line with file, key, value and
+remedy. Unknown keys are mistakes.
 
 """
 
 _UNITS_TEXT = """
 
 ## Numbers with units
-A key with a unit in its name (`depth_m`, `cruise_m_per_s`, `beam_deg`) takes a number in this unit, or a text with another unit:
-`depth_m = "150 cm"`. A **quantity** is a text such as `"0.54 m"`, or a table:
+A key with a unit in its name (`depth_m`, `cruise_m_per_s`, `beam_deg`) takes a number in this unit, or a text with
+another unit: `depth_m = "150 cm"`. A **quantity** is a text such as `"0.54 m"`, or a table:
 
 ```toml
 m11 = { value = 16.9, unit = "kg", range = [10.5, 21.2], provenance = "weighed; added mass of a sphere" }
 ```
 
-`range` holds the lowest and the highest possible value, and `provenance` the source of the number. Former names of keys are
-accepted for one release, with a line that names the new one.
+`range` holds the lowest and the highest possible value, and `provenance` the source of the number. Former names of keys
+are accepted for one release, with a line that names the new one.
 """
 
 
@@ -74,12 +77,13 @@ def _tables(model: type[BaseModel], path: tuple[str, ...], *, many: bool = False
             yield text
     rows: list[tuple[str, ...]] = []
     below: list[tuple[type[BaseModel], tuple[str, ...], bool]] = []
-    for key, field in model.model_fields.items():
+    first = ("kind", "name", "title", "note", "provenance")
+    for key, field in sorted(model.model_fields.items(), key=lambda entry: entry[0] not in first):
         shown = field.alias or key
         inner, several = _inner(field.annotation)
         if inner is not None:
             below.append((inner, (*path, shown), several))
-        default = "required" if field.default is PydanticUndefined and field.default_factory is None else _value(field.default)
+        default = "required" if field.is_required() else _value(field.default)
         rows.append((f"`{shown}`", _kind(field), default, _unit(shown), _meaning(model, key)))
     yield table(("key", "value", "default", "unit", "meaning"), rows)
     for inner, where, several in below:
@@ -117,7 +121,10 @@ def _values(annotation: Any) -> str:
         inner = [each for each in arguments if each is not Ellipsis]
         if _inner(inner[0])[0] is not None:
             return "tables"
-        return "list of " + _plural(_values(inner[0])) if Ellipsis in arguments or origin is list else f"{len(inner)} numbers"
+        fixed = Ellipsis not in arguments and origin is tuple
+        if fixed:
+            return f"list of {len(inner)} numbers"
+        return "list of " + _plural(_values(inner[0]))
     if origin is dict:
         return "table: name = " + _values(arguments[1])
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -126,7 +133,9 @@ def _values(annotation: Any) -> str:
 
 
 def _plural(kind: str) -> str:
-    return kind if kind.endswith("s") else kind.replace("number", "numbers").replace("text", "texts").replace("integer", "integers")
+    if kind.endswith("s"):
+        return kind.replace("list", "lists", 1)
+    return re.sub(r"\b(number|text|integer)\b", r"\1s", kind)
 
 
 def _bounds(metadata: Any) -> str:
@@ -134,7 +143,8 @@ def _bounds(metadata: Any) -> str:
     found: list[str] = []
     for entry in metadata:
         for inner in getattr(entry, "metadata", [entry]):
-            found += [f"{sign} {getattr(inner, name):g}" for name, sign in signs.items() if getattr(inner, name, None) is not None]
+            limits = {sign: getattr(inner, name, None) for name, sign in signs.items()}
+            found += [f"{sign} {limit:g}" for sign, limit in limits.items() if limit is not None]
     return f" {' and '.join(found)}" if found else ""
 
 
@@ -152,7 +162,9 @@ def _unit(key: str) -> str:
 
 def _first(model: type[BaseModel]) -> str:
     said = (model.__doc__ or "").split("Attributes:")[0].strip()
-    return "" if model.__doc__ == BaseModel.__doc__ else "\n\n".join(" ".join(part.split()) for part in said.split("\n\n"))
+    if model.__doc__ == BaseModel.__doc__:
+        return ""
+    return "\n\n".join(" ".join(part.split()) for part in said.split("\n\n"))
 
 
 def _attributes(model: type[BaseModel]) -> Mapping[str, str]:
@@ -200,15 +212,27 @@ def _extra(name: str) -> str:
         rows = [(f"`{key}`", s.unit, _number(s.default), s.meaning) for key, s in GAINS.items() if not s.from_vehicle]
         return f"## Gains\n\n{table(('gain', 'unit', 'default', 'meaning'), rows)}"
     if name == "goals":
-        runs = [(f"`{key}`", s.unit, {"low": "small", "high": "large"}.get(str(s.better), "–"), s.meaning) for key, s in METRICS.items()]
-        loop = [
-            (f"`{key}`", s.unit, {"low": "small", "high": "large"}.get(str(s.better), "–"), s.meaning)
-            for key, s in LINEAR_METRICS.items()
-        ]
+        runs = [_metric(key, spec) for key, spec in METRICS.items()]
+        loop = [_metric(key, spec) for key, spec in LINEAR_METRICS.items()]
         head = ("metric", "unit", "better if", "meaning")
-        return f"## Metrics of a run\n\n{table(head, runs)}\n\n## Metrics of the linear loop\n\n{table(head, loop)}"
+        types = [(f"`{name}`", _keys(keys)) for name, keys in LOOP_GOAL_KEYS.items()]
+        kinds = table(("type", "keys beside name, kind and points"), types)
+        sections = {
+            "Goals about the loop": kinds,
+            "Metrics of a run": table(head, runs),
+            "Metrics of the linear loop": table(head, loop),
+        }
+        return "\n\n".join(f"## {title}\n\n{text}" for title, text in sections.items())
     return ""
 
 
 def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:g}"
+
+
+def _metric(key: str, spec: Any) -> tuple[str, ...]:
+    return f"`{key}`", spec.unit, {"low": "small", "high": "large"}.get(str(spec.better), "–"), spec.meaning
+
+
+def _keys(names: frozenset[str]) -> str:
+    return ", ".join(f"`{key}`" for key in sorted(_SHOWN.get(name, name) for name in names))

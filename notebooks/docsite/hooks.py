@@ -1,10 +1,11 @@
-"""What MkDocs calls while it builds the site: it adds generated pages, follows links out of the guides, sets formulas."""
+"""What MkDocs calls while it builds the site: generated pages, links that leave the guides, formulas, terms."""
 
 from __future__ import annotations
 
 import os
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ def on_config(config: Any) -> Any:
     config.extra["version_text"] = surctl.__version__
     if QUICK:
         config.plugins["mkdocstrings"].config.enabled = False
+        config.extra_css = [name for name in config.extra_css if "mkdocstrings" not in str(name)]
     return config
 
 
@@ -45,12 +47,13 @@ def on_files(files: Files, config: Any) -> Files:
     guides = Path(config.docs_dir)
     _SOURCES.clear()
     _SOURCES.update({f.src_uri: Path(str(f.abs_src_path)) for f in files.documentation_pages()})
+    examples, pictures = gallery.pages(run=not QUICK)
     generated = {
         "commands": command_pages.pages(),
         "files": file_pages.pages(),
         "python": api_pages.pages(quick=QUICK),
         "notebooks": notebook_pages(ROOT / "notebooks"),
-        "gallery": gallery.pages(config, files, run=not QUICK),
+        "gallery": examples,
     }
     for pages in generated.values():
         for page in pages:
@@ -65,9 +68,14 @@ def on_files(files: Files, config: Any) -> Files:
         else:
             files.append(File.generated(config, page.uri, content=page.text))
         _SOURCES[page.uri] = page.source
+    for name, picture in pictures.items():
+        files.append(File.generated(config, name, content=picture))
     for asset in sorted((HERE / "assets").iterdir()):
         files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
     config.nav = _filled(config.nav, generated)
+    named = set(_named(config.nav))
+    others = [file.src_uri for file in files.documentation_pages() if "/" not in file.src_uri]
+    _section(config.nav, "How-to guides").extend(uri for uri in others if uri not in named)
     _TERMS.update(terms_of(guides / "glossary.md"))
     return files
 
@@ -89,9 +97,23 @@ def _filled(nav: list[Any], generated: dict[str, list[Any]]) -> list[Any]:
     return filled
 
 
+def _named(nav: Any) -> Iterator[str]:
+    """Yield the pages of a navigation."""
+    if isinstance(nav, str):
+        yield nav
+    for entry in nav.values() if isinstance(nav, dict) else nav if isinstance(nav, list) else ():
+        yield from _named(entry)
+
+
+def _section(nav: list[Any], title: str) -> list[Any]:
+    return next(entry[title] for entry in nav if isinstance(entry, dict) and title in entry)
+
+
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
     """Adapt GitHub's Markdown, and point links that leave the guides to their pages on the site."""
     uri = page.file.src_uri
+    if uri in ("index.md", "glossary.md"):  # alone in their section
+        page.meta["hide"] = ["navigation"]
     text = repository.as_python_markdown(markdown)
     if uri in _SOURCES:
         text = repository.relinked(text, uri, _SOURCES[uri], _SOURCES)
@@ -102,7 +124,7 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     """Set formulas as MathML, and link equation numbers and terms of the glossary."""
     uri = page.file.src_uri
     html = with_mathml(html)
-    html = re.sub(r'<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))', '<img class="plot" loading="lazy" ', html)
+    html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
         html = equation_links(html, f"{up}reference/equations.html")

@@ -12,8 +12,8 @@ __all__ = ["Page", "table"]
 class Page:
     """One page: its address below the site, title and Markdown.
 
-    `source` is the file of the repository whose text it is, or None; a `copied` file is no page, but goes to the site as
-    it is. `index` marks the page of a section's title.
+    `source` is the file of the repository whose text it is, or None; a `copied` file is no page, but goes to the site
+    unchanged. `index` marks the page of a section's title.
     """
 
     uri: str
@@ -27,4 +27,9 @@ class Page:
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     """Return a Markdown table; bars in its cells are escaped."""
     lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join("| " + " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in row) + " |" for row in lines)
+    return "\n".join("| " + " | ".join(_cell(text) for text in row) + " |" for row in lines)
+
+
+def _cell(text: str) -> str:
+    parts = " ".join(text.split()).split("`")  # a bar in code stays as it is
+    return "`".join(part if k % 2 else part.replace("|", "\\|") for k, part in enumerate(parts))
