@@ -74,7 +74,7 @@ def test_the_study_of_echoes() -> None:
     done = run(ANALYSIS / "33_echoes" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [row for row in table(done.stdout) if len(row) == 8][1:]
-    assert [row[:2] for row in rows] == [["`pool-static`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
+    assert [row[:2] for row in rows] == [["`pool-behind`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
     assert "does not hold" not in done.stdout
 
 
