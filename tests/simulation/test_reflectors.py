@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surctl.cli.sensor_options import sensor_data
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import read_toml
@@ -56,6 +57,11 @@ def test_a_reflector_of_its_own_outranks_the_echo_model() -> None:
     assert surfaces.walls == tuple(REFLECTORS[n] for n in ("diffuse", "specular", "diffuse", "diffuse"))
     assert (surfaces.surface, surfaces.floor) == (REFLECTORS["silent"], REFLECTORS["diffuse"])
     assert scenario_from_table(scenario_table(mixed), source="").surfaces == surfaces
+    recorded = sensor_data(mixed)
+    assert recorded["echoes"] == "diffuse" and recorded["pitch_deg"] == pytest.approx(-10.0)
+    assert recorded["reflectors"]["obstacles"] == {"Obstacle1": "cloth"} and sensor_data(plain)["reflectors"] == {}
+    assert recorded["reflectors"]["site"] == {"walls": {"x1": "specular"}, "surface": "silent"}
+    assert recorded["reflectors"]["reflectors"]["cloth"]["incidence_limit_deg"] == 30.0
     ideal = replace(mixed, sensors=mixed.sensors.hearing("ideal"))
     assert ideal.surfaces is not None and ideal.surfaces.floor == REFLECTORS["silent"]
     assert ideal.surfaces.obstacles == (surfaces.obstacles[0], *(REFLECTORS["ideal"],) * 3)
