@@ -137,7 +137,7 @@ PAGES = ("index", "tune", "explanation/priorities", "reference/files/vehicle", "
 def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
     with open_page((site / "index.html").as_uri()) as opened:
         for scheme in ("light", "dark"):
-            opened.page.emulate_media(color_scheme=scheme)
+            opened.page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
             for name in PAGES:
                 opened.page.evaluate("localStorage.clear()")
                 opened.page.goto((site / f"{name}.html").as_uri())

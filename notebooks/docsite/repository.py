@@ -40,7 +40,10 @@ def _text(path: Path) -> str:
 
 def _title(path: Path) -> str:
     first = next((line[2:] for line in _text(path).splitlines() if line.startswith("# ")), path.stem)
-    return f"{path.parent.name[:2]} {first}" if path.parent.name[:1].isdigit() else first
+    if not path.parent.name[:1].isdigit():
+        return first
+    question = re.sub(r"^Study \d+: ", "", first)
+    return f"{path.parent.name[:2]} {question[:1].upper()}{question[1:]}"
 
 
 def _uri(path: Path) -> str:

@@ -80,6 +80,7 @@ def simulate(
     link_loss: float | None,
     link_delay: float | None,
     link_deadline: float | None,
+    link_compact: bool,
     link_timeout: float | None,
     plant: str,
     film: Path | None,
@@ -103,13 +104,13 @@ def simulate(
     """Simulate scenarios, or a system of your own (surctl new system NAME).
 
     Exit status: 1 if a run collides or does not arrive; campaigns go on in DIR.
-    Examples: surctl simulate tank-static --runs 9 --monte-carlo; surctl simulate pool-static --plant mujoco
+    Example: surctl simulate tank-static --runs 9 --monte-carlo
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
         _check_save(save, None, out=out, campaign=False)
         simulate_system(scenarios, seconds=seconds, out=out, save=save or "csv", as_json=as_json)
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
-    link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout)
+    link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout, link_compact)
     link.check(campaign=campaign.any or replayed is not None)
     run_count = 1 if replayed is not None else runs * len(scenarios)
     check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None, film=film)
