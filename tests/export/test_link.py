@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -271,7 +272,11 @@ def test_it_listens_on_the_loopback_alone(small: dict[Real, Path]) -> None:
 
 
 LAW = exact()
-WHO = Identity(build_bundle(LAW, {}, real="float32").id, "float32", LAW.inputs.size, 4, LAW.state.size, 0)
+
+
+@cache
+def who() -> Identity:
+    return Identity(build_bundle(LAW, {}, real="float32").id, "float32", LAW.inputs.size, 4, LAW.state.size, 0)
 
 
 @dataclass
@@ -284,7 +289,7 @@ class Echo(Line):
         pass
 
     def request(self) -> Identity:
-        return WHO
+        return who()
 
     def step(self, sequence: int, inputs: Vector, *, compact: bool) -> Reply:
         if sequence >= self.ends_at:
