@@ -297,10 +297,11 @@ def test_no_folder_and_a_file_name_that_leads_out(folder: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_bundle(folder / "nowhere")
     table = json.loads((folder / "manifest.json").read_text())
-    table["sha256"]["../secret"] = "0" * 64
-    (folder / "manifest.json").write_text(json.dumps(table))
-    with pytest.raises(InputError, match="is not the manifest"):
-        read_bundle(folder)
+    for name in ("../secret", "zephyr/../../secret", "/secret", "zephyr//secret"):
+        more = {**table, "sha256": {**table["sha256"], name: "0" * 64}}
+        (folder / "manifest.json").write_text(json.dumps(more))
+        with pytest.raises(InputError, match="is not the manifest"):
+            read_bundle(folder)
 
 
 @pytest.fixture(scope="module")
