@@ -131,6 +131,10 @@ class _Builder:
         slots = min(array.size, ceil(self.dt / array.firing_period - 1e-9))
         return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS)
 
+    @property
+    def _specular(self) -> bool:
+        return self.equipment.reflectors == "specular"
+
     @cached_property
     def _ranges(self) -> RangeTracker:
         array = replace(self.equipment.array, bias=0.0)  # `corrected` has already removed the bias
@@ -228,14 +232,16 @@ class _Builder:
         edge = known["hull"] / CELLS_A_HULL
         axes, apexes, halves = beams(array, around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
-        walls, things = expected(array, around, apexes, known)
-        walls = ca.if_else(around.placed, walls, 2 * array.maximum)  # without a position, no echo counts as too long
+        ranges = expected(array, around, apexes, known, specular=self._specular)
+        ranges = ranges.where(around.placed, 2 * array.maximum)  # without a position, no echo counts as too long
         ranging = self._ranges.update(
             x,
             corrected(array, inputs["samples"]),
             fresh=inputs["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
-            expected=ca.fmax(walls, array.lowest / array.scale + array.resolution),  # never below the shortest reading
+            # never below the shortest reading
+            expected=ca.fmax(ranges.walls, array.lowest / array.scale + array.resolution),
+            longest=ca.fmax(ranges.answers, array.lowest / array.scale + array.resolution),
             turn=around.nu[3],
             prefix="sonar_",
         )
@@ -246,7 +252,8 @@ class _Builder:
                 inputs["fresh"][i] > 0.5, honest(array, inputs["samples"], ranging, i, repeats=self._ranges.repeats)
             )
             silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _NEVER)))
-            echo = ca.logic_and(reading < array.maximum - SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
+            explained = ranges.explains(reading, i, tolerance=_TOLERANCE)
+            echo = ca.logic_and(reading < array.maximum - SILENT, ca.logic_not(explained))
             blind = reading <= array.lowest / array.scale + array.resolution
             clear = ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0)
             firing = {

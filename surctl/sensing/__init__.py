@@ -11,7 +11,7 @@ from surctl.sensing.calibration.file import (
     sonar_fragment,
 )
 from surctl.sensing.calibration.table2 import RangeTest, table_ii
-from surctl.sensing.equipment import Equipment
+from surctl.sensing.equipment import REFLECTORS, Equipment, Reflectors
 from surctl.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.sensing.localisation.delivery import Delivery, delayed, delayed_symbols
 from surctl.sensing.localisation.movers import Movers, MoverTracker, mover_step
@@ -65,7 +65,9 @@ __all__ = [
     "ContactMemory",
     "Contacts",
     "Delivery",
+    "REFLECTORS",
     "Equipment",
+    "Reflectors",
     "Estimate",
     "Fault",
     "FaultChances",
