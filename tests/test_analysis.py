@@ -84,9 +84,9 @@ def test_the_study_of_the_independent_engine() -> None:
     need_module("mujoco")
     done = run(ANALYSIS / "35_independent_engine" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "Repeats: yes" in done.stdout and "within the limits: yes" in done.stdout
+    assert "within the limits: yes" in done.stdout
     rows = {row[0]: row[2:6] for row in table(done.stdout) if len(row) == 7}
-    assert rows["tank-static"][0] == rows["tank-static"][1] == "53.90, 0.0533, 0.0094"
+    assert rows["pool-behind"][0] == rows["pool-behind"][1] == "11.35, 0.0827, 0.0028"
 
 
 def test_the_study_of_sums_of_squares() -> None:
@@ -385,14 +385,14 @@ def test_the_sonar_s_filters_hold_their_bars(tmp_path: Path) -> None:
     done = run(SONAR, "--quick", "--out", str(out))
     assert done.returncode == 0, done.stdout + done.stderr
     bars = [line for line in done.stdout.splitlines() if line.startswith("- ")]
-    assert len(bars) == 11 and all(line.endswith(": holds") for line in bars)
+    assert len(bars) == 9 and all(line.endswith(": holds") for line in bars)
     accuracy = {row[0]: row[1:] for row in table(done.stdout) if len(row) == 6}
     assert [name for name, row in accuracy.items() if row[-1] == "no"] == ["raw", "LMS printed"]
     faults = [row for row in table(done.stdout) if len(row) == 8 and row[0] != "fault"]
-    assert len(faults) == 5 * 10
+    assert len(faults) == 3 * 10
     for straight in (faults[:10], faults[10:20]):
         assert all(row[2] == "100.0 %" for row in straight[1:]) and all(row[3] == "100.000 %" for row in straight)
-    assert len(list(out.glob("*.png"))) == 10
+    assert len(list(out.glob("*.png"))) == 6
 
 
 def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -414,7 +414,7 @@ def test_a_bar_of_the_sonar_that_is_missed_ends_with_1(
     monkeypatch.syspath_prepend(str(SONAR.parent))
     study = runpy.run_path(str(SONAR))
     names = study["study"].__globals__
-    monkeypatch.setitem(names, "KINDS", ("wall",))
+    monkeypatch.setitem(names, "QUICK_KINDS", ("wall",))
     # made up: the errors of the filters; what else is judged does not depend on the bars, and is computed once
     monkeypatch.setitem(names, "filter_errors", lambda *_: names["Errors"](0.005, 0.005, 0.006, 0.0))
     monkeypatch.setitem(names, "print_fault_errors", lambda *_: None)

@@ -149,7 +149,8 @@ def tune(
     in the test.
 
     FILE.py:FUNCTION names a system of your own: its first cost is minimised, costs with a bound keep it, and the disk
-    margin stays at least 0.3; NAME=V1,V2 gives the cases, such as initial states.
+    margin stays at least 0.3; NAME=V1,V2 gives the cases, such as initial states. With --goals, the worst soft goal
+    about its loop is minimised, and hard goals hold.
 
     Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
     surctl tune --page --scenario pool-behind --gains my-gains.toml
@@ -157,8 +158,8 @@ def tune(
     ranges = dict(_gain(text) for text in gain)
     if len(ranges) < len(gain):
         raise click.BadParameter("a gain is named twice", param_hint="--gain")
-    if is_system(words, "gain", "seconds", "trials", "seed", "workers", "out", "as_json"):
-        search = {"trials": trials, "seed": seed, "workers": workers}
+    if is_system(words, "gain", "goals_file", "seconds", "trials", "seed", "workers", "out", "as_json"):
+        search = {"trials": trials, "seed": seed, "workers": workers, "goals": goals_file}
         tune_own_system(words, ranges, seconds=seconds, out=out, as_json=as_json, **search)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")

@@ -50,7 +50,8 @@ class Bundle:
     Attributes:
         name: prefix of files and C symbols.
         id: SHA-256 of what the controller computes (see `law_id`).
-        files: text of each file by its name, in the order of writing; the manifest is last.
+        files: text of each file by its name, such as `link.c` or `ros2/package.xml`, in the order of writing; the
+            manifest is last.
         real: precision of every number in the C text.
         envelope: ranges and rates of change that the input check (guard) of the exported C accepts.
         binaries: bytes of further files by name, such as an FMU.
@@ -295,9 +296,9 @@ def check_folder(directory: Path | str) -> None:
 
 def _stage(bundle: Bundle, staging: Path) -> None:
     staging.mkdir(parents=True)
-    for name, text in bundle.files.items():
-        (staging / name).write_bytes(text.encode())
-    for name, data in bundle.binaries.items():
+    contents = {**{name: text.encode() for name, text in bundle.files.items()}, **bundle.binaries}
+    for name, data in contents.items():
+        (staging / name).parent.mkdir(parents=True, exist_ok=True)
         (staging / name).write_bytes(data)
 
 
@@ -307,4 +308,5 @@ def _publish(bundle: Bundle, staging: Path, target: Path) -> None:
         return
     (target / MANIFEST).unlink(missing_ok=True)
     for name in (*bundle.binaries, *(name for name in bundle.files if name != MANIFEST), MANIFEST):
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
         (staging / name).replace(target / name)

@@ -25,6 +25,7 @@ from surctl.export.contract import (
 from surctl.export.direct import changing, direct_law, results
 from surctl.export.elapsed import RESTART, aged_runs, forgotten, forgotten_runs, longest_gap
 from surctl.export.envelope import Envelope
+from surctl.export.examples import EXAMPLES, example_values
 from surctl.export.fields import entries, field, starts, transfers
 from surctl.export.gain_store import gains_values
 from surctl.export.guard_text import (
@@ -88,7 +89,7 @@ def render_files(
     values |= {"law_files": [(file, about) for file, about, _ in of_law], "fed": is_fed(law)}
     values |= mission_values(law, real) if is_fed(law) else {}
     values |= {"rows": data_rows(law, mission, real)} if mission is not None else {}
-    values |= wiring_values(law, origin)
+    values |= wiring_values(law, origin) | example_values(law, within, name=name, arrays=values["ram"]["arrays"])
     code = [f"{name}.c", *([f"{name}_gains.c"] if law.gains.size else []), *(file for file, _, _ in of_law)]
     headers = [f"{name}.h", *([f"{name}_gains.h"] if law.gains.size else []), f"{name}_internal.h"]
     values |= {"headers": " ".join(headers), "sources": " ".join(code), "arrivals": _arrivals(law)}
@@ -107,9 +108,7 @@ def render_files(
         "target_start.c": "target_start.c.j2",
         "target_link.c": "target_link.c.j2",
         "target.ld": "target.ld.j2",
-        "main_example.c": "main_example.c.j2",
-        "board.h": "board.h.j2",
-        "board_example.c": "board_example.c.j2",
+        **EXAMPLES,
         "CMakeLists.txt": "CMakeLists.txt.j2",
         "pyproject.toml": "pyproject.toml.j2",
         "setup.py": "setup.py.j2",
@@ -127,6 +126,7 @@ def render_files(
     joined = (
         *(file for file in texts if file.startswith(name) and file.endswith(".c")),
         "link.c",
+        "loop.c",
         "mission.c",
     )  # files of the controller
     return {

@@ -34,6 +34,14 @@ from surctl.sensing.ranging.tracker import RangeTracker, Ranging
 from surctl.sensing.replay.file import Recording, filtered_rows, read_readings, sonar_array
 from surctl.sensing.replay.tracked import Readings, Replay, SensorSummary, Tracked, replay_readings, track
 from surctl.sensing.sonar.array import SonarArray
+from surctl.sensing.sonar.detection import (
+    ECHO_KEY,
+    echo_keys,
+    echo_uniform,
+    firing_block,
+    firing_block_symbols,
+    uniform_symbols,
+)
 from surctl.sensing.sonar.echo import Beam, beam_of, echo_range, echo_samples
 from surctl.sensing.sonar.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
 from surctl.sensing.sonar.faults import (
@@ -48,14 +56,19 @@ from surctl.sensing.sonar.faults import (
     faulty,
 )
 from surctl.sensing.sonar.firing import fire, firing_samples, true_range
+from surctl.sensing.sonar.reflector import REFLECTORS, Reflector, Surfaces, detection_odds
+from surctl.sensing.sonar.returns import certain_range, corner_points, level_range, rim, weak_range
+from surctl.sensing.sonar.returns_block import certain_range_symbols, weak_range_symbols
 from surctl.sensing.sonar.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.sensing.sonar.sound import Medium, speed_of_sound
 
 __all__ = [
+    "ECHO_KEY",
     "FAULT_KINDS",
     "LONGEST_DELAY",
     "NOISE_STATE",
     "OUTLIER_RULE",
+    "REFLECTORS",
     "SLOT",
     "Arrival",
     "BaseStation",
@@ -90,6 +103,7 @@ __all__ = [
     "Ranging",
     "Readings",
     "Recording",
+    "Reflector",
     "Replay",
     "SensorCalibration",
     "SensorFilter",
@@ -99,19 +113,26 @@ __all__ = [
     "SolidDisc",
     "SolidWalls",
     "SonarArray",
+    "Surfaces",
     "Tracked",
     "beam_of",
     "calibrate",
     "calibrate_file",
     "calibrate_table_ii",
     "calibration_rows",
+    "certain_range",
+    "certain_range_symbols",
     "check_faults",
+    "corner_points",
     "delayed",
     "delayed_symbols",
+    "detection_odds",
     "draw_normals",
     "draw_uniforms",
+    "echo_keys",
     "echo_range",
     "echo_samples",
+    "echo_uniform",
     "expected_range",
     "fault_ports",
     "fault_slots",
@@ -121,8 +142,11 @@ __all__ = [
     "file_stems",
     "filtered_rows",
     "fire",
+    "firing_block",
+    "firing_block_symbols",
     "firing_samples",
     "gate",
+    "level_range",
     "lms_step",
     "map_step",
     "map_view",
@@ -136,6 +160,7 @@ __all__ = [
     "plain_lms_step",
     "read_readings",
     "replay_readings",
+    "rim",
     "sonar_array",
     "sonar_contacts",
     "sonar_fragment",
@@ -143,5 +168,8 @@ __all__ = [
     "table_ii",
     "track",
     "true_range",
+    "uniform_symbols",
+    "weak_range",
+    "weak_range_symbols",
     "weighted_average",
 ]

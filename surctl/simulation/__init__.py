@@ -37,6 +37,7 @@ from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
 from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
+from surctl.simulation.reflectors import ECHOES, EchoModel, Reflectors
 from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
 from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scaling import (
@@ -56,6 +57,7 @@ from surctl.simulation.thruster_use import ThrusterUse, thruster_use
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
+    "ECHOES",
     "ENGINES",
     "GONE",
     "LATE",
@@ -76,6 +78,7 @@ __all__ = [
     "Contact",
     "DepthChange",
     "Disturbance",
+    "EchoModel",
     "Engine",
     "Explanation",
     "Finding",
@@ -90,6 +93,7 @@ __all__ = [
     "PriorityTimeline",
     "Record",
     "RecordFormat",
+    "Reflectors",
     "Run",
     "SafetyClaim",
     "Scenario",

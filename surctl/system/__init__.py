@@ -10,6 +10,7 @@ from surctl.system.controller import (
     command_ports,
 )
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise
+from surctl.system.linear_loop import LinearLoop, LoopNames
 from surctl.system.loop import Cost, Signals, System
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Parts, Plant
@@ -27,7 +28,9 @@ __all__ = [
     "Controller",
     "ControllerStep",
     "Cost",
+    "LinearLoop",
     "Linearisation",
+    "LoopNames",
     "Operating",
     "Parts",
     "Plant",

@@ -256,12 +256,12 @@ class RangeTracker:
         )
         lead = samples.shape[:-1]
         new = {
-            prefix + name: np.stack([np.broadcast_to(c, lead) for c in v], axis=-1)
+            prefix + name: np.stack([_filled(c, lead) for c in v], axis=-1)
             if isinstance(v, list)
-            else np.broadcast_to(v, lead).astype(float)
+            else _filled(v, lead).astype(float)
             for name, v in after.items()
         }
-        return Ranging(new, *(np.broadcast_to(v, lead).astype(float) for v in outputs))
+        return Ranging(new, *(_filled(v, lead).astype(float) for v in outputs))
 
     def start(self, runs: tuple[int, ...] = (), *, prefix: str = "") -> dict[str, NDArray[np.float64]]:
         """Return the initial state for `step`: the value of each entry, by name, as an array (*runs, *port.shape)."""
@@ -300,6 +300,11 @@ class RangeTracker:
 def _column(parts: Iterable[Any]) -> ca.SX:
     whole: ca.SX = ca.vertcat(*parts)
     return whole
+
+
+def _filled(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    # most values have the shape already, and `broadcast_to` takes ten times as long as this look
+    return value if getattr(value, "shape", ()) == shape and shape else np.broadcast_to(value, shape)
 
 
 @cache
