@@ -20,9 +20,11 @@ __all__ = ["SILENT", "Around", "Expected", "beams", "corrected", "expected", "ho
 SILENT = 0.1
 """A reading less than this distance [m] below the maximum range counts as no echo."""
 
-ANSWERS, MAY_ANSWER = radians(18.0), radians(27.0)
-"""Angles of incidence at which a specular surface surely answers, and beyond which it surely does not; the rule of the
-paper's simulator, 22.5 degrees, lies between them, with room for the error of the heading."""
+ANSWERS, MAY_ANSWER = radians(3.0), radians(27.0)
+"""Angles of incidence up to which a smooth wall surely answers, and beyond which it surely does not.
+
+The limits in use lie between them, with room for the error of the heading: 5 degrees for a smooth wall (reflector
+`specular`), and 22.5 degrees in the simulator of the paper (`webots`)."""
 
 
 class Around(NamedTuple):
@@ -78,13 +80,14 @@ class Expected(NamedTuple):
         answers, may = (ca.if_else(placed, one, nothing) for one in (self.answers, self.may))
         return Expected(walls, self.things, answers, may)
 
-    def explains(self, reading: ca.SX, sensor: int, *, tolerance: float) -> ca.SX:
-        """Return whether a wall or a known obstacle explains an echo at the range `reading` [m]."""
-        wall, beyond = self.walls[sensor] - tolerance, ca.fmin(self.may[sensor], self.things[sensor]) - tolerance
+    def unexplained(self, reading: ca.SX, sensor: int, *, tolerance: float) -> ca.SX:
+        """Return whether no wall and no known obstacle explains an echo at the range `reading` [m]."""
+        nearer: ca.SX = reading < ca.fmin(self.may[sensor], self.things[sensor]) - tolerance
         if self.may is self.walls:
-            return reading >= beyond
-        near = ca.logic_and(reading >= wall, reading <= self.walls[sensor] + tolerance)
-        return ca.logic_or(reading >= beyond, near)
+            return nearer
+        # the nearest point of the walls may answer too, if a wall is less smooth than assumed
+        off = ca.fabs(reading - self.walls[sensor])
+        return ca.logic_and(nearer, off > tolerance)
 
 
 def expected(

@@ -133,7 +133,7 @@ class _Builder:
 
     @property
     def _specular(self) -> bool:
-        return self.equipment.reflectors == "specular"
+        return self.equipment.surface_model == "specular"
 
     @cached_property
     def _ranges(self) -> RangeTracker:
@@ -234,14 +234,14 @@ class _Builder:
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
         ranges = expected(array, around, apexes, known, specular=self._specular)
         ranges = ranges.where(around.placed, 2 * array.maximum)  # without a position, no echo counts as too long
+        shortest = array.lowest / array.scale + array.resolution  # no range is expected below the shortest reading
         ranging = self._ranges.update(
             x,
             corrected(array, inputs["samples"]),
             fresh=inputs["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
-            # never below the shortest reading
-            expected=ca.fmax(ranges.walls, array.lowest / array.scale + array.resolution),
-            longest=ca.fmax(ranges.answers, array.lowest / array.scale + array.resolution),
+            expected=ca.fmax(ranges.walls, shortest),
+            longest=ca.fmax(ranges.answers, shortest) if self._specular else None,
             turn=around.nu[3],
             prefix="sonar_",
         )
@@ -252,8 +252,8 @@ class _Builder:
                 inputs["fresh"][i] > 0.5, honest(array, inputs["samples"], ranging, i, repeats=self._ranges.repeats)
             )
             silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _NEVER)))
-            explained = ranges.explains(reading, i, tolerance=_TOLERANCE)
-            echo = ca.logic_and(reading < array.maximum - SILENT, ca.logic_not(explained))
+            strange = ranges.unexplained(reading, i, tolerance=_TOLERANCE)
+            echo = ca.logic_and(reading < array.maximum - SILENT, strange)
             blind = reading <= array.lowest / array.scale + array.resolution
             clear = ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0)
             firing = {

@@ -9,14 +9,16 @@ from surctl.errors import InputError
 from surctl.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.sensing.sonar.array import SonarArray
 
-__all__ = ["REFLECTORS", "Equipment", "Reflectors"]
+__all__ = ["SURFACE_MODELS", "Equipment", "SurfaceModel"]
 
-Reflectors = Literal["specular", "diffuse"]
-"""How surfaces reflect. `diffuse`: a surface answers from every direction, so silence means free water. `specular`: a
-surface answers near its normal only, so silence frees a place only for directions from which a surface there would have
-answered."""
+SurfaceModel = Literal["specular", "diffuse"]
+"""What a law assumes of surfaces.
 
-REFLECTORS: tuple[Reflectors, ...] = get_args(Reflectors)
+`diffuse`: a wall answers from every direction, so a reading beyond the nearest point of a known wall is a fault of the
+sonar. `specular`: a wall surely answers near its normal only, so a reading is a fault only if it is beyond a wall that
+the beam meets near its normal."""
+
+SURFACE_MODELS: tuple[SurfaceModel, ...] = get_args(SurfaceModel)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,19 +29,19 @@ class Equipment:
         array: the sonar array.
         station: the base station, which measures moving obstacles.
         own: measurement of the robot's own position and motion; None: the law receives the true values.
-        reflectors: how the law assumes that surfaces reflect; see `Reflectors`.
+        surface_model: what the law assumes of surfaces, see `SurfaceModel`.
     """
 
     array: SonarArray = field(default_factory=SonarArray)
     station: BaseStation = field(default_factory=BaseStation)
     own: OwnState | None = field(default_factory=OwnState)
-    reflectors: Reflectors = "specular"
+    surface_model: SurfaceModel = "specular"
 
     def __post_init__(self) -> None:
         """Check the values; raise an InputError that names an invalid value."""
-        if self.reflectors not in REFLECTORS:
-            remedy = f"write {' or '.join(REFLECTORS)}"
-            raise InputError("is not known", key="reflectors", value=self.reflectors, remedy=remedy)
+        if self.surface_model not in SURFACE_MODELS:
+            remedy = f"write {' or '.join(SURFACE_MODELS)}"
+            raise InputError("is not known", key="surface_model", value=self.surface_model, remedy=remedy)
 
     @property
     def assumed(self) -> Equipment:

@@ -244,7 +244,7 @@ def _outputs(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
     anything = op.either(state["known"] < 0.5, lost)
     at_minimum = state["reading"] <= rules.minimum + 1.5 * rules.resolution  # all ranges below give the same reading
     low = op.where(op.either(anything, at_minimum), 0.0, op.most(low, 0.0))
-    ceiling = op.least(op.most(scene.longest, 0.0) + scene.tolerance, far)
+    ceiling = op.least(scene.ceiling + scene.tolerance, far)
     high = op.least(op.where(anything, far, high), ceiling)
     # if the track lies beyond a known wall, the interval ends at the wall
     low = op.where(low > ceiling, op.most(ceiling - 2.0 * scene.tolerance, 0.0), low)

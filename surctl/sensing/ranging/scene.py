@@ -73,6 +73,7 @@ class Scene(NamedTuple):
     turning: Value
     follow: Value  # the beam turns and the track is a known wall, so the track moves with the expected range
     longest: Value  # range at which a known wall surely answers, not limited
+    ceiling: Value  # the same, limited to the maximum
     wall: Value  # a known wall is within the maximum range
     expected: Value  # expected range, limited to the maximum
     tolerance: Value
@@ -108,6 +109,8 @@ def opened(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: Step
 def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Scene:
     turning = op.size(inputs.turn) > _TURNING
     expected = op.least(op.most(inputs.expected, 0.0), rules.maximum)
+    same = inputs.longest is inputs.expected
+    ceiling = expected if same else op.least(op.most(inputs.longest, 0.0), rules.maximum)
     cycle = round(rules.due / rules.dt)
     before, earlier = (old["walls"][min(k * cycle, len(old["walls"])) - 1] for k in (1, 2))
     slide = op.most(op.size(expected - before), op.size(before - earlier), 0.5 * op.size(expected - earlier))
@@ -118,6 +121,7 @@ def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: Step
         turning=turning,
         follow=op.both(turning, slide > _SLIDING, old["explained"] > 0.5, old["known"] > 0.5),
         longest=inputs.longest,
+        ceiling=ceiling,
         wall=inputs.expected < rules.maximum,
         expected=expected,
         tolerance=rules.tolerance + 0.5 * slide + unsure,

@@ -249,7 +249,9 @@ class RangeTracker:
         }
         columns = [samples[..., j] for j in range(self.array.samples)]
         far = expected if longest is None else longest
-        fired, own, walls, farthest, beside = (np.asarray(v, dtype=float) for v in (fresh, closing, expected, far, turn))
+        fired, own, walls, farthest, beside = (
+            np.asarray(v, dtype=float) for v in (fresh, closing, expected, far, turn)
+        )
         compared = others(NUMBERS, self.rules(), old, columns, fired)
         after, outputs = range_step(
             NUMBERS, self.rules(), old, StepInputs(columns, fired, own, walls, farthest, beside[..., None], compared)
