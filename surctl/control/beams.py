@@ -97,8 +97,9 @@ def expected(
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
-    scenes = [(p["walls"], none, None), (far, discs, None)]
-    scenes += [(p["walls"], none, angle) for angle in (ANSWERS, MAY_ANSWER)] if specular else []
+    angles: tuple[float, ...] = (ANSWERS, MAY_ANSWER) if specular else ()
+    scenes: list[tuple[ca.SX, tuple[ca.SX, ca.SX], float | None]] = [(p["walls"], none, None), (far, discs, None)]
+    scenes += [(p["walls"], none, angle) for angle in angles]
 
     def ranges(half: float, axis: ca.SX, apex: ca.SX) -> tuple[ca.SX]:
         beam = {"azimuth": 0.0, "hull_radius": 0.0, "half_angle": half, "maximum": array.maximum}
