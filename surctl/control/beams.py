@@ -91,13 +91,13 @@ class Expected(NamedTuple):
 
 
 def expected(
-    array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX], *, specular: bool
+    array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX], *, smooth: bool
 ) -> Expected:
     """Return the range [m] that each sonar should measure, for echoes of the walls and of moving obstacles."""
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
-    angles: tuple[float, ...] = (ANSWERS, MAY_ANSWER) if specular else ()
+    angles: tuple[float, ...] = (ANSWERS, MAY_ANSWER) if smooth else ()
     scenes: list[tuple[ca.SX, tuple[ca.SX, ca.SX], float | None]] = [(p["walls"], none, None), (far, discs, None)]
     scenes += [(p["walls"], none, angle) for angle in angles]
 
@@ -123,7 +123,7 @@ def expected(
         tables.append(table)
     every = ca.vertcat(*tables)
     walls = every[:, 0]
-    return Expected(walls, every[:, 1], *((every[:, 2], every[:, 3]) if specular else (walls, walls)))
+    return Expected(walls, every[:, 1], *((every[:, 2], every[:, 3]) if smooth else (walls, walls)))
 
 
 def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:

@@ -129,11 +129,12 @@ class _Builder:
     def _map(self) -> LocalMap:
         array = self.equipment.array
         slots = min(array.size, ceil(self.dt / array.firing_period - 1e-9))
-        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS)
+        specular = self.equipment.surface_model == "specular"
+        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS, specular=specular)
 
     @property
-    def _specular(self) -> bool:
-        return self.equipment.surface_model == "specular"
+    def _smooth(self) -> bool:
+        return self.equipment.surface_model != "diffuse"
 
     @cached_property
     def _ranges(self) -> RangeTracker:
@@ -232,7 +233,7 @@ class _Builder:
         edge = known["hull"] / CELLS_A_HULL
         axes, apexes, halves = beams(array, around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
-        ranges = expected(array, around, apexes, known, specular=self._specular)
+        ranges = expected(array, around, apexes, known, smooth=self._smooth)
         ranges = ranges.where(around.placed, 2 * array.maximum)  # without a position, no echo counts as too long
         shortest = array.lowest / array.scale + array.resolution  # no range is expected below the shortest reading
         ranging = self._ranges.update(
@@ -241,7 +242,7 @@ class _Builder:
             fresh=inputs["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
             expected=ca.fmax(ranges.walls, shortest),
-            longest=ca.fmax(ranges.answers, shortest) if self._specular else None,
+            longest=ca.fmax(ranges.answers, shortest) if self._smooth else None,
             turn=around.nu[3],
             prefix="sonar_",
         )

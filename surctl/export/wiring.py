@@ -107,7 +107,7 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
     walls = (
         "a known wall may be silent where a beam meets it obliquely, so a reading counts as a fault only beyond a wall "
         "that the beam meets within 3° of its normal"
-        if equipment.surface_model == "specular"
+        if equipment.surface_model != "diffuse"
         else "a known wall always answers, so a reading beyond the wall counts as a fault"
     )
     step = f"{1000 * array.resolution:.4g} mm"

@@ -11,12 +11,13 @@ from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["SURFACE_MODELS", "Equipment", "SurfaceModel"]
 
-SurfaceModel = Literal["specular", "diffuse"]
+SurfaceModel = Literal["smooth-walls", "diffuse", "specular"]
 """What a law assumes of surfaces.
 
-`diffuse`: a wall answers from every direction, so a reading beyond the nearest point of a known wall is a fault of the
-sonar. `specular`: a wall surely answers near its normal only, so a reading is a fault only if it is beyond a wall that
-the beam meets near its normal."""
+`diffuse`: every surface answers from every direction, so silence means free water, and a reading beyond the nearest
+point of a known wall is a fault of the sonar. `smooth-walls`: a known wall surely answers near its normal only, so a
+reading is a fault only if it is beyond a wall that the beam meets near its normal. `specular`: obstacles are smooth
+too, so silence clears a mark only from directions from which the mark was heard (see `mapping.heard`)."""
 
 SURFACE_MODELS: tuple[SurfaceModel, ...] = get_args(SurfaceModel)
 
@@ -35,7 +36,7 @@ class Equipment:
     array: SonarArray = field(default_factory=SonarArray)
     station: BaseStation = field(default_factory=BaseStation)
     own: OwnState | None = field(default_factory=OwnState)
-    surface_model: SurfaceModel = "specular"
+    surface_model: SurfaceModel = "smooth-walls"
 
     def __post_init__(self) -> None:
         """Check the values; raise an InputError that names an invalid value."""
