@@ -106,7 +106,12 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
     )
     walls = (
         "a known wall may be silent where a beam meets it obliquely, so a reading counts as a fault only beyond a wall "
-        "that the beam meets within 3° of its normal"
+        "that the beam meets within 3° of its normal. "
+        + (
+            "A mark is cleared only by silence from directions from which it was heard"
+            if equipment.surface_model == "specular"
+            else "Silence clears the marks of obstacles, which must answer from every direction"
+        )
         if equipment.surface_model != "diffuse"
         else "a known wall always answers, so a reading beyond the wall counts as a fault"
     )

@@ -11,7 +11,7 @@ from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["SURFACE_MODELS", "Equipment", "SurfaceModel"]
 
-SurfaceModel = Literal["smooth-walls", "diffuse", "specular"]
+SurfaceModel = Literal["diffuse", "smooth-walls", "specular"]
 """What a law assumes of surfaces.
 
 `diffuse`: every surface answers from every direction, so silence means free water, and a reading beyond the nearest
@@ -36,7 +36,7 @@ class Equipment:
     array: SonarArray = field(default_factory=SonarArray)
     station: BaseStation = field(default_factory=BaseStation)
     own: OwnState | None = field(default_factory=OwnState)
-    surface_model: SurfaceModel = "smooth-walls"
+    surface_model: SurfaceModel = "diffuse"
 
     def __post_init__(self) -> None:
         """Check the values; raise an InputError that names an invalid value."""

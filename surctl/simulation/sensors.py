@@ -60,7 +60,7 @@ class SonarTable(Strict):
     pitch_deg: float | None = None
     incidence_limit_deg: Degrees | None = None
     echoes: Literal["ideal", "webots", "specular", "diffuse"] | None = None
-    surface_model: SurfaceModel = "smooth-walls"
+    surface_model: SurfaceModel = "diffuse"
     minimum_m: Positive | None = None
     blind_time_s: Positive | None = None
     maximum_m: Positive | None = None
