@@ -5,7 +5,10 @@ in one thread: the matrices are small, and on a busy machine OpenBLAS's threads 
 ten times the work.
 """
 
+import importlib.util
 import os
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -35,6 +38,15 @@ LONG = (
     *("simulation/test_depth_escape.py", "export/test_prove.py", "cli/test_campaign.py", "control/test_baselines.py"),
     *("sensing/test_simulated_table2.py", "sensing/test_echo.py", "cli/test_sensor_options.py"),
 )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Bytecode is written once: processes that begin at the same time would each compile every module."""
+    first = Path(importlib.util.cache_from_source(str(HERE.parent / "surctl" / "cli" / "app.py")))
+    several = getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput")
+    if several and not first.is_file() and not sys.dont_write_bytecode:
+        loaded = f"import compileall, {', '.join(processes.LOADED)}; compileall.compile_dir('surctl', quiet=2)"
+        subprocess.run([sys.executable, "-c", loaded], cwd=HERE.parent, check=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

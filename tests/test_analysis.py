@@ -59,6 +59,25 @@ def test_the_study_of_hostile_gains_and_broken_time() -> None:
     assert next(row[4:] for row in rows if len(row) == 8 and row[0].isdigit()) == ["0"] * 4
 
 
+def test_the_study_of_sessions_with_an_autopilot() -> None:
+    need_compiler()
+    need_module("pymavlink")
+    need_module("mcap")
+    done = run(ANALYSIS / "36_bridge" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if len(row) == 7 and row[1] == "1"]
+    assert len(rows) == 8 and all(row[2] == "1" and row[5] == "0" for row in rows)
+
+
+def test_the_study_of_echoes() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "33_echoes" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if len(row) == 8][1:]
+    assert [row[:2] for row in rows] == [["`pool-static`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
+    assert "does not hold" not in done.stdout
+
+
 def test_the_study_of_published_vehicles() -> None:
     need_compiler()
     done = run(ANALYSIS / "31_craft" / "run.py", "--quick")

@@ -30,6 +30,7 @@ PACKAGES = {
     "sos": "Prove",
     "certcheck": "Prove",
     "export": "Export",
+    "bridge": "Export",
     "ir": "Export",
     "report": "Report",
     "study": "Report",

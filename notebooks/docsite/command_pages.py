@@ -60,7 +60,7 @@ def _parents(names: list[str]) -> click.Context | None:
 
 def _option(parameter: click.Parameter, context: click.Context) -> tuple[str, str] | None:
     record = parameter.get_help_record(context)
-    return None if record is None else (f"`{record[0]}`", _plain(record[1]))
+    return None if record is None or not record[1] else (f"`{record[0]}`", _plain(record[1]))
 
 
 def _plain(text: str) -> str:

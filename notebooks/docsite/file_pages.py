@@ -77,7 +77,8 @@ def _tables(model: type[BaseModel], path: tuple[str, ...], *, many: bool = False
             yield text
     rows: list[tuple[str, ...]] = []
     below: list[tuple[type[BaseModel], tuple[str, ...], bool]] = []
-    for key, field in model.model_fields.items():
+    first = ("kind", "name", "title", "note", "provenance")
+    for key, field in sorted(model.model_fields.items(), key=lambda entry: entry[0] not in first):
         shown = field.alias or key
         inner, several = _inner(field.annotation)
         if inner is not None:
@@ -121,7 +122,9 @@ def _values(annotation: Any) -> str:
         if _inner(inner[0])[0] is not None:
             return "tables"
         fixed = Ellipsis not in arguments and origin is tuple
-        return f"{len(inner)} numbers" if fixed else "list of " + _plural(_values(inner[0]))
+        if fixed:
+            return f"list of {len(inner)} numbers"
+        return "list of " + _plural(_values(inner[0]))
     if origin is dict:
         return "table: name = " + _values(arguments[1])
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -131,7 +134,7 @@ def _values(annotation: Any) -> str:
 
 def _plural(kind: str) -> str:
     if kind.endswith("s"):
-        return kind
+        return kind.replace("list", "lists", 1)
     return re.sub(r"\b(number|text|integer)\b", r"\1s", kind)
 
 

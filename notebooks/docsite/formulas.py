@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from html import unescape
+from html.entities import html5
+from xml.etree import ElementTree
 
 from docutils.utils.math.latex2mathml import tex2mathml
 
@@ -13,6 +15,8 @@ _INLINE = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL
 _BLOCK = re.compile(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', re.DOTALL)
 _NUMBER = re.compile(r"(?<![\w)(])\((\d{1,2})\)")
 _TAG = re.compile(r"(<[^>]+>)")
+_ENTITY = re.compile(r"&((?!amp;|lt;|gt;|quot;)\w+;)")
+_SPACE, _ACCENTS = "http://www.w3.org/1998/Math/MathML", ("˙", "¨", "^", "~", "¯")
 LAST = 20  # equations of the paper
 
 
@@ -24,9 +28,23 @@ def with_mathml(html: str) -> str:
 
 def _mathml(tex: str, *, block: bool) -> str:
     try:
-        return str(tex2mathml(unescape(tex).strip(), as_block=block))
+        return _accents(str(tex2mathml(unescape(tex).strip(), as_block=block)))
     except Exception as error:
         raise ValueError(f"formula {tex!r}: {error}") from error
+
+
+def _accents(mathml: str) -> str:
+    """Set the index of an accented letter beside it: docutils sets it below."""
+    ElementTree.register_namespace("", _SPACE)
+    tree = ElementTree.fromstring(_ENTITY.sub(lambda found: html5.get(found[1], found[0]), mathml))
+    for stacked in list(tree.iter(f"{{{_SPACE}}}munderover")):
+        letter, index, accent = stacked
+        if accent.text in _ACCENTS:
+            over = ElementTree.Element(f"{{{_SPACE}}}mover", accent="true")
+            over.extend((letter, accent))
+            stacked.tag = f"{{{_SPACE}}}msub"
+            stacked[:] = [over, index]
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def equation_links(html: str, page: str) -> str:

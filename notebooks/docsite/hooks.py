@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ def on_config(config: Any) -> Any:
     config.extra["version_text"] = surctl.__version__
     if QUICK:
         config.plugins["mkdocstrings"].config.enabled = False
+        config.extra_css = [name for name in config.extra_css if "mkdocstrings" not in str(name)]
     return config
 
 
@@ -71,6 +73,9 @@ def on_files(files: Files, config: Any) -> Files:
     for asset in sorted((HERE / "assets").iterdir()):
         files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
     config.nav = _filled(config.nav, generated)
+    named = set(_named(config.nav))
+    others = [file.src_uri for file in files.documentation_pages() if "/" not in file.src_uri]
+    _section(config.nav, "How-to guides").extend(uri for uri in others if uri not in named)
     _TERMS.update(terms_of(guides / "glossary.md"))
     return files
 
@@ -92,9 +97,23 @@ def _filled(nav: list[Any], generated: dict[str, list[Any]]) -> list[Any]:
     return filled
 
 
+def _named(nav: Any) -> Iterator[str]:
+    """Yield the pages of a navigation."""
+    if isinstance(nav, str):
+        yield nav
+    for entry in nav.values() if isinstance(nav, dict) else nav if isinstance(nav, list) else ():
+        yield from _named(entry)
+
+
+def _section(nav: list[Any], title: str) -> list[Any]:
+    return next(entry[title] for entry in nav if isinstance(entry, dict) and title in entry)
+
+
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
     """Adapt GitHub's Markdown, and point links that leave the guides to their pages on the site."""
     uri = page.file.src_uri
+    if uri in ("index.md", "glossary.md"):  # alone in their section
+        page.meta["hide"] = ["navigation"]
     text = repository.as_python_markdown(markdown)
     if uri in _SOURCES:
         text = repository.relinked(text, uri, _SOURCES[uri], _SOURCES)

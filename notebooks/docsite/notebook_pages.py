@@ -34,7 +34,7 @@ def _page(path: Path) -> Page:
     blocks: list[str] = []
     for cell in cells:
         text = "".join(cell["source"]).strip()
-        if not text:
+        if not text or text == "import marimo as mo":
             continue
         blocks.append(text if cell["cell_type"] == "markdown" else f"````python\n{text}\n````")
     title = next(line[2:] for block in blocks for line in block.splitlines() if line.startswith("# "))

@@ -31,4 +31,5 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 
 def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
+    parts = " ".join(text.split()).split("`")  # a bar in code stays as it is
+    return "`".join(part if k % 2 else part.replace("|", "\\|") for k, part in enumerate(parts))

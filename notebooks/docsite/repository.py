@@ -9,6 +9,9 @@ from posixpath import relpath
 
 from page import Page
 
+_UNSEARCHED = "---\nsearch:\n  exclude: true\n---\n"
+_RARELY = "---\nsearch:\n  boost: 0.5\n---\n"
+
 __all__ = ["as_python_markdown", "changelog", "reached", "relinked", "studies"]
 
 ROOT = Path(__file__).parents[2]
@@ -22,13 +25,13 @@ def studies() -> list[Page]:
     """Return the studies of `analysis/`, their table first."""
     index = ROOT / "analysis" / "README.md"
     files = [index, ROOT / "analysis" / "choosing.md", *sorted((ROOT / "analysis").glob("[0-9]*/README.md"))]
-    return [Page(_uri(path), _title(path), _text(path), path, index=path == index) for path in files]
+    return [Page(_uri(path), _title(path), _RARELY + _text(path), path, index=path == index) for path in files]
 
 
 def changelog() -> Page:
     """Return the page of changes."""
     path = ROOT / "CHANGELOG.md"
-    return Page("changelog.md", "Changelog", _text(path), path)
+    return Page("changelog.md", "Changelog", _RARELY + _text(path), path)
 
 
 def _text(path: Path) -> str:
@@ -37,7 +40,10 @@ def _text(path: Path) -> str:
 
 def _title(path: Path) -> str:
     first = next((line[2:] for line in _text(path).splitlines() if line.startswith("# ")), path.stem)
-    return f"{path.parent.name[:2]} {first}" if path.parent.name[:1].isdigit() else first
+    if not path.parent.name[:1].isdigit():
+        return first
+    question = re.sub(r"^Study \d+: ", "", first)
+    return f"{path.parent.name[:2]} {question[:1].upper()}{question[1:]}"
 
 
 def _uri(path: Path) -> str:
@@ -93,7 +99,7 @@ def reached(known: dict[str, Path], first: list[Page], guides: Path) -> list[Pag
                 found[uri] = Page(uri, _title(path), _text(path), path)
             else:
                 name = path.relative_to(ROOT).as_posix()
-                text = f"# {name}\n\n````{_NAMES.get(path.suffix, 'text')}\n{_text(path).rstrip()}\n````\n"
+                text = f"{_UNSEARCHED}# {name}\n\n````{_NAMES.get(path.suffix, 'text')}\n{_text(path).rstrip()}\n````\n"
                 found[uri] = Page(uri, name, text, path)
     return list(found.values())
 

@@ -15,8 +15,8 @@ from surctl.vehicle import load_vehicle
 
 remus = load_vehicle("remus100")
 missions, gains, derivation = scaled_missions(remus)
-corner = missions[1].path.waypoints[0] + [[0, 0], [40, 0], [40, 30]]
-mission = replace(missions[1], name="corner", path=Path(corner))
+corner = Path([[8, 8], [33, 8], [33, 28]])
+mission = replace(missions[1], name="corner", path=corner, site=(45, 36, 5))
 print(f"law {default_law(remus)}, cruise speed {mission.cruise:.2f} m/s, disk margin {derivation.disk_margin:.2f}")
 print("gains:", {name: float(f"{gains[name]:.3g}") for name in ("k_v", "k_r", "k_psi", "lookahead")})
 run = simulate(mission, remus, gains=gains)

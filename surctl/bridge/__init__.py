@@ -8,7 +8,7 @@ from surctl.bridge.clock import Clock
 from surctl.bridge.events import Attitude, Beat, Gone, Odometry, Position, Ranges, Reply, Text
 from surctl.bridge.limits import Limits
 from surctl.bridge.live import Address, Ended, SessionLog, parse_address, run_session
-from surctl.bridge.log import FrameLog
+from surctl.bridge.log import FrameLog, SessionRecord
 from surctl.bridge.plan import plan_session
 from surctl.bridge.rehearsal import ACTIONS, Act, Rehearsal, RehearsalResult, rehearse
 from surctl.bridge.session import Session, sending
@@ -44,6 +44,7 @@ __all__ = [
     "Reply",
     "Session",
     "SessionLog",
+    "SessionRecord",
     "SimulatedSub",
     "Site",
     "Text",

@@ -26,6 +26,7 @@ __all__ = ["SimulatedSub"]
 Vector = NDArray[np.float64]
 
 _ARDUPILOT, _SUBMARINE, _ARMED, _OWN_MODES = 3, 12, 128, 1
+_INTERVAL = 511  # MAV_CMD_SET_MESSAGE_INTERVAL
 _FIRST_OTHER = 11  # system id of the first moving obstacle
 _DEPTH, _DEPTH_RATE, _RATE = 0.5, 1.5, 3.0  # [1/s², 1/s, 1/s] loops of the simulated autopilot
 _GUIDED_TIMEOUT = 3.0  # [s] after which a velocity target ends
@@ -38,6 +39,7 @@ class SimulatedSub:
         physics: the plant; its state is the vehicle's.
         armed, mode: armed state and name of the mode; only `arm`, `disarm`, `set_mode` and failsafes change them.
         sticks: deflections that act now.
+        blind: whether the autopilot has no position and attitude.
         events: (time, text) of failsafes and changes.
         begun: time at which the operator first armed the vehicle [s]: moving obstacles begin to move.
 
@@ -67,8 +69,8 @@ class SimulatedSub:
         *,
         site: Site | None = None,
         full_rate: float = radians(45.0),
-        pilot_timeout: float = 0.5,
-        rate: float = 20.0,
+        pilot_timeout: float = 0.3,
+        rate: float = 40.0,
         seed: int = 0,
         sonars: bool = False,
     ) -> None:
@@ -87,6 +89,7 @@ class SimulatedSub:
         self.depth = float(self.physics.state[2])
         self.least = inf
         self.begun: float | None = None
+        self.blind, self.beat_period = False, 1.0
         self.events: list[tuple[float, str]] = []
         self.commands: set[int] = set()
         self._mav = dialect()
@@ -119,6 +122,7 @@ class SimulatedSub:
     def reboot(self, now: float) -> None:
         """Restart the autopilot: disarmed, its clock at 0, silent for one second."""
         self.armed, self.sticks, self.last_pilot, self._failed = False, Axes(), None, True
+        self.beat_period = 1.0
         self.booted, self.target = now + 1.0, (-inf, (0.0, 0.0, 0.0), 0.0)
         self.events.append((now, "restart"))
 
@@ -133,6 +137,8 @@ class SimulatedSub:
                 replies.append(self._frame(1, "timesync", int((now - self.booted) * 1e9) or 1, m.ts1))
             elif kind in ("COMMAND_LONG", "COMMAND_INT"):
                 self.commands.add(int(m.command))
+                if m.command == _INTERVAL and m.param1 == 0:
+                    self.beat_period = m.param2 * 1e-6
             elif kind == "RC_CHANNELS_OVERRIDE" and m.get_srcSystem() == 255:
                 pwm = (m.chan5_raw, m.chan6_raw, m.chan3_raw, m.chan4_raw)
                 self._piloted(Axes(*((v - 1500) / 400 for v in pwm)), now)
@@ -205,11 +211,11 @@ class SimulatedSub:
             return []
         boot = round((now - self.booted) * 1000)
         frames = []
-        if self._each(1.0):
+        if self._each(self.beat_period):
             base = _OWN_MODES | (_ARMED if self.armed else 0)
             number = MODES[self.mode].number if self.mode in MODES else 0
             frames.append(self._frame(1, "heartbeat", _SUBMARINE, _ARDUPILOT, base, number, 4))
-        if self._each(1.0 / self.rate):
+        if self._each(1.0 / self.rate) and not self.blind:
             frames += self._state(boot)
         if self._each(0.1):
             frames += self._obstacles(now)

@@ -36,8 +36,9 @@ __all__ = ["Bridge", "Moment", "Plan"]
 
 Vector = NDArray[np.float64]
 
-_BEAT, _TIME, _RATES = 1.0, 0.2, 2.0  # [s] between heartbeats, TIMESYNC requests, requests of rates
-_RATE = 20.0  # [Hz] of attitude and position
+_BEAT, _TIME, _RATES = 1.0, 0.1, 2.0  # [s] between heartbeats, TIMESYNC requests, requests of rates
+_RATE, _BEATS = 40.0, 5.0  # [Hz] of attitude and position, and of the heartbeat
+_REPEATED = 3  # times that a neutral command is sent in a period, because one may be lost
 _BLIND = 0.3  # [s] longest time by which the present estimate is moved on for the delay of the command
 
 
@@ -161,7 +162,13 @@ class Bridge:
         before = self.session
         silent = self.inputs.silent(now, longest=plan.limits.obstacle)
         self.session = after_time(
-            self.session, now, clock=self.clock, steering_mode=mode.number, obstacle=silent, limits=plan.limits
+            self.session,
+            now,
+            clock=self.clock,
+            steering_mode=mode.number,
+            obstacle=silent,
+            limits=plan.limits,
+            dt=plan.law.dt,
         )
         frames = self._supervision(now)
         axes: Axes | None = None
@@ -175,7 +182,10 @@ class Bridge:
             axes = None
         self._changed(before, now)
         self.moment = self._moment(now, axes, step)
-        return [*frames, *(self.wire.control(axes) if axes is not None else ())]
+        if axes is not None:
+            times = _REPEATED if what == "neutral" else 1
+            frames += [frame for _ in range(times) for frame in self.wire.control(axes)]
+        return frames
 
     def neutral(self) -> list[bytes]:
         """Return the frames that command no thrust, for the end of a session."""
@@ -200,7 +210,7 @@ class Bridge:
             frames.append(self.wire.request_time(now))
             self._due["time"] = now + _TIME
         if now >= self._due["rates"]:
-            frames += self.wire.request_rates(_RATE)
+            frames += self.wire.request_rates(_RATE, beats=_BEATS)
             self._due["rates"] = now + _RATES
         return frames
 

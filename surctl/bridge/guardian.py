@@ -44,12 +44,13 @@ class Guardian:
             self._process.stdin.flush()
             self._known = line
 
-    def farewell(self) -> None:
-        """End the guardian, without a command."""
+    def end(self, *, farewell: bool) -> None:
+        """End the guardian: without a command after a farewell, else by the neutral commands."""
         if self._process is None or self._process.stdin is None:
             return
         with suppress(OSError):
-            self._process.stdin.write(_FAREWELL)
+            if farewell:
+                self._process.stdin.write(_FAREWELL)
             self._process.stdin.close()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(2.0)

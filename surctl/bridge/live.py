@@ -20,6 +20,7 @@ __all__ = ["Address", "Ended", "SessionLog", "parse_address", "run_session"]
 
 _FORMS = ("udp", "udpin", "udpout")
 _NEUTRAL = 5  # periods with neutral commands at the end of a session
+_GRACE = 0.01  # [s] after the begin of a period, for frames that have already arrived
 _LARGEST = 2048  # bytes of a datagram
 
 
@@ -103,11 +104,11 @@ def run_session(
     """
     with _opened(address) as wire, _endings():
         guardian = Guardian(wire)
-        peer = None if address.listen else (address.host, address.port)
+        loop = _Loop(bridge, wire, guardian, log, said, bridge.neutral())
         try:
-            peer = _Loop(bridge, wire, guardian, log, said).run(peer, limit)
+            loop.run(None if address.listen else (address.host, address.port), limit)
         finally:
-            guardian.farewell()
+            guardian.end(farewell=loop.ended)
     return bridge.session.phase == "arrived" or bridge.arrived
 
 
@@ -118,9 +119,11 @@ class _Loop:
     guardian: Guardian
     log: SessionLog | None
     said: Callable[[str], None]
+    neutral: list[bytes]
     lines: int = 0
+    ended: bool = False
 
-    def run(self, peer: tuple[str, int] | None, limit: float | None) -> tuple[str, int] | None:
+    def run(self, peer: tuple[str, int] | None, limit: float | None) -> None:
         bridge, dt = self.bridge, self.bridge.plan.law.dt
         begin, due = time.monotonic(), 0.0
         try:
@@ -128,17 +131,16 @@ class _Loop:
                 peer = self._listen(peer, begin, due)
                 now = time.monotonic() - begin
                 self._send(bridge.period(now), peer, now)
-                self.guardian.tell(peer, bridge.neutral() if bridge.active else [])
+                self.guardian.tell(peer, self.neutral if bridge.active else [])
                 self._report()
                 if bridge.arrived and bridge.session.phase in ("released", "ready") and not bridge.active:
                     break
                 due = max(due + dt, now)  # a late period is not made up for
         finally:
-            if bridge.active:
-                for _ in range(_NEUTRAL):
-                    self._send(bridge.neutral(), peer, time.monotonic() - begin)
-                    time.sleep(dt)
-        return peer
+            for _ in range(_NEUTRAL if bridge.active else 0):
+                self._emit(bridge.neutral(), peer)
+                time.sleep(dt)
+            self.ended = True  # else, after a second Ctrl-C for instance, the guardian sends the neutral commands
 
     def _listen(self, peer: tuple[str, int] | None, begin: float, due: float) -> tuple[str, int] | None:
         while True:
@@ -156,16 +158,20 @@ class _Loop:
             events = self.bridge.hear(data, now)
             if any(type(event).__name__ == "Beat" for event in events):
                 peer = sender[:2]
-            if now > due + 1.0:  # a flood of frames must not keep the period away
+            if now > due + _GRACE:  # a flood of frames must not keep the period away
                 return peer
 
     def _send(self, frames: list[bytes], peer: tuple[str, int] | None, now: float) -> None:
-        for frame in frames:
-            if peer is not None:
+        self._emit(frames, peer)
+        if self.log is not None:
+            for frame in frames:
+                self.log.frame(now, frame, sent=True)
+
+    def _emit(self, frames: list[bytes], peer: tuple[str, int] | None) -> None:
+        if peer is not None:
+            for frame in frames:
                 with suppress(OSError):
                     self.wire.sendto(frame, peer)
-            if self.log is not None:
-                self.log.frame(now, frame, sent=True)
 
     def _report(self) -> None:
         if self.log is not None:

@@ -12,22 +12,27 @@ import numpy as np
 from surctl.bridge.autopilot import SimulatedSub
 from surctl.bridge.bridge import Bridge
 from surctl.bridge.channel import Channel, LinkQuality
+from surctl.bridge.live import SessionLog
 from surctl.simulation.sensors import FIRING
 
 __all__ = ["ACTIONS", "Act", "Action", "Rehearsal", "RehearsalResult", "rehearse"]
 
-Action: TypeAlias = Literal["arm", "disarm", "manual", "alt_hold", "guided", "reboot", "cut", "join", "quit"]
+Action: TypeAlias = Literal[
+    "arm", "disarm", "manual", "alt_hold", "guided", "reboot", "cut", "mute", "deaf", "blind", "join", "quit"
+]
 
 ACTIONS: tuple[Action, ...] = get_args(Action)
 
 _READY = 3.0  # [s] after which the operator arms
+_QUIET = 5.0  # [s] after the last event and the end of arming, when the rehearsal ends
 _LEFT = 1.0  # [s] after arrival, when the operator disarms
 
 
 class Act(NamedTuple):
-    """What happens at a time [s]: the operator arms, disarms or sets a mode; a restart; the link is cut or joined.
+    """What happens at a time [s]: the operator arms, disarms or sets a mode; the autopilot restarts (`reboot`).
 
-    `quit` ends the bridge without a last command, as a killed process does.
+    `cut` ends both directions of the link, `mute` the one from the autopilot, `deaf` the one to it; `blind` ends its
+    position and attitude alone. `join` undoes these. `quit` ends the bridge without a last command, as kill -9 does.
     """
 
     time: float
@@ -71,6 +76,7 @@ class Rehearsal:
     Attributes:
         bridge, sub: bridge and simulated autopilot.
         down, up: links from and to the autopilot.
+        log: records the session, or None.
         now: simulated time [s].
     """
 
@@ -78,6 +84,7 @@ class Rehearsal:
     sub: SimulatedSub
     down: Channel
     up: Channel
+    log: SessionLog | None = None
     now: float = 0.0
     quit: bool = False
     thrusts: list[tuple[float, bool, bool]] = field(default_factory=list)
@@ -87,10 +94,14 @@ class Rehearsal:
         now = self.now
         for frame in self.down.arrived(now):
             if not self.quit:
+                self._logged(frame, sent=False)
                 self.bridge.hear(frame, now)
         if period and not self.quit:
             for frame in self.bridge.period(now):
+                self._logged(frame, sent=True)
                 self.up.send(frame, now)
+            if self.log is not None:
+                self.log.period(self.bridge)
         for frame in self.up.arrived(now):
             for reply in self.sub.hear(frame, now):
                 self.down.send(reply, now)
@@ -100,6 +111,10 @@ class Rehearsal:
         self.thrusts.append((now, acts, self.sub.armed))
         self.now = now + FIRING
 
+    def _logged(self, frame: bytes, *, sent: bool) -> None:
+        if self.log is not None:
+            self.log.frame(self.now, frame, sent=sent)
+
     def act(self, action: Action) -> None:
         """Do what an `Act` says, now."""
         if action == "arm":
@@ -108,8 +123,9 @@ class Rehearsal:
             self.sub.disarm(self.now)
         elif action == "reboot":
             self.sub.reboot(self.now)
-        elif action in ("cut", "join"):
-            self.down.cut = self.up.cut = action == "cut"
+        elif action in ("cut", "mute", "deaf", "blind", "join"):
+            self.down.cut, self.up.cut = action in ("cut", "mute"), action in ("cut", "deaf")
+            self.sub.blind = action == "blind"
         elif action == "quit":
             self.quit = True
         else:
@@ -125,6 +141,7 @@ def rehearse(
     acts: Sequence[Act] | None = None,
     limit: float | None = None,
     each: Callable[[Rehearsal], None] | None = None,
+    log: SessionLog | None = None,
 ) -> RehearsalResult:
     """Run a session with the simulated autopilot and return its result.
 
@@ -136,6 +153,7 @@ def rehearse(
         acts: what happens when. If nobody arms, the operator arms after 3 s; he disarms 1 s after the arrival.
         limit: longest simulated time [s]; default: the scenario's time limit.
         each: called after each control period.
+        log: records the session.
 
     Example:
         >>> from surctl.bridge import Act, Bridge, SimulatedSub, Wire, plan_session, rehearse
@@ -148,7 +166,7 @@ def rehearse(
         ([True], 1)
     """
     quality = link or LinkQuality()
-    run = Rehearsal(bridge, sub, Channel(quality, 2 * seed), Channel(quality, 2 * seed + 1))
+    run = Rehearsal(bridge, sub, Channel(quality, 2 * seed), Channel(quality, 2 * seed + 1), log)
     plan = bridge.plan
     end = plan.scenario.time_limit if limit is None else limit
     pending = sorted(acts or ())
@@ -157,6 +175,7 @@ def rehearse(
     done: list[Act] = []
     counts: dict[str, int] = {}
     began = arrived = left = inf
+    quiet = 0.0
     begun, last, every = 0, "waiting", round(plan.law.dt / FIRING)
     steps = int(end / FIRING)
     for k in range(steps):
@@ -180,7 +199,9 @@ def rehearse(
             each(run)
         if run.now >= left and sub.armed:
             run.act("disarm")
-        if run.now >= left + 1.0:
+        if sub.armed or pending:
+            quiet = run.now
+        if run.now >= min(left + 1.0, quiet + _QUIET):
             break
     time = min(arrived, run.now) - began if began < inf else 0.0
     return RehearsalResult(

@@ -120,7 +120,14 @@ def after_arrival(session: Session, now: float) -> Session:
 
 
 def after_time(
-    session: Session, now: float, *, clock: Clock, steering_mode: int, obstacle: str, limits: Limits
+    session: Session,
+    now: float,
+    *,
+    clock: Clock,
+    steering_mode: int,
+    obstacle: str,
+    limits: Limits,
+    dt: float = 0.0,
 ) -> Session:
     """Return the session at the begin of a control period.
 
@@ -131,13 +138,14 @@ def after_time(
         steering_mode: number of the mode in which the bridge may steer.
         obstacle: name of a moving obstacle that has been silent for too long; empty if there is none.
         limits: time-outs.
+        dt: control period [s], for which a command acts.
     """
     if session.phase == "waiting":
         return session
     if clock.restarts != session.restarts:
         known = replace(session, restarts=clock.restarts, permitted=False, armed=None, mode=None, estimate=None)
         return known.to(_stopped(session.phase), now, "the autopilot restarted")
-    missing, lost = _missing(session, now, clock, limits)
+    missing, lost = _missing(session, now + dt, clock, limits)
     if lost:
         session = replace(session, permitted=False)
         if session.phase == "steering" or session.phase == "holding":
@@ -176,9 +184,9 @@ def _missing(session: Session, now: float, clock: Clock, limits: Limits) -> tupl
         return "the autopilot does not answer: it may not hear the bridge", True
     if session.estimate is None:
         return "no position and attitude", False
-    age = now - session.estimate
-    if age > limits.estimate:
-        return f"position or attitude is older than {limits.estimate:g} s", age > limits.lost
+    age, oldest = now + 0.5 * clock.trip - session.estimate, limits.oldest(clock.trip)
+    if age > oldest:
+        return f"position or attitude is older than {oldest:.2g} s", age > limits.lost
     return "", False
 
 

@@ -26,7 +26,7 @@ _ARDUPILOT, _SUBMARINE, _NO_AUTOPILOT, _COMPUTER = 3, 12, 8, 18
 _ARMED, _OWN_MODES = 128, 1
 _AUTOPILOT, _BRIDGE = 1, 191  # components
 _INTERVAL = 511  # MAV_CMD_SET_MESSAGE_INTERVAL, the only command that the bridge ever sends
-_STREAMED = (30, 32)  # ATTITUDE, LOCAL_POSITION_NED
+_HEARTBEAT, _STREAMED = 0, (30, 32)  # ATTITUDE, LOCAL_POSITION_NED
 _IGNORED = 65535
 _VELOCITY_AND_RATE = 0b010111000111
 _MARK = 64  # ns: requests of the bridge end with it, so that replies to others are not taken for its own
@@ -209,15 +209,15 @@ class Wire:
         """Return a TIMESYNC request at `now` [s]."""
         return self._frame(self._out.timesync_encode(0, int(now * 1e6) * 1000 + _MARK))
 
-    def request_rates(self, rate: float) -> list[bytes]:
-        """Return requests to send attitude and position at a rate [Hz]."""
+    def request_rates(self, rate: float, *, beats: float) -> list[bytes]:
+        """Return requests to send attitude and position at a rate [Hz], and heartbeats at the rate `beats` [Hz]."""
         return [
             self._frame(
                 self._out.command_long_encode(
-                    self.target, _AUTOPILOT, _INTERVAL, 0, float(kind), 1e6 / rate, 0.0, 0.0, 0.0, 0.0, 0.0
+                    self.target, _AUTOPILOT, _INTERVAL, 0, float(kind), 1e6 / each, 0.0, 0.0, 0.0, 0.0, 0.0
                 )
             )
-            for kind in _STREAMED
+            for kind, each in ((_HEARTBEAT, beats), *((kind, rate) for kind in _STREAMED))
         ]
 
     def control(self, axes: Axes) -> list[bytes]:

@@ -54,7 +54,7 @@ _SYSTEM = click.IntRange(1, 255)
     "acts",
     multiple=True,
     metavar="S:ACT",
-    help="Rehearsal: at time S arm, disarm, reboot, cut, join, quit or a mode.",
+    help="Rehearsal: at time S arm, disarm, reboot, cut, join, quit, blind or a mode.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed (default 0).")
 @click.option(
@@ -141,42 +141,40 @@ def fly(
         prepare_folder(out)
     if address is None:
         result = _rehearsed(bridge, LinkQuality(loss=loss, delay=delay), script, out=out, seed=seed)
-        lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result)]
-        finish(_data(result), lines, as_json=as_json, passed=result.arrived)
+        files = [] if out is None else sorted(str(path) for path in out.glob(f"rehearsal-{mission.name}-{seed}.*"))
+        lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result), *files]
+        finish(_data(result) | {"files": files}, lines, as_json=as_json, passed=result.arrived)
     assert out is not None and address is not None
     for line in lines:
         progress(line)
-    path = _record_path(out)
-    arrived = _live(bridge, address, path)
-    finish(
-        {"arrived": arrived, "file": str(path)},
-        [f"{'arrived' if arrived else 'not arrived'}; record {path}"],
-        as_json=as_json,
-        passed=arrived,
-    )
+    arrived, files = _live(bridge, address, out)
+    lines = ["arrived" if arrived else "not arrived", *files]
+    finish({"arrived": arrived, "files": files}, lines, as_json=as_json, passed=arrived)
 
 
-def _live(bridge: Bridge, address: Address, path: Path) -> bool:
-    from surctl.bridge import Ended, FrameLog, run_session
-
-    with FrameLog(path) as log:
-        try:
-            return run_session(bridge, address, log=log, said=progress)
-        except (KeyboardInterrupt, Ended) as end:
-            why = f" ({end})" if isinstance(end, Ended) else ""
-            raise Stopped(f"the session ended{why}, the last commands were neutral; record {path}") from None
-
-
-def _record_path(out: Path) -> Path:
+def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]:
     import time
 
-    return out / f"session-{time.strftime('%Y%m%d-%H%M%S')}.tlog"
+    from surctl.bridge import Ended, SessionRecord, run_session
+    from surctl.errors import SurctlError
+
+    with SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
+        files = [str(path) for path in record.files]
+        try:
+            return run_session(bridge, address, log=record, said=progress), files
+        except (KeyboardInterrupt, Ended) as end:
+            why = f" ({end})" if isinstance(end, Ended) else ""
+            raise Stopped(f"the session ended{why}, the last commands were neutral; record {files[1]}") from None
+        except OSError as error:
+            raise SurctlError(
+                f"the record cannot be written ({error.strerror}); the last commands were neutral"
+            ) from None
 
 
 def _rehearsed(
     bridge: Bridge, quality: LinkQuality, script: Sequence[Act], *, out: Path | None, seed: int
 ) -> RehearsalResult:
-    from surctl.bridge import SimulatedSub, rehearse
+    from surctl.bridge import SessionRecord, SimulatedSub, rehearse
 
     plan = bridge.plan
     sub = SimulatedSub(
@@ -188,7 +186,10 @@ def _rehearsed(
         sonars=plan.law.perception is not None,
     )
     sub.mode = plan.mapping.mode.name
-    return rehearse(bridge, sub, link=quality, seed=seed, acts=script or None)
+    if out is None:
+        return rehearse(bridge, sub, link=quality, seed=seed, acts=script)
+    with SessionRecord(out, f"rehearsal-{plan.scenario.name}-{seed}", bridge, epoch=0.0, new=False) as record:
+        return rehearse(bridge, sub, link=quality, seed=seed, acts=script, log=record)
 
 
 def _act(text: str) -> Act:

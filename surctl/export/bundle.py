@@ -21,6 +21,7 @@ from surctl.errors import InputError
 from surctl.export.contract import FILES, Exportable, checked_name, commands, is_robot_law
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.guard_text import range_text
+from surctl.export.missions import DATA
 from surctl.export.origin import Origin, check_belonging, manifest_entries
 from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
@@ -77,6 +78,12 @@ class Bundle:
         return tuple(
             file for file in self.files if file.startswith(begins) and file.endswith(".c") and file not in others
         )
+
+    @property
+    def mission_rows(self) -> int:
+        """Return how many waypoints the mission in the bundle has; 0: there is no mission."""
+        text = self.files.get(DATA, "")
+        return int(text.partition("_waypoints[")[2].partition("]")[0] or 0)
 
     @property
     def headers(self) -> tuple[str, ...]:

@@ -56,6 +56,8 @@ FILES = (
     "target_start",
     "target_link",
     "fmu",
+    "fmi2",
+    "fmi3",
     "proof",
 )
 """Names of the bundle's C files, without ending, that are not part of the controller."""

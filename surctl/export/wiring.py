@@ -115,6 +115,8 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         if equipment.surface_model != "diffuse"
         else "a known wall always answers, so a reading beyond the wall counts as a fault"
     )
+    tilt = f", its axis {abs(degrees(array.pitch)):.3g}° {'above' if array.pitch > 0 else 'below'} the horizontal"
+    tilt = tilt if array.pitch else ""
     step = f"{1000 * array.resolution:.4g} mm"
     samples = f"{array.samples} {'sample' if array.samples == 1 else 'samples'} a firing"
     return [
@@ -124,7 +126,7 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         f"Echoes: {echo}. Surface model `{equipment.surface_model}`: {walls}. Water surface and floor are not in the "
         "model: mount the sonars, or drop echoes, so that they give none; an echo of theirs counts as an obstacle.",
         f"Ranges: {array.blind:g} to {array.maximum:g} m; nearer than {array.blind:g} m reads {array.lowest:.4g} m; "
-        f"beam {degrees(array.beam_angle):.4g}° wide. No echo reads {array.maximum:g} m.",
+        f"beam {degrees(array.beam_angle):.4g}° wide{tilt}. No echo reads {array.maximum:g} m.",
         f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "
         f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
         f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm, bias {1000 * array.bias:.3g} mm, "

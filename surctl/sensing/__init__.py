@@ -57,7 +57,7 @@ from surctl.sensing.sonar.faults import (
 )
 from surctl.sensing.sonar.firing import fire, firing_samples, true_range
 from surctl.sensing.sonar.reflector import REFLECTORS, Reflector, Surfaces, detection_odds
-from surctl.sensing.sonar.returns import certain_range, corner_points, level_range, rim, weak_range
+from surctl.sensing.sonar.returns import certain_range, corner_points, echo_number, level_range, rim, weak_range
 from surctl.sensing.sonar.returns_block import certain_range_symbols, weak_range_symbols
 from surctl.sensing.sonar.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.sensing.sonar.sound import Medium, speed_of_sound
@@ -130,6 +130,7 @@ __all__ = [
     "draw_normals",
     "draw_uniforms",
     "echo_keys",
+    "echo_number",
     "echo_range",
     "echo_samples",
     "echo_uniform",

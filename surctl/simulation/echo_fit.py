@@ -69,7 +69,7 @@ def silent_faces(scenario: Scenario, hull: float, array: SonarArray) -> list[str
     limits = [array.incidence_limit] * count if surfaces is None else [r.incidence_limit for r in surfaces.obstacles]
     still = [obstacle for obstacle in scenario.obstacles if obstacle.shape != "moving"]
 
-    def heard(box: Obstacle, normal: Point, limit: float) -> bool:
+    def audible(box: Obstacle, normal: Point, limit: float) -> bool:
         points = _on_face(box, normal)
         return limit > 0 and any(_audible(p, normal, scenario, still, hull, array.maximum, limit) for p in points)
 
@@ -78,7 +78,7 @@ def silent_faces(scenario: Scenario, hull: float, array: SonarArray) -> list[str
         for box, limit in zip(scenario.obstacles, limits, strict=True)
         if box.size_m is not None and limit is not None
         for side, normal in _SIDES.items()
-        if not heard(box, normal, limit)
+        if not audible(box, normal, limit)
     ]
 
 
@@ -91,8 +91,8 @@ def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterato
     depth = scenario.depth
     for name, side, gap in (("surface", 1, -depth), ("floor", -1, surfaces.depth + depth)):
         reflector: Reflector = getattr(surfaces, name)
-        heard = level_range(array, reflector, side=side, gap=gap)
-        if heard is None or heard > array.maximum:
+        distance = level_range(array, reflector, side=side, gap=gap)
+        if distance is None or distance > array.maximum:
             continue
         what = "water surface" if side == 1 else "floor"
         limit = reflector.incidence_limit
@@ -101,7 +101,7 @@ def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterato
         if pitch is not None and pitch > -0.5 * degrees(array.beam_angle):
             remedy = f"sonar.pitch_deg {'below' if side == 1 else 'above'} {side * pitch:.3g} makes it silent"
         text = (
-            f"every sonar hears the {what} at {heard:.2f} m at the depth of {depth:g} m and takes it for an "
+            f"every sonar hears the {what} at {distance:.2f} m at the depth of {depth:g} m and takes it for an "
             f"obstacle: what is farther away is not heard; {remedy}"
         )
         yield Finding("warning", f"site.{name}", text)

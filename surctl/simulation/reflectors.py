@@ -118,22 +118,21 @@ class Reflectors:
         """
         model = ECHOES.get(echoes)
         usual = Reflector(array.incidence_limit) if model is None else REFLECTORS[model.upright]
-        level = REFLECTORS["silent" if model is None else model.level]
+        flat = REFLECTORS["silent" if model is None else model.level]
 
         def chosen(name: str | None, key: str, otherwise: Reflector = usual) -> Reflector:
             return otherwise if name is None else self.named(name, key=key)
 
-        found = Surfaces(
+        surfaces = Surfaces(
             tuple(chosen(o.reflector, f"obstacles.{o.name}.reflector") for o in obstacles),
             tuple(chosen(name, f"site.walls.{wall}") for name, wall in zip(self.walls, _WALLS, strict=True)),
-            chosen(self.surface, "site.surface", level),
-            chosen(self.floor, "site.floor", level),
+            chosen(self.surface, "site.surface", flat),
+            chosen(self.floor, "site.floor", flat),
             depth,
         )
-        silent = REFLECTORS["silent"]
-        if found.surface == found.floor == silent and {*found.obstacles, *found.walls} == {usual} and model is None:
-            return None
-        return found
+        upright, level = {*surfaces.obstacles, *surfaces.walls}, {surfaces.surface, surfaces.floor}
+        alike = model is None and upright == {usual} and level == {REFLECTORS["silent"]}
+        return None if alike else surfaces
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """Return the tables `site` and `reflectors` of a scenario file, without keys at their default."""

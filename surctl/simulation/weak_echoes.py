@@ -8,7 +8,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.sensing import SonarArray, corner_points, echo_keys, echo_uniform, firing_block, weak_range
+from surctl.sensing import SonarArray, corner_points, echo_keys, echo_number, echo_uniform, firing_block, weak_range
 from surctl.simulation.column import beside
 from surctl.simulation.world import Body, World
 
@@ -32,7 +32,8 @@ class WeakEchoes:
         self._corners: list[tuple[float, float]] = []
         if surfaces is not None:
             names = [obstacle.name for obstacle in scenario.obstacles]
-            self._known = {name: (k, surfaces.obstacles[k]) for k, name in enumerate(names)}
+            pairs = zip(names, surfaces.obstacles, strict=True)
+            self._known = {name: (echo_number(name), reflector) for name, reflector in pairs}
             self._corners = corner_points(scenario.walls, surfaces)
         self._any = surfaces is not None and (surfaces.weak or bool(self._corners))
 
@@ -54,7 +55,7 @@ class WeakEchoes:
             sensor,
             position=state[:2],
             heading=float(state[3]),
-            bodies=[(index, shape, reflector) for (index, reflector), shape in audible],
+            bodies=[(number, shape, reflector) for (number, reflector), shape in audible],
             corners=self._corners,
             uniform=lambda echo: echo_uniform(self._key, block, echo),
         )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.plotted import Plotted
 
 __all__ = ["LinearLoop", "LoopNames"]
 
@@ -46,8 +47,10 @@ class LoopNames:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearLoop:
+class LinearLoop(Plotted):
     """A linear loop, with the plant in continuous time and the controller in discrete time.
+
+    `plot()` draws |L|, |S| and |T|, the Nyquist curve, steps and poles.
 
     Attributes:
         plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d, for command f,
@@ -57,6 +60,8 @@ class LinearLoop:
         names: labels of all signals.
         dt: control period [s].
     """
+
+    PLOT = "surctl.report.loop_views:plot_loop"
 
     plant: tuple[Array, ...]
     law: tuple[Array, ...]

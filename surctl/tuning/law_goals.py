@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from surctl.control import Gains
 from surctl.errors import InputError
-from surctl.simulation import Case
+from surctl.own_code import is_own
+from surctl.simulation import Case, law_numbers, simulate
 from surctl.system import LinearLoop
 from surctl.tuning.goals import Goal
-from surctl.verification import law_loop
+from surctl.verification import OperatingPoint, law_loop, steady_motion
 
 __all__ = ["case_loop", "judged_loops"]
 
@@ -23,18 +24,27 @@ _NOMINAL: Mapping[str, float] = MappingProxyType({})
 
 
 def case_loop(
-    case: Case, gains: Gains, *, cruise: float | None = None, plant: Mapping[str, float] = _NOMINAL
+    case: Case,
+    gains: Gains,
+    *,
+    cruise: float | None = None,
+    plant: Mapping[str, float] = _NOMINAL,
+    motion: OperatingPoint | None = None,
 ) -> LinearLoop:
-    """Return the linear sampled loop of a case's law about a cruise, with true positions.
+    """Return the linear sampled loop of a case's law, with true positions.
+
+    A built-in law is linearised about a straight cruise, a law of the user's own about the steady motion of its run in
+    the scenario of the case.
 
     Args:
         case: the simulation case.
         gains: the gains of the law.
         cruise: cruise speed [m/s]; None: that of the scenario.
         plant: parameters of the plant (`plant.…`) that differ from the vehicle of the case.
+        motion: a steady motion of another run, at which a law of the user's own is linearised with these gains.
 
     Raises:
-        InputError: the vehicle cannot hold the speed.
+        InputError: the vehicle cannot hold the speed, or the run has no steady motion.
 
     Example:
         >>> from surctl.control import load_gains
@@ -46,8 +56,16 @@ def case_loop(
     """
     law = (case if case.sensing == "truth" else replace(case, sensing="truth")).build()
     vehicle = case.vehicle.with_values({name.removeprefix("plant."): value for name, value in plant.items()})
-    speed = case.scenario.cruise if cruise is None else cruise
-    return law_loop(law, vehicle, gains, cruise=speed, model=case.model or case.vehicle).linear
+    model, speed = case.model or case.vehicle, case.scenario.cruise if cruise is None else cruise
+    if not is_own(case.law):
+        return law_loop(law, vehicle, gains, cruise=speed, model=model).linear
+    if cruise is not None and cruise != case.scenario.cruise:
+        remedy = "leave it out: a law of your own is linearised about its run in the scenario"
+        raise InputError("is not the cruise speed of the scenario", key="cruise_m_per_s", value=cruise, remedy=remedy)
+    if motion is None:
+        motion = steady_motion(simulate(case.scenario, vehicle, gains=gains, law=law, model=model))
+    at = replace(motion, p=law_numbers(case.scenario, gains, model))
+    return law_loop(law, vehicle, gains, cruise=speed, at=at).linear
 
 
 def judged_loops(

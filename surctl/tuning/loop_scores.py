@@ -46,7 +46,7 @@ class LoopScores(Plotted):
         scores: the scores, goal by goal.
     """
 
-    PLOT = "surctl.report.loop_goals:plot_loop_goals"
+    PLOT = "surctl.report.loop_views:plot_loop_goals"
 
     scores: tuple[Score, ...]
 
@@ -100,7 +100,7 @@ def operating_loops(system: System, points: Mapping[str, Mapping[str, ArrayLike]
         ...     "hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
         ... )
         >>> loops = operating_loops(System(cart, hold), {"soft": {"k": 1.0}, "stiff": {"k": 4.0}})
-        >>> {name: abs(loop.poles()[0]).round(2) for name, loop in loops.items()}
+        >>> {name: round(float(abs(loop.poles()[0])), 2) for name, loop in loops.items()}
         {'soft': 0.9, 'stiff': 0.6}
     """
     loops: dict[str, LinearLoop] = {}
@@ -130,7 +130,7 @@ def judge_loops(goals: Sequence[LoopGoal], loops: Mapping[str, LinearLoop]) -> L
         >>> for line in judge_loops(goals, {"nominal": linearise(System(cart, hold))}).lines():
         ...     print(line)
         met     peak (soft): 0.556, 1.111 for 2, at 31.4 rad/s; nominal
-        met     phase (soft): 0.712, 84.27 deg for 60, phase margin 84.3 deg at force; nominal
+        met     phase (soft): 0.712, 84.26 deg for 60, phase margin 84.3 deg at force; nominal
     """
     check_points(tuple(goals), loops)
     return LoopScores(

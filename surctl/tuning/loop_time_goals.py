@@ -183,7 +183,7 @@ class Poles(LoopGoal):
         >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
         >>> judged = Poles(name="region", decay_per_s=1.0, damping=0.7).judge(linearise(System(cart, hold)))
         >>> round(judged.normalised, 2), judged.where
-        (0.45, 'decay rate 2.23 1/s')
+        (0.7, 'damping ratio 1')
     """
 
     TYPE: ClassVar[str] = "poles"

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import threading
 import time
 from pathlib import Path
 
 import pytest
 
 from surctl.bridge import Bridge, Ended, FrameLog, SimulatedSub, Wire, parse_address, run_session
+from surctl.bridge.guardian import Guardian
 from surctl.bridge.wire import Parser
 from surctl.errors import InputError
 from tests.bridge.test_rehearsal import plan
@@ -113,3 +115,38 @@ def test_an_address_in_use_is_one_line() -> None:
         port = wire.getsockname()[1]
         with pytest.raises(InputError, match="cannot be used"):
             run_session(Bridge(plan(), Wire()), parse_address(f"udp:127.0.0.1:{port}"), limit=0.1)
+
+
+def test_the_guardian_sends_after_an_end_without_a_farewell() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wire,
+    ):
+        ear.bind(("127.0.0.1", 0))
+        ear.settimeout(30.0)
+        guardian = Guardian(wire)
+        guardian.tell(ear.getsockname()[:2], [b"neutral"])
+        guardian.end(farewell=False)
+        assert ear.recv(100) == b"neutral"
+
+
+def test_a_flood_of_frames_does_not_keep_the_period_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    port, periods = _free_port(), []
+    bridge = Bridge(plan(), Wire())
+    monkeypatch.setattr(bridge, "period", lambda now: periods.append(now) or [])
+    monkeypatch.setattr(bridge, "hear", lambda data, now: ())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wire:
+        stop = threading.Event()
+
+        def flood() -> None:
+            while not stop.is_set():
+                wire.sendto(b"x" * 100, ("127.0.0.1", port))
+
+        sender = threading.Thread(target=flood)
+        sender.start()
+        try:
+            run_session(bridge, parse_address(f"udp:127.0.0.1:{port}"), limit=0.5)
+        finally:
+            stop.set()
+            sender.join()
+    assert len(periods) >= 4

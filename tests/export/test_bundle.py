@@ -18,7 +18,7 @@ from surctl.errors import InputError
 from surctl.export import Bundle, build_bundle, write_bundle
 from surctl.export.examples import EXAMPLES
 from surctl.export.process import compile_controller
-from surctl.export.rendering import comment
+from surctl.export.texts import comment
 from surctl.ir import Layout, Port, compile_program, find_compiler
 from surctl.simulation import load_scenario
 from tests.export.standin import GAINS, StandIn, stand_in

@@ -16,13 +16,20 @@ import pytest
 from surctl.control import build_law
 from surctl.export import Bundle, build_bundle, origin_of, write_bundle
 from surctl.export.contract import STATUS
-from surctl.export.wiring import DEMANDS
+from surctl.export.wiring import DEMANDS, _sonars
 from surctl.sensing import Equipment, SonarArray
 from surctl.simulation import load_scenario
 from surctl.vehicle import load_vehicle
 from tests.export.closed_form import exported, vehicle
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need, need_compiler, need_make
+
+
+def test_the_wiring_states_the_pitch_of_the_sonars() -> None:
+    origin = origin_of(build_law("closed_form"), load_vehicle("sur400"))
+    for pitch, words in ((-0.3, "75° wide, its axis 17.2° below the horizontal."), (0.0, "75° wide. No echo")):
+        assert words in " ".join(_sonars(SonarArray(pitch=pitch), origin))
+
 
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")
 C_FILES = ("main_example.c", "loop.c", "board_example.c")

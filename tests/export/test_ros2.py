@@ -206,7 +206,7 @@ def test_package_and_launch_file_name_what_the_code_uses(folder: Path, monkeypat
         "launch_ros.actions": {"Node": lambda **rest: started.append(rest)},
     }
     for name, members in modules.items():
-        for module in (name, name.partition(".")[0]):
+        for module in (name, name.split(".")[0]):
             monkeypatch.setitem(sys.modules, module, sys.modules.get(module) or ModuleType(module))
         vars(sys.modules[name]).update(members)
     described = runpy.run_path(str(ros2 / "launch/controller.launch.py"))["generate_launch_description"]()

@@ -113,7 +113,7 @@ def test_a_pitch_silences_the_surface_and_narrows_the_beam() -> None:
 
 def test_weak_echoes_are_detected_as_often_as_the_sonar_equation_says() -> None:
     array, firings, smooth = SonarArray(hull_radius=0.0), 3000, REFLECTORS["specular-edges"]
-    bodies = [(0, Box((0.9, 0.45), (0.5, 0.3)), smooth), (2, Disc((1.9, -0.3), 0.05), smooth)]
+    bodies = [(0, Box((0.9, 0.45), (0.5, 0.3)), smooth), (8, Disc((1.9, -0.3), 0.05), smooth)]
     edges = [(0.65, 0.6), (0.65, 0.3), (1.15, 0.3)]  # the fourth one is behind
     half, parts = array.half_angle, []
     for x, y in edges:
@@ -156,13 +156,20 @@ def test_the_compiled_returns_are_those_of_the_reference(pitch: float) -> None:
     outputs = [
         certain_range_symbols(array, beam, bodies, walls, z=place[2], surfaces=MIXED),
         weak_range_symbols(
-            array, beam, bodies, walls, surfaces=MIXED, uniform=lambda echo: uniform_symbols(ca.SX(key), block, echo)
+            array,
+            beam,
+            [(ca.SX(4 * k), *pair) for k, pair in enumerate(bodies)],
+            walls,
+            surfaces=MIXED,
+            uniform=lambda echo: uniform_symbols(ca.SX(key), block, echo),
         ),
     ]
     compiled = ca.Function("returns", [place, instant, sensor], outputs, {"cse": True})
     corners, weak = corner_points(WALLS, MIXED), 0
     assert corners == [(0.0, 0.0)]
-    listed = [(k, shape, reflector) for k, (shape, reflector) in enumerate(zip(BODIES, MIXED.obstacles, strict=True))]
+    listed = [
+        (4 * k, shape, reflector) for k, (shape, reflector) in enumerate(zip(BODIES, MIXED.obstacles, strict=True))
+    ]
     for count, (x, y, z, heading) in enumerate(POSES):
         for k in range(4):
             firing = firing_block(key, count, k)

@@ -26,6 +26,7 @@ from surctl.simulation.scenario_table import scenario_table
 from surctl.simulation.weak_echoes import WeakEchoes
 from surctl.simulation.world import build_world
 from surctl.vehicle import load_vehicle
+from surctl.world import Disc
 from tests.tools import need_compiler
 
 POOL = read_toml(LIBRARY / "pool-static.toml")
@@ -106,14 +107,28 @@ def case_of(echoes: str, seconds: float) -> Case:
 
 def test_both_loops_hear_the_same_for_any_threads_and_order() -> None:
     need_compiler()
-    case = case_of("specular", 12.0)
+    case = case_of("specular", 8.0)
     run = simulate(case.scenario, case.vehicle, gains=case.gains, sensing="sonar", seed=5)
-    seeds = np.array([5, 6, 7, 8])
+    seeds = np.array([5, 6, 7])
     table = simulate_batch(case, seeds=seeds).table
     np.testing.assert_allclose(table[0], run.metrics.row(), rtol=0, atol=1e-9)
     assert not np.allclose(table[0], table[1], atol=1e-6, equal_nan=True)
     turned = simulate_batch(case, seeds=seeds[::-1], threads=3).table[::-1]
     assert turned.tobytes() == table.tobytes()
+
+
+def test_an_obstacle_keeps_its_random_numbers_without_the_others() -> None:
+    scenario = pool(obstacle="cloth", reflectors={"cloth": {"cylinder_range_m": 1.0}})
+    alone = replace(scenario, obstacles=scenario.obstacles[:1])
+    last = replace(scenario, obstacles=(scenario.obstacles[2], scenario.obstacles[0]))
+    found, state = [], np.array([1.6, 0.35, -0.15, np.pi])
+    for seen in (alone, last):
+        world = build_world(seen, load_vehicle("sur400"), seed=0)
+        echoes = WeakEchoes(world, seen.sensors.array_on(world.hull), seed=3)
+        bodies = [body for body in world.bodies(0.0) if body.name == "Obstacle1"]
+        still = [replace(bodies[0], shape=Disc((0.6, 0.35), 0.05))]  # where the drift is drawn by place in the list
+        found.append([echoes.nearest(0, state, still, instant=k) for k in range(40)])
+    assert found[0] == found[1] and len(set(found[0])) == 2
 
 
 def test_weak_echoes_are_those_of_the_seed_in_every_physics() -> None:

@@ -58,7 +58,7 @@ def echo_uniform(key: NDArray[np.float64], block: int, echo: int) -> float:
     Args:
         key: (`ECHO_KEY`,) key of the run.
         block: state of the firing, from `firing_block`.
-        echo: number of the echo.
+        echo: number of the echo, 0 to 2^22.
 
     Example:
         >>> from surctl.sensing import echo_keys, echo_uniform, firing_block
@@ -82,7 +82,7 @@ def firing_block_symbols(key: ca.SX, instant: ca.SX, sensor: ca.SX) -> ca.SX:
     return _mixed_symbols(_mixed_symbols(instant, key, 0) + sensor, key, 1)
 
 
-def uniform_symbols(key: ca.SX, block: ca.SX, echo: int) -> ca.SX:
+def uniform_symbols(key: ca.SX, block: ca.SX, echo: ca.SX | int) -> ca.SX:
     """Return the uniform random number of one echo in CasADi symbols, as `echo_uniform`.
 
     Example:

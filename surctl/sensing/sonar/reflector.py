@@ -120,7 +120,7 @@ def detection_odds(
     distance: float | ca.SX,
     cosine: float | ca.SX,
     *,
-    reach: float,
+    half_range: float,
     tangent: float,
     radius: float | ca.SX | None = None,
 ) -> float | ca.SX:
@@ -129,7 +129,7 @@ def detection_odds(
     Args:
         distance: range [m].
         cosine: cosine of the angle between the beam's axis and the direction of the echo.
-        reach: range [m] on the axis at which P = 1/2, for a cylinder with a radius of 0.1 m or for an edge.
+        half_range: range [m] on the axis at which P = 1/2, for a cylinder with a radius of 0.1 m or for an edge.
         tangent: tangent of half the opening angle of the beam.
         radius: radius of the cylinder [m]; None for an edge.
 
@@ -137,11 +137,11 @@ def detection_odds(
         >>> from math import cos, radians, tan
         >>> from surctl.sensing import detection_odds
         >>> half = radians(37.5)
-        >>> beam = {"reach": 0.6, "tangent": tan(half)}
+        >>> beam = {"half_range": 0.6, "tangent": tan(half)}
         >>> [round(1 / detection_odds(0.6, cos(angle), **beam), 3) for angle in (0.0, half)]  # on the axis, at the edge
         [0.5, 0.059]
     """
-    ratio = distance * (1.0 / reach)
+    ratio = distance * (1.0 / half_range)
     square = ratio * ratio
     fall = square * square * square
     if radius is not None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import cos, inf, sin, sqrt, tan
 from typing import Any
+from zlib import crc32
 
 import casadi as ca
 
@@ -24,10 +25,9 @@ from surctl.sensing.sonar.array import SonarArray
 from surctl.sensing.sonar.reflector import Reflector, Surfaces, detection_odds
 from surctl.world import Box, Disc, Shape, Vector2, Wall, box_edges, in_view, nearest_facing
 
-__all__ = ["ECHOES_EACH", "LEVEL", "certain_range", "corner_points", "level_range", "rim", "weak_range"]
+__all__ = ["LEVEL", "certain_range", "corner_points", "echo_number", "level_range", "rim", "weak_range"]
 
-ECHOES_EACH = 4
-"""Largest number of weak echoes of an obstacle: its edges; those of obstacle k are numbered from k·`ECHOES_EACH` on."""
+_NAMES = 1 << 20
 
 _IN_CONE = 1e-12
 _BESIDE = 1e-3  # least cosine of a bearing from the axis
@@ -150,10 +150,10 @@ def weak_range(
         sensor: index of the sensor.
         position: (2,) centre of the robot in {E} [m].
         heading: ψ [rad].
-        bodies: the obstacles of the scene: index in the scenario, shape, and reflector.
+        bodies: the obstacles of the scene: number of their first echo (`echo_number`), shape, and reflector.
         corners: corners of the site that answer (with certainty), from `corner_points`.
-        uniform: function that returns the random number in (0, 1) of an echo, by its number: obstacle index times
-            `ECHOES_EACH`, plus the number of the edge.
+        uniform: function that returns the random number in (0, 1) of an echo, by its number: that of the obstacle's
+            first echo, plus the number of the edge.
 
     Example:
         >>> from surctl.sensing import REFLECTORS, SonarArray, weak_range
@@ -168,33 +168,46 @@ def weak_range(
     cones = [(cos(axis + o), sin(axis + o), cos(half) - _IN_CONE) for o, half in array.cones[sensor]]
     shapes = [shape for _, shape, _ in bodies]
 
-    def heard(ex: float, ey: float) -> bool:
+    def holds(ex: float, ey: float) -> bool:
         return any(ex * c + ey * s >= least for c, s, least in cones)
 
     for point in corners:
         distance, ex, ey = in_view(shapes, (x, y), point)
-        if heard(ex, ey):
+        if holds(ex, ey):
             nearest = min(nearest, distance)
-    for index, shape, reflector in bodies:
+    for number, shape, reflector in bodies:
         others = [other for other in shapes if other is not shape]
         if isinstance(shape, Box) and reflector.edge_range > 0:
-            points, reach, radius = box_edges(shape, (x, y)), reflector.edge_range, None
+            points, half_range, radius = box_edges(shape, (x, y)), reflector.edge_range, None
         elif isinstance(shape, Disc) and reflector.cylinder_range:
             _, px, py = shape.foot(x, y)
-            points, reach, radius = [(px, py)], reflector.cylinder_range, shape.radius
+            points, half_range, radius = [(px, py)], reflector.cylinder_range, shape.radius
         else:
             continue
         for k, place in enumerate(points):
             if place is None:
                 continue
             distance, ex, ey = in_view(others, (x, y), place)
-            if not heard(ex, ey) or distance >= nearest:
+            if not holds(ex, ey) or distance >= nearest:
                 continue
             cosine = ex * ahead[0] + ey * ahead[1]
-            odds = detection_odds(distance, cosine, reach=reach, tangent=tangent, radius=radius)
-            if uniform(index * ECHOES_EACH + k) * odds < 1.0:
+            odds = detection_odds(distance, cosine, half_range=half_range, tangent=tangent, radius=radius)
+            if uniform(number + k) * odds < 1.0:
                 nearest = distance
     return nearest
+
+
+def echo_number(name: str) -> int:
+    """Return the number of the first weak echo of an obstacle, from its name.
+
+    So an obstacle has the same random numbers whatever other obstacles the scenario has.
+
+    Example:
+        >>> from surctl.sensing import echo_number
+        >>> echo_number("OS1"), echo_number("OS2")
+        (3962120, 1651680)
+    """
+    return 4 * (crc32(name.encode()) % _NAMES)  # a box has four edges
 
 
 def corner_points(walls: Sequence[Wall], surfaces: Surfaces) -> list[tuple[float, float]]:

@@ -10,7 +10,7 @@ import casadi as ca
 from surctl.sensing.sonar.array import SonarArray
 from surctl.sensing.sonar.echo import Beam, looks_of
 from surctl.sensing.sonar.reflector import Reflector, Surfaces, detection_odds
-from surctl.sensing.sonar.returns import ECHOES_EACH, LEVEL, level_range, rim
+from surctl.sensing.sonar.returns import LEVEL, level_range, rim
 from surctl.sensing.sonar.solids import Solid, SolidBox, SolidDisc, SolidWalls
 
 __all__ = ["certain_range_symbols", "weak_range_symbols"]
@@ -89,15 +89,15 @@ def certain_range_symbols(
 def weak_range_symbols(
     array: SonarArray,
     beam: Beam,
-    bodies: Sequence[tuple[Solid, Reflector]],
+    bodies: Sequence[tuple[ca.SX, Solid, Reflector]],
     walls: SolidWalls,
     *,
     surfaces: Surfaces,
-    uniform: Callable[[int], ca.SX],
+    uniform: Callable[[ca.SX], ca.SX],
 ) -> ca.SX:
     """Return the distance [m] to the nearest detected edge, cylinder or corner of the site, at most 2·maximum.
 
-    `bodies` are all obstacles of the scenario in its order; `uniform` is as for `weak_range`.
+    `bodies` are the obstacles with the numbers of their first echoes; see `weak_range`.
 
     Example:
         >>> import casadi as ca
@@ -108,28 +108,27 @@ def weak_range_symbols(
         >>> wall = REFLECTORS["webots"]
         >>> beam = beam_of(array, [0], 0, position=ca.SX([1.0, 1.0]), heading=ca.SX(0.0))
         >>> around = Surfaces((smooth,), (wall,) * 4, surface=smooth, floor=smooth, depth=5.0)
-        >>> pipe = SolidDisc(ca.SX([3.0, 1.0]), ca.SX(0.05))
-        >>> distance = weak_range_symbols(
-        ...     array, beam, [(pipe, smooth)], SolidWalls(ca.SX([0, 10, 0, 5])), surfaces=around, uniform=lambda echo: u
-        ... )
+        >>> pipe, walls = SolidDisc(ca.SX([3.0, 1.0]), ca.SX(0.05)), SolidWalls(ca.SX([0, 10, 0, 5]))
+        >>> drawn = {"surfaces": around, "uniform": lambda echo: u}
+        >>> distance = weak_range_symbols(array, beam, [(ca.SX(0), pipe, smooth)], walls, **drawn)
         >>> [round(float(ca.Function("distance", [u], [distance])(chance)), 2) for chance in (0.9, 0.99)]
         [1.68, 9.0]
     """
     nothing, tangent = 2.0 * array.maximum, tan(array.half_angle)
-    solids = [solid for solid, _ in bodies]
+    solids = [solid for _, solid, _ in bodies]
     nearest = ca.SX(nothing)
     for i, j in surfaces.corners:
         distance, ray = _in_view(solids, beam.apex, ca.vertcat(walls.walls[i], walls.walls[j]), nothing)
         nearest = ca.fmin(nearest, ca.if_else(beam.holds(ray), distance, nothing))
-    for index, (solid, reflector) in enumerate(bodies):
+    for number, solid, reflector in bodies:
         others = [other for other in solids if other is not solid]
-        for k, (point, shown, reach, radius) in enumerate(_parts(solid, reflector, beam.apex)):
+        for k, (point, shown, half_range, radius) in enumerate(_parts(solid, reflector, beam.apex)):
             distance, ray = _in_view(others, beam.apex, point, nothing)
             cosine = ca.fmax(ca.dot(ray, beam.axis), 1e-3)
-            odds = detection_odds(distance, cosine, reach=reach, tangent=tangent, radius=radius)
+            odds = detection_odds(distance, cosine, half_range=half_range, tangent=tangent, radius=radius)
             shown = ca.logic_and(ca.logic_and(solid.present, shown), beam.holds(ray))
-            heard = ca.logic_and(shown, uniform(index * ECHOES_EACH + k) * odds < 1.0)
-            nearest = ca.fmin(nearest, ca.if_else(heard, distance, nothing))
+            detected = ca.logic_and(shown, uniform(number + k) * odds < 1.0)
+            nearest = ca.fmin(nearest, ca.if_else(detected, distance, nothing))
     return nearest
 
 

@@ -14,6 +14,7 @@ import casadi as ca
 from surctl.control import CONTACT_SLOTS, Law
 from surctl.ir import Layout, Port
 from surctl.sensing import (
+    ECHO_KEY,
     NOISE_STATE,
     SLOT,
     BaseStation,
@@ -238,10 +239,12 @@ class Listening:
         nearest = certain_range_symbols(array, beam, upright, walls, z=z, surfaces=surfaces)
         if not (surfaces.weak or surfaces.corners):
             return nearest
-        uniform = partial(uniform_symbols, ca.SX(0), ca.SX(0))
+        key, numbers = ca.SX.zeros(ECHO_KEY), ca.SX.zeros(len(upright))
         if surfaces.weak:
-            uniform = partial(uniform_symbols, w["echo_key"], firing_block_symbols(w["echo_key"], instant, sensor))
-        return ca.fmin(nearest, weak_range_symbols(array, beam, upright, walls, surfaces=surfaces, uniform=uniform))
+            key, numbers = w["echo_key"], w["echo_numbers"]
+        uniform = partial(uniform_symbols, key, firing_block_symbols(key, instant, sensor))
+        numbered = [(numbers[k], *pair) for k, pair in enumerate(upright)]
+        return ca.fmin(nearest, weak_range_symbols(array, beam, numbered, walls, surfaces=surfaces, uniform=uniform))
 
 
 def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOTS) -> ca.SX:

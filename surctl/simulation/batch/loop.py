@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import casadi as ca
 
@@ -56,19 +56,22 @@ class Loop:
         law: the law of the loop.
         state: layout of a run's state vector; the run ends when the vector's first entry, `done`, becomes 1.
         parameters: layout of a run's parameter vector.
-        step: function that simulates one control period; from a run's state and parameters it computes the next state.
     """
 
     structure: Structure
     law: Law
     state: Layout
     parameters: Layout
-    step: Routine
+
+    @cached_property
+    def step(self) -> Routine:
+        """Function that simulates one control period: from a run's state and parameters it computes the next state."""
+        return _step(self)
 
 
 @cache
 def build_loop(structure: Structure) -> Loop:
-    """Return the closed loop of a loop structure; the result is cached."""
+    """Return the closed loop of a loop structure; the result is cached, and its step is built when it is first used."""
     law = build_law(  # no more slots than obstacles, and no filter without input
         structure.law,
         avoidance=structure.avoidance,
@@ -83,7 +86,11 @@ def build_loop(structure: Structure) -> Loop:
         depths=structure.depths,
         actuators=structure.actuators,
     )
-    state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(law, structure))
+    return Loop(structure, law, Layout(_state_ports(law, structure)), Layout(_parameter_ports(law, structure)))
+
+
+def _step(loop: Loop) -> Routine:
+    structure, law, state, parameters = loop.structure, loop.law, loop.state, loop.parameters
     builder = _Builder(structure, law, state, parameters)
     sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
     # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
@@ -100,7 +107,7 @@ def build_loop(structure: Structure) -> Loop:
         Call(close, tuple(name for name, _ in close.inputs), outputs[2]),
     )
     size = (("s", state.size), ("w", parameters.size))
-    return Loop(structure, law, state, parameters, Routine("step", size, steps, outputs[2]))
+    return Routine("step", size, steps, outputs[2])
 
 
 def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
@@ -128,7 +135,10 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
     allowed = Port("depths", (2,), "m", "lowest and highest z that the hull may use")
     upright = (*((heights,) if structure.heights else ()), *((allowed,) if structure.depths else ()))
-    key = Port("echo_key", (ECHO_KEY,), "1", "key of the random numbers of weak echoes, see echo_keys")
+    weak = (
+        Port("echo_key", (ECHO_KEY,), "1", "key of the random numbers of weak echoes, see echo_keys"),
+        Port("echo_numbers", (len(structure.bodies),), "1", "number of each obstacle's first weak echo"),
+    )
     there = [Port("there", (len(structure.bodies),), "1", "1 if the obstacle is in the water")]
     optional = there if structure.optional else []
     thrusters = [law.inputs.port(WORKING)] if WORKING in law.inputs else []
@@ -139,7 +149,7 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         *optional,
         *thrusters,
         *upright,
-        *((key,) if structure.draws_echoes else ()),
+        *(weak if structure.draws_echoes else ()),
         *(port for port in failing if structure.may_fail and port.size),
     )
     mission = _mission_of(structure, law)
