@@ -20,7 +20,7 @@ __all__ = ["SILENT", "Around", "Expected", "beams", "corrected", "expected", "ho
 SILENT = 0.1
 """A reading less than this distance [m] below the maximum range counts as no echo."""
 
-ANSWERS, MAY_ANSWER = radians(3.0), radians(27.0)
+SURE, POSSIBLE = radians(3.0), radians(27.0)
 """Angles of incidence up to which a smooth wall surely answers, and beyond which it surely does not.
 
 The limits in use lie between them, with room for the error of the heading: 5 degrees for a smooth wall (reflector
@@ -63,27 +63,27 @@ class Expected(NamedTuple):
     Attributes:
         walls: nearest point of the walls in the beam, which answers if every surface reflects.
         things: nearest point of the known moving obstacles.
-        answers: nearest point of the walls that surely answers; a longer reading is a fault.
-        may: nearest point of the walls that may answer because the beam meets the wall near its normal.
+        sure: nearest point of the walls that surely answers; a longer reading is a fault.
+        possible: nearest point of the walls that may answer because the beam meets the wall near its normal.
     """
 
     walls: ca.SX
     things: ca.SX
-    answers: ca.SX
-    may: ca.SX
+    sure: ca.SX
+    possible: ca.SX
 
     def where(self, placed: ca.SX, nothing: float) -> Expected:
         """Return a copy in which the walls give the range `nothing` [m] unless `placed` is 1."""
         walls = ca.if_else(placed, self.walls, nothing)
-        if self.may is self.walls:
+        if self.possible is self.walls:
             return Expected(walls, self.things, walls, walls)
-        answers, may = (ca.if_else(placed, one, nothing) for one in (self.answers, self.may))
-        return Expected(walls, self.things, answers, may)
+        sure, possible = (ca.if_else(placed, one, nothing) for one in (self.sure, self.possible))
+        return Expected(walls, self.things, sure, possible)
 
     def unexplained(self, reading: ca.SX, sensor: int, *, tolerance: float) -> ca.SX:
         """Return whether no wall and no known obstacle explains an echo at the range `reading` [m]."""
-        nearer: ca.SX = reading < ca.fmin(self.may[sensor], self.things[sensor]) - tolerance
-        if self.may is self.walls:
+        nearer: ca.SX = reading < ca.fmin(self.possible[sensor], self.things[sensor]) - tolerance
+        if self.possible is self.walls:
             return nearer
         # the nearest point of the walls may answer too, if a wall is less smooth than assumed
         off = ca.fabs(reading - self.walls[sensor])
@@ -97,7 +97,7 @@ def expected(
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
-    angles: tuple[float, ...] = (ANSWERS, MAY_ANSWER) if smooth else ()
+    angles: tuple[float, ...] = (SURE, POSSIBLE) if smooth else ()
     scenes: list[tuple[ca.SX, tuple[ca.SX, ca.SX], float | None]] = [(p["walls"], none, None), (far, discs, None)]
     scenes += [(p["walls"], none, angle) for angle in angles]
 

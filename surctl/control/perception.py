@@ -242,7 +242,7 @@ class _Builder:
             fresh=inputs["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
             expected=ca.fmax(ranges.walls, shortest),
-            longest=ca.fmax(ranges.answers, shortest) if self._smooth else None,
+            longest=ca.fmax(ranges.sure, shortest) if self._smooth else None,
             turn=around.nu[3],
             prefix="sonar_",
         )

@@ -17,7 +17,7 @@ SurfaceModel = Literal["diffuse", "smooth-walls", "specular"]
 `diffuse`: every surface answers from every direction, so silence means free water, and a reading beyond the nearest
 point of a known wall is a fault of the sonar. `smooth-walls`: a known wall surely answers near its normal only, so a
 reading is a fault only if it is beyond a wall that the beam meets near its normal. `specular`: obstacles are smooth
-too, so silence clears a mark only from directions from which the mark was heard (see `mapping.heard`)."""
+too, so silence clears a mark only from directions from which the mark was heard (see `mapping.directions`)."""
 
 SURFACE_MODELS: tuple[SurfaceModel, ...] = get_args(SurfaceModel)
 

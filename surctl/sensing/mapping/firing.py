@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from surctl.sensing.mapping.heard import bearing, level
+from surctl.sensing.mapping.directions import bearing, level
 
 __all__ = [
     "AXIS",
@@ -94,7 +94,7 @@ def named_limits(limits: ca.SX) -> dict[str, ca.SX]:
 
 
 def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
-    """Return the direction from a firing's apex to a cell, see `heard.bearing`."""
+    """Return the direction from a firing's apex to a cell, see `directions.bearing`."""
     along, across = column[0] + row[0], column[1] + row[1]
     ex, ey = limit["axis_x"], limit["axis_y"]
     return bearing(along * ex + across * ey, along * ey - across * ex)

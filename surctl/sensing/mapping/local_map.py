@@ -52,7 +52,7 @@ class LocalMap:
         known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
             counts as known to be free.
         specular: whether surfaces reflect specularly: marks then store the directions from which they were heard, and
-            silence clears a mark only from within these directions (see `heard`).
+            silence clears a mark only from within these directions (see `directions`).
     """
 
     dt: float

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
+from surctl.sensing.mapping.directions import BENT, BESIDE, DIRECTIONS, WIDEST, WIDEST_FREE
 from surctl.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
@@ -17,7 +18,6 @@ from surctl.sensing.mapping.firing import (
     READING,
     RING,
 )
-from surctl.sensing.mapping.heard import BENT, BESIDE, DIRECTIONS, WIDEST, WIDEST_FREE
 from surctl.sensing.mapping.local_map import LocalMap
 from surctl.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK
 
@@ -80,14 +80,14 @@ def map_step(
 
     explained = [bool(np.any(beam.on_arc(edge) & may(beam, value) & (beam.square <= beam.cutoff**2))) for beam in beams]
     for beam, already in zip(beams, explained, strict=True):
-        free, cleared, heard = beam.in_front(edge, _level(value)), np.array(-1.0), np.array(1.0)
+        free, cleared, remark = beam.in_front(edge, _level(value)), np.array(-1.0), np.array(1.0)
         if specular:
             strong = _level(value) > BLIND
             free &= np.logical_not(strong & (_stored(value) > DIRECTIONS)) | _includes(value, beam.direction)
-            heard = _sector_with(value, beam.direction, goes_on=strong, widest=WIDEST)
+            remark = _sector_with(value, beam.direction, goes_on=strong, widest=WIDEST)
             cleared = -_sector_with(value, beam.direction, goes_on=_level(value) < 0, widest=WIDEST_FREE)
         marked = beam.on_arc(edge) & (may(beam, value) | (not already))
-        mark = heard if beam.clear >= 0 else np.maximum(value, BLIND)
+        mark = remark if beam.clear >= 0 else np.maximum(value, BLIND)
         value = np.where(free, cleared, np.where(marked, mark, value))
     dx, dy = np.broadcast_arrays(x - here[0], (y - here[1])[:, None])
     square = dx * dx + dy * dy
@@ -137,7 +137,7 @@ def map_view(
 
 
 def _level(value: Vector) -> Vector:
-    # strength of a mark or of a cleared cell, see `heard.level`
+    # strength of a mark or of a cleared cell, see `directions.level`
     return np.asarray(value - np.sign(value) * 2 * _stored(value))
 
 
@@ -158,7 +158,7 @@ def _bearing(x: Vector, y: Vector) -> Vector:
 
 
 def _includes(value: Vector, direction: Vector) -> NDArray[np.bool_]:
-    """Return whether the sector of each cell includes a direction, or is close to it; see `heard.includes`."""
+    """Return whether the sector of each cell includes a direction, or is close to it; see `directions.includes`."""
     stored = _stored(value)
     further = np.floor(np.maximum(stored - 1, 0) / DIRECTIONS)
     off = np.mod(direction - (stored - 1 - DIRECTIONS * further), DIRECTIONS)
@@ -166,7 +166,7 @@ def _includes(value: Vector, direction: Vector) -> NDArray[np.bool_]:
 
 
 def _sector_with(value: Vector, direction: Vector, *, goes_on: NDArray[np.bool_], widest: int) -> Vector:
-    """Return the absolute number of each cell with a direction in its sector; see `heard.sector_with`."""
+    """Return the absolute number of each cell with a direction in its sector; see `directions.sector_with`."""
     stored = _stored(value)
     further = np.floor(np.maximum(stored - 1, 0) / DIRECTIONS)
     first, now = stored - 1 - DIRECTIONS * further, np.minimum(np.floor(direction), DIRECTIONS - 1)

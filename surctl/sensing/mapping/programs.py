@@ -18,6 +18,7 @@ from math import cos, pi, sin
 import casadi as ca
 
 from surctl.ir import Program, lower_named
+from surctl.sensing.mapping.directions import WIDEST, WIDEST_FREE, confirms, includes, level, sector_with
 from surctl.sensing.mapping.firing import (
     AXIS,
     BLIND,
@@ -32,7 +33,6 @@ from surctl.sensing.mapping.firing import (
     on_arc,
     split,
 )
-from surctl.sensing.mapping.heard import WIDEST, WIDEST_FREE, confirms, includes, level, sector_with
 
 __all__ = ["BASE", "BEAM", "NONE", "MapPrograms"]
 
@@ -62,7 +62,7 @@ class MapPrograms:
         fades: amounts by which the value of a marked cell and of a cleared cell approach 0 in one period.
         known: smallest fraction of `free_time` that must remain for a cleared cell to count as known to be free.
         held: number of cells not known to be free below which the unknown cells of a block are ignored.
-        specular: whether cells store directions, because surfaces reflect specularly (see `heard`).
+        specular: whether cells store directions, because surfaces reflect specularly (see `directions`).
     """
 
     slots: int
@@ -242,17 +242,17 @@ class MapPrograms:
         _, across, _, down = self._cell()
         limits = ca.SX.sym("limits", len(self.limit_names))
         limit, line = named_limits(limits), cell_line(across, down)
-        free, heard, cleared, may = in_front(line, limit, value), ca.SX(1), ca.SX(-1), value >= -self.known
+        free, remark, cleared, may = in_front(line, limit, value), ca.SX(1), ca.SX(-1), value >= -self.known
         if self.specular:
             away, now = direction(across, down, limit), level(value)
             strong = now > BLIND
             beside = includes(value, away)
             free = ca.logic_and(free, ca.logic_or(beside, ca.logic_not(ca.logic_and(strong, confirms(value)))))
-            heard = sector_with(value, away, goes_on=strong, widest=WIDEST)
+            remark = sector_with(value, away, goes_on=strong, widest=WIDEST)
             cleared = -sector_with(value, away, goes_on=now < 0, widest=WIDEST_FREE)
             may = ca.logic_or(now >= -self.known, ca.logic_not(beside))
         marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
-        mark = ca.if_else(limit["ranged"], heard, ca.fmax(value, BLIND))
+        mark = ca.if_else(limit["ranged"], remark, ca.fmax(value, BLIND))
         after = ca.if_else(free, cleared, ca.if_else(marked, mark, value))
         inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
         return lower_named("observe", inputs, {"after": after})
