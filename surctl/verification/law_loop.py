@@ -209,6 +209,8 @@ def _differentiated(law: Law, p: Array, nu: Array) -> tuple[Array, Array, Array,
     at = law.inputs.pack({"eta": np.zeros(4), "nu": nu})
 
     x[law.state.slice("progress")] = _FAR  # arc length of the path's middle
+    if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
+        x[law.state.slice("surge")] = nu[0]
     indices = np.arange(law.inputs.size)
     measured = np.concatenate([indices[law.inputs.slice(name)] for name in ("eta", "nu")])
     columns = []
