@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from surctl.control.baselines.situation import NEVER, Situation, length
+from surctl.control.closing import thrust_bounds
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GainSpec
 from surctl.control.steering import (
@@ -49,6 +50,7 @@ STEERED_GAINS: Mapping[str, GainSpec] = {
     ),
     "munk": GainSpec("kg", "moment in yaw per surge and sway speed", True, default=0.0, from_vehicle=True),
     "centripetal": GainSpec("kg", "sway force per surge speed and yaw rate", True, default=0.0, from_vehicle=True),
+    "ahead_limit": GainSpec("N", "largest surge thrust ahead", True, default=0.0, from_vehicle=True),
 }
 """Gains of this law in addition to `GAINS`, and a number that follows from the vehicle."""
 
@@ -185,7 +187,8 @@ def _propelled(s: Situation, surge: ca.SX) -> ca.SX:
     p, m, u = s.p, s.p["mass"], s.x["surge"]
     reference = ca.vertcat(ca.fmin(surge, p["cap"]), s.x["sway"], 0, 0)
     free, _ = steered_thrust(reference, s.nu, s.x["integral"], p, s.dt)
-    thrust = ca.fmin(ca.fmax(free[0], -p["thrust_limit"][0]), p["thrust_limit"][0]) + m[1] * s.x["sway"] * s.nu[3]
+    least, most = thrust_bounds(p)
+    thrust = ca.fmin(ca.fmax(free[0], least[0]), most[0]) + m[1] * s.x["sway"] * s.nu[3]
     damping = (p["linear_drag"][0] + p["quadratic_drag"][0] * ca.fabs(u)) / m[0]
     return (u + s.dt * thrust / m[0]) / (1 + s.dt * damping)
 
@@ -359,5 +362,6 @@ def steered_thrust(
     coriolis = ca.vertcat(-m[1] * v * nu[3], 0, 0, p["munk"] * nu[0] * v)
     driven = ca.vertcat(1, 0, limit[2] > 0, 1)
     free = driven * (drag + m * (gain * error + integral) + coriolis)
-    held = ca.fabs(free) > limit
+    least, most = thrust_bounds(p)
+    held = ca.logic_or(free > most, free < least)
     return free, ca.if_else(held, integral, integral + driven * dt * p["k_i"] * error)
