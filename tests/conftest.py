@@ -1,8 +1,6 @@
 """Randomness has a seed: Hypothesis draws the same examples in every run, and no deadline on noisy machines.
 
-Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O. Linear algebra runs
-in one thread: the matrices are small, and on a busy machine OpenBLAS's threads wait for each other in loops, which took
-ten times the work.
+Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O.
 """
 
 import importlib.util
@@ -17,8 +15,6 @@ import pytest
 from hypothesis import settings
 
 from tests import processes
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy and SciPy are loaded, here and in what is started
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")

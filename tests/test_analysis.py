@@ -74,7 +74,7 @@ def test_the_study_of_echoes() -> None:
     done = run(ANALYSIS / "33_echoes" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [row for row in table(done.stdout) if len(row) == 8][1:]
-    assert [row[:2] for row in rows] == [["`pool-static`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
+    assert [row[:2] for row in rows] == [["`pool-behind`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
     assert "does not hold" not in done.stdout
 
 
@@ -86,6 +86,13 @@ def test_the_study_of_published_vehicles() -> None:
     by_column = dict(zip(head, rows[0], strict=True))
     assert by_column["gains"] == "derived" and float(by_column["disk margin"]) >= 0.4 and by_column["holds"] == "yes"
     assert by_column["tank: reached, collided"] == "2, 0 of 2" and by_column["straight: end, time [s]"] == "reached, 58"
+
+
+def test_the_study_of_goals_beside_the_craft() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "31_craft" / "arrival.py", "--quick")
+    assert done.returncode == 0, done.stderr
+    assert "| otter | 3.9 | 0% | 100.0% |" in done.stdout
 
 
 def test_the_study_of_public_logs() -> None:
@@ -368,9 +375,9 @@ def test_a_large_sweep_streams_to_disk(tmp_path: Path, capsys: pytest.CaptureFix
     config = study["load_model"](study["CONFIG"], study["Config"])
     # of times, and of a process that has run other tests: not a test's affair
     config = config.model_copy(update={"workers": 1, "least_fit": -float("inf"), "most_memory_mib": float("inf")})
-    assert study["study"](config, (50, 100, 200), tmp_path) == 0
+    assert study["study"](config, (20, 40, 80), tmp_path) == 0
     rows = [row for row in table(capsys.readouterr().out) if len(row) == 7][1:]
-    assert [row[0] for row in rows] == ["50", "100", "200"]
+    assert [row[0] for row in rows] == ["20", "40", "80"]
     assert study["study"](config.model_copy(update={"most_memory_mib": 1.0}), (2, 4, 8), tmp_path) == 1
 
 
@@ -382,7 +389,7 @@ def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
     config = study["load_model"](study["CONFIG"], study["Config"])
     plan = 'kind = "study"\nname = "one"\nvehicle = "sur400"\n[[runs]]\nscenario = "pool-behind"\n'
     (tmp_path / "one.toml").write_text(plan + '[sweep]\naxes = [{ gain = "k_v", values = [1.5] }]\n')
-    little = config.quick.model_copy(update={"seeds": 1, "trials": 16, "fresh": 2})
+    little = config.quick.model_copy(update={"seeds": 1, "trials": 8, "fresh": 2})
     config = config.model_copy(update={"study": str(tmp_path / "one.toml"), "rounds": 1, "workers": 1})
     monkeypatch.setenv("SURCTL_CFLAGS", "-O1")  # many runs
     status = study["study"](config, little, tmp_path)

@@ -262,8 +262,8 @@ def _tuned_digests() -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _derive(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
-    found: Any = stored_numbers((*hashed.key, cruise, dt), lambda: asdict(_derivation(hashed, cruise, dt)))
-    return Derivation(**(found | {"gains": Gains(**found["gains"])}))
+    numbers: Any = stored_numbers((*hashed.key, cruise, dt), lambda: asdict(_derivation(hashed, cruise, dt)))
+    return Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
 
 
 def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:

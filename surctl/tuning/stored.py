@@ -41,5 +41,5 @@ def stored_numbers(key: tuple[object, ...], compute: Callable[[], dict[str, Any]
         return compute()
     text = f"{sources}\0{version('scipy')}\0{key!r}"
     stored = cached_bytes(hashlib.sha256(text.encode()).hexdigest(), ".json", lambda: json.dumps(compute()).encode())
-    found: dict[str, Any] = json.loads(stored)
-    return found
+    numbers: dict[str, Any] = json.loads(stored)
+    return numbers

@@ -270,7 +270,9 @@ def test_an_id_that_the_source_does_not_return_is_found(folder: Path) -> None:
     assert any("returns an id that is not the manifest's" in text for text in altered(folder, renamed))
 
 
-@pytest.mark.parametrize("name", ["surctl_guarded.c", "surctl_guarded_law.c", "link.c", "README.md"])
+@pytest.mark.parametrize(
+    "name", ["surctl_guarded.c", "surctl_guarded_law.c", "link.c", "README.md", "freertos/control_task.c"]
+)
 def test_an_altered_or_missing_file_is_found(folder: Path, name: str) -> None:
     path = folder / name
     path.write_text(path.read_text() + " ")

@@ -66,7 +66,23 @@ class Loop:
     @cached_property
     def step(self) -> Routine:
         """Function that simulates one control period: from a run's state and parameters it computes the next state."""
-        return _step(self)
+        law, state, parameters = self.law, self.state, self.parameters
+        builder = _Builder(self.structure, law, state, parameters)
+        sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
+        # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
+        move = shared_divisors(nearby_angles(lower(advance(self.structure.form)), source=0, entry=_HEADING))
+        outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
+        steps = (
+            *(builder.mission.steps(state, parameters) if builder.mission else ()),
+            Call(sense, ("s", "w"), outputs[0]),
+            Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
+            Call(drive, tuple(name for name, _ in drive.inputs), ("thrust",)),
+            Call(move, ("plant", "thrust", "d0", "plant_p"), ("plant_between",)),
+            Call(between, tuple(name for name, _ in between.inputs), outputs[1]),
+            Call(move, ("plant_between", "thrust", "d1", "plant_p"), ("plant_next",)),
+            Call(close, tuple(name for name, _ in close.inputs), outputs[2]),
+        )
+        return Routine("step", (("s", state.size), ("w", parameters.size)), steps, outputs[2])
 
 
 @cache
@@ -87,27 +103,6 @@ def build_loop(structure: Structure) -> Loop:
         actuators=structure.actuators,
     )
     return Loop(structure, law, Layout(_state_ports(law, structure)), Layout(_parameter_ports(law, structure)))
-
-
-def _step(loop: Loop) -> Routine:
-    structure, law, state, parameters = loop.structure, loop.law, loop.state, loop.parameters
-    builder = _Builder(structure, law, state, parameters)
-    sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
-    # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
-    move = shared_divisors(nearby_angles(lower(advance(structure.form)), source=0, entry=_HEADING))
-    outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
-    steps = (
-        *(builder.mission.steps(state, parameters) if builder.mission else ()),
-        Call(sense, ("s", "w"), outputs[0]),
-        Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
-        Call(drive, tuple(name for name, _ in drive.inputs), ("thrust",)),
-        Call(move, ("plant", "thrust", "d0", "plant_p"), ("plant_between",)),
-        Call(between, tuple(name for name, _ in between.inputs), outputs[1]),
-        Call(move, ("plant_between", "thrust", "d1", "plant_p"), ("plant_next",)),
-        Call(close, tuple(name for name, _ in close.inputs), outputs[2]),
-    )
-    size = (("s", state.size), ("w", parameters.size))
-    return Routine("step", size, steps, outputs[2])
 
 
 def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
