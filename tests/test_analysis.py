@@ -88,6 +88,13 @@ def test_the_study_of_published_vehicles() -> None:
     assert by_column["tank: reached, collided"] == "2, 0 of 2" and by_column["straight: end, time [s]"] == "reached, 58"
 
 
+def test_the_study_of_goals_beside_the_craft() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "31_craft" / "arrival.py", "--quick")
+    assert done.returncode == 0, done.stderr
+    assert "| otter | 3.9 | 0% | 100.0% |" in done.stdout
+
+
 def test_the_study_of_public_logs() -> None:
     done = run(ANALYSIS / "32_public_logs" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
