@@ -1,19 +1,21 @@
 """Design, tune, verify and export the controller of a small underwater robot."""
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from surctl.system import from_control, to_control
+from importlib import import_module
+from typing import Any
 
 __version__ = "0.1.0"
 
 __all__ = ["__version__", "from_control", "to_control"]
 
 
-def __getattr__(name: str) -> Any:
-    """Return `from_control` or `to_control` of `surctl.system`, which is imported only now."""
-    if name not in ("from_control", "to_control"):
-        raise AttributeError(f"module 'surctl' has no attribute {name!r}")
-    from surctl import system
+def from_control(system: Any, controller: Any = None, *, dt: float | None = None) -> Any:
+    """Return a python-control system as a plant or controller, or with a controller as a closed loop.
 
-    return getattr(system, name)
+    See `surctl.system.from_control`.
+    """
+    return import_module("surctl.system").from_control(system, controller, dt=dt)
+
+
+def to_control(part: Any) -> Any:
+    """Return a plant, controller or linear loop as a python-control system; see `surctl.system.to_control`."""
+    return import_module("surctl.system").to_control(part)

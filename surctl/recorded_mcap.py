@@ -1,7 +1,7 @@
 """Write MCAP files with the JSON schemas of Foxglove, message by message (needs the package mcap).
 
 JSON rather than Protobuf: the file describes itself, needs no generated code and no further package to write or read,
-and after the compression of a chunk it is small enough (an hour of 20 Hz in some 20 MB).
+and after the compression of a chunk it is small enough (an hour of 20 Hz in 15 to 35 MB).
 """
 
 from __future__ import annotations

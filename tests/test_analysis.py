@@ -74,7 +74,7 @@ def test_the_study_of_echoes() -> None:
     done = run(ANALYSIS / "33_echoes" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [row for row in table(done.stdout) if len(row) == 8][1:]
-    assert [row[:2] for row in rows] == [["`pool-static`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
+    assert [row[:2] for row in rows] == [["`pool-behind`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
     assert "does not hold" not in done.stdout
 
 
@@ -86,6 +86,13 @@ def test_the_study_of_published_vehicles() -> None:
     by_column = dict(zip(head, rows[0], strict=True))
     assert by_column["gains"] == "derived" and float(by_column["disk margin"]) >= 0.4 and by_column["holds"] == "yes"
     assert by_column["tank: reached, collided"] == "2, 0 of 2" and by_column["straight: end, time [s]"] == "reached, 58"
+
+
+def test_the_study_of_goals_beside_the_craft() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "31_craft" / "arrival.py", "--quick")
+    assert done.returncode == 0, done.stderr
+    assert "| otter | 3.9 | 0% | 100.0% |" in done.stdout
 
 
 def test_the_study_of_public_logs() -> None:

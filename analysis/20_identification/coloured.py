@@ -2,6 +2,7 @@
 
     python analysis/20_identification/coloured.py            # half an hour on two cores
     python analysis/20_identification/coloured.py --quick    # one log of two thirds of the length
+    python analysis/20_identification/coloured.py --progress fits.jsonl    # continues where an earlier run stopped
 
 Each log is of another vehicle, drawn from ranges around a sphere with 40 N of thrust. A constant force of 8 N
 acts on it. The first 60 s are fitted, the next 30 s are predicted in windows of 5 s. A second fit of the same model,
@@ -13,11 +14,13 @@ Prints Markdown. The exit status is 0 if every statement holds, and 1 otherwise.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 from conclusion import concluded
@@ -204,6 +207,27 @@ def trials(jobs: list[tuple[int, bool, float]], workers: int) -> Iterator[Trial]
         yield from pool.imap(_job, jobs)
 
 
+def resumed(jobs: list[tuple[int, bool, float]], workers: int, progress: Path | None) -> Iterator[Trial]:
+    """Return the trials in order; those in the file `progress` are read, each further one is appended to it."""
+    if progress is None:
+        yield from trials(jobs, workers)
+        return
+    lines = progress.read_text().splitlines() if progress.exists() else []
+    compared = {seed for seed, compare, _ in jobs if compare}
+    # a fit without SciPy's does not serve where the comparison is asked for
+    done = {f["seed"]: f for f in map(json.loads, lines) if f["seed"] not in compared or f["scipy"]}
+    fits = trials([job for job in jobs if job[0] not in done], workers)
+    for seed, _, _ in jobs:
+        if seed in done:
+            line = {k: v for k, v in done[seed].items() if k != "seed"}
+            yield Trial(**{**line, "identified": tuple(line["identified"])})
+            continue
+        fit = next(fits)
+        with progress.open("a") as file:
+            file.write(json.dumps({"seed": seed, **asdict(fit)}) + "\n")
+        yield fit
+
+
 def _mean(found: list[Trial], errors: Callable[[Trial], dict[str, float]], column: str) -> float:
     return float(np.sqrt(np.mean([errors(t)[column] ** 2 for t in found])))
 
@@ -219,11 +243,13 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="one log of two thirds of the length")
     parser.add_argument("--logs", type=int, default=200, help="number of logs (default 200)")
     parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--progress", type=Path, help="file of finished fits, which a later run continues")
     given = parser.parse_args()
     count, compared = (1, 1) if given.quick else (given.logs, min(8, given.logs))
     share = 2 / 3 if given.quick else 1.0
     found: list[Trial] = []
-    for one in trials([(k, k >= count - compared, share) for k in range(count)], given.workers):
+    jobs = [(k, k >= count - compared, share) for k in range(count)]
+    for one in resumed(jobs, given.workers, given.progress):
         found.append(one)
         if not given.quick:
             sys.stderr.write(f"  {len(found)} of {count}: {[k for k, x in one.inside.items() if not x]}\n")

@@ -21,7 +21,7 @@ import numpy as np
 from surctl.control import load_gains
 from surctl.report.bench import Bench
 from surctl.report.design_bench import DesignBench, SystemBench
-from surctl.report.page_parts import answer
+from surctl.report.page_parts import respond
 from surctl.simulation import load_scenario
 from surctl.tuning import Margins, SensitivityBound
 from surctl.vehicle import load_vehicle
@@ -86,7 +86,7 @@ def measured(bench: DesignBench, sets: int) -> dict[str, list[float]]:
         }  # fmt: skip
         for kind, times in taken.items():
             began = time.process_time()
-            found = answer(bench, kind, request)
+            found = respond(bench, kind, request)
             if k:  # the first request compiles
                 times.append(time.process_time() - began)
             if "error" in found:

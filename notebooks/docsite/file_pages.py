@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from file_meanings import FILES, MEANINGS, FileKind
+from file_kinds import FILES, FileKind
+from file_meanings import MEANINGS
 from page import Page, table
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined

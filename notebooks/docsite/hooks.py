@@ -114,10 +114,19 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
     uri = page.file.src_uri
     if uri in ("index.md", "glossary.md"):  # alone in their section
         page.meta["hide"] = ["navigation"]
+    if "search" not in page.meta:
+        page.meta["search"] = {"boost": _boost(uri)}
     text = repository.as_python_markdown(markdown)
     if uri in _SOURCES:
         text = repository.relinked(text, uri, _SOURCES[uri], _SOURCES)
     return text
+
+
+def _boost(uri: str) -> float:
+    """Return the weight of a page in the search: guides and tutorials come before reference and notebooks."""
+    if uri.startswith(("reference/python/", "tutorials/notebooks/", "coming-from/")):
+        return 0.5
+    return 1.0 if "/" in uri and not uri.startswith(("tutorials/", "explanation/")) else 3.0
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:

@@ -38,7 +38,7 @@ Vector = NDArray[np.float64]
 
 _BEAT, _TIME, _RATES = 1.0, 0.1, 2.0  # [s] between heartbeats, TIMESYNC requests, requests of rates
 _RATE, _BEATS = 40.0, 5.0  # [Hz] of attitude and position, and of the heartbeat
-_REPEATED = 3  # times that a neutral command is sent in a period, because one may be lost
+_REPEATED = 6  # times that a neutral command is sent in a period, because one may be lost
 _BLIND = 0.3  # [s] longest time by which the present estimate is moved on for the delay of the command
 
 

@@ -210,11 +210,15 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
 
 
 def sensor_data(scenario: Scenario) -> dict[str, Any]:
-    """Return the sensor settings that the options may change, as plain data."""
+    """Return the sensor settings that the options may change, and the scenario's own reflectors, as plain data."""
     sensors = scenario.sensors
+    own = {o.name: o.reflector for o in scenario.obstacles if o.reflector is not None}
+    reflectors = scenario.reflectors.tables() | ({"obstacles": own} if own else {})
     return {
         "beam_deg": degrees(sensors.equipment.array.beam_angle),
+        "pitch_deg": degrees(sensors.equipment.array.pitch),
         "echoes": sensors.echo_model,
+        "reflectors": {name: table for name, table in reflectors.items() if table},
         "own_state": "truth" if sensors.equipment.own is None else "measured",
         "faults": [fault.model_dump(exclude_none=True) for fault in sensors.faults],
         "chances": sensors.chances.model_dump(exclude_defaults=True),

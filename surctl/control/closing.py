@@ -14,7 +14,7 @@ from surctl.control.velocity import velocity_control
 from surctl.ir import Block, Layout, Recording
 from surctl.priority.solver.fallback import RELAXED
 
-__all__ = ["CLIMB", "Closing", "Memory", "Thrust", "yaw_limit"]
+__all__ = ["CLIMB", "Closing", "Memory", "Thrust", "thrust_bounds", "yaw_limit"]
 
 Thrust: TypeAlias = Callable[[ca.SX, ca.SX, ca.SX, Mapping[str, ca.SX], float], tuple[ca.SX, ca.SX]]
 """Velocity controller of a law. It maps (velocity reference (4, 1), measured velocity (4, 1), controller state (4, 1),
@@ -37,6 +37,17 @@ def yaw_limit(p: dict[str, ca.SX]) -> ca.SX:
     root = ca.sqrt(linear * linear + 4 * quadratic * moment)
     # this form of the root avoids a difference of nearly equal numbers, and works without quadratic drag
     return 2 * moment / ca.fmax(linear + root, 1e-6)
+
+
+def thrust_bounds(p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Return the least and the largest thrust (4, 1) [N, N m] that a law commands.
+
+    The largest surge thrust is the parameter `ahead_limit`, if the law has it and it is larger than the limit astern.
+    """
+    limit = p["thrust_limit"]
+    if "ahead_limit" not in p:
+        return -limit, limit
+    return -limit, ca.vertcat(ca.fmax(limit[0], p["ahead_limit"]), limit[1:])
 
 
 class Memory(NamedTuple):
@@ -100,8 +111,8 @@ class Closing:
         )
         if self.thrust is not None:
             free, following = self.thrust(clamped, self.u["nu"], integral, p, self.dt)
-            limit = p["thrust_limit"]
-            tau = ca.fmin(ca.fmax(free, -limit), limit)
+            least, most = thrust_bounds(p)
+            tau = ca.fmin(ca.fmax(free, least), most)
             return tau, following, ca.mmax(ca.fabs(free - tau) > _CLIPPED), clamped
         tau, integral, saturated = velocity_control(
             clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt

@@ -15,6 +15,7 @@ from surctl.guidance.braking import brakes_of
 from surctl.ir import Layout, Port
 from surctl.sensing import Equipment, SonarArray
 from surctl.vehicle import Vehicle
+from surctl.vehicle.linearise import ahead_limit
 
 __all__ = [
     "CONTACT_SLOTS",
@@ -193,6 +194,7 @@ PARAMETERS = Layout(
 
 OF_VEHICLE: Mapping[str, Callable[[Vehicle, float], float]] = MappingProxyType(
     {"fin_share": Vehicle.fin_share, "munk": Vehicle.munk, "centripetal": Vehicle.centripetal}
+    | {"ahead_limit": lambda vehicle, _: ahead_limit(vehicle)}
 )
 """Numbers of a law with `GainSpec.from_vehicle`, as functions of the vehicle and the cruise speed [m/s]."""
 

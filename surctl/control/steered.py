@@ -20,9 +20,20 @@ import casadi as ca
 import numpy as np
 
 from surctl.control.baselines.situation import NEVER, Situation, length
+from surctl.control.closing import thrust_bounds
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GainSpec
-from surctl.control.steering import SLOWEST, Moving, Steering, drifted, moved, planned_yaw_rate, steerage, yaw_moment
+from surctl.control.steering import (
+    FIN_STEERAGE,
+    SLOWEST,
+    Moving,
+    Steering,
+    drifted,
+    moved,
+    planned_yaw_rate,
+    steerage,
+    yaw_moment,
+)
 from surctl.guidance import FAR, MAX_WAYPOINTS
 from surctl.ir import Port, fold, repeat, tabulated
 from surctl.tasks import depth_task
@@ -39,12 +50,15 @@ STEERED_GAINS: Mapping[str, GainSpec] = {
     ),
     "munk": GainSpec("kg", "moment in yaw per surge and sway speed", True, default=0.0, from_vehicle=True),
     "centripetal": GainSpec("kg", "sway force per surge speed and yaw rate", True, default=0.0, from_vehicle=True),
+    "ahead_limit": GainSpec("N", "largest surge thrust ahead", True, default=0.0, from_vehicle=True),
 }
 """Gains of this law in addition to `GAINS`, and a number that follows from the vehicle."""
 
 STEERED_PORTS = (
     Port("crab", (1,), "rad", "filtered crab angle: course minus heading"),
     Port("sway", (1,), "m/s", "sway speed through the water that the model predicts from surge speed and yaw rate"),
+    Port("surge", (1,), "m/s", "surge speed through the water that the model predicts from the thrust"),
+    Port("away", (1,), "1", "1 while a craft with fins goes away from a point at rest to turn back to it"),
 )
 
 COURSES = tuple(
@@ -66,11 +80,14 @@ _HIT, _SLOW, _OTHER_SIDE, _OTHER_COURSE = 4.0, 0.5, 2.5, 0.1  # weights of the c
 _DEAD_END = 4.0  # of a contact before the end of the path, for a craft that cannot turn at rest
 _INADMISSIBLE = 1e3
 _BLUR = 0.2  # share of the hull radius added to the margin, because the prediction has few steps
+_RUN_IN = 2.0  # distance in turning radii to which such a craft goes before it turns back (*chosen*)
 _INSIDE = 0.95  # share of the turning radius within which a point at rest is out of reach for a craft with fins
 _CLEAR = _HIT / STEPS  # cost below which the desired course and speed have no contact in the prediction
 _NOWHERE = 1e6  # [m]
 _BACK = 3.0  # [rad] offset above which a course leads back
 _BETTER = 1e-9  # least difference of cost by which a later candidate replaces an earlier one
+_OUTRUN = 3.0  # least speed at a point at rest over the current from aside (*chosen*): the crab angle is 18 degrees
+_TIGHTER = 0.8  # radius of the planned arc to a point at rest over that which just reaches it (*chosen*)
 _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
 
 
@@ -78,24 +95,31 @@ def steered_law(s: Situation) -> Decision:
     """Return the decision: the speed along the hull and the yaw rate that lead to the best admissible course."""
     assert s.steering is not None
     p, psi = s.p, s.eta[3]
-    desired_speed = length(s.desired.velocity)
     on_path = ca.vertcat(s.desired.tangent[0], s.desired.tangent[1])
-    course = ca.if_else(desired_speed > 1e-6, s.desired.velocity / ca.fmax(desired_speed, 1e-6), on_path)
+    towards, desired_speed = length(s.desired.velocity), _desired_speed(s)
+    course = ca.if_else(towards > 1e-6, s.desired.velocity / ca.fmax(towards, 1e-6), on_path)
     hull = ca.vertcat(ca.cos(psi), ca.sin(psi))
-    course = _reachable(s, course, hull, s.steering)
-    offset, share, cost = _chosen(s, course, desired_speed, hull, s.steering)
+    slip = ca.atan2(s.nu[1], ca.fmax(s.nu[0], SLOWEST * p["cruise"]))
+    crab = s.x["crab"] + s.dt / (p["crab_time"] + s.dt) * (slip - s.x["crab"])
+    away = _leaves(s, hull, s.steering)
+    course = ca.if_else(away, _turned(hull, crab), course)  # over ground: along the hull, the drift of a turn goes on
+    water = _through_water(s)
+    offset, share, cost = _chosen(s, course, desired_speed, hull, water, s.steering)
     blocked, clear = cost >= _INADMISSIBLE, cost < _CLEAR
     course, speed = _turned(course, offset), ca.if_else(blocked, 0, share * desired_speed)
 
-    slip = ca.atan2(s.nu[1], ca.fmax(s.nu[0], SLOWEST * p["cruise"]))
-    crab = s.x["crab"] + s.dt / (p["crab_time"] + s.dt) * (slip - s.x["crab"])
     heading = _turned(course, -crab)
     ahead = ca.dot(hull, heading)
-    error = ca.atan2(hull[0] * heading[1] - hull[1] * heading[0], ahead)
+    across = hull[0] * heading[1] - hull[1] * heading[0]
+    error = ca.atan2(across, ahead)
     surge = speed * ca.fmax(ahead, steerage(p))
-    yaw_rate = _yaw_rate(error, s.nu[0], p)
+    surge = ca.if_else(s.desired.arriving, ca.fmin(surge, _on_arc(s, ahead, across)), surge)
+    # a following current carries a craft with fins on, but only the speed through the water turns it
+    steered = s.nu[0] - water + share * FIN_STEERAGE * p["fin_share"] * p["cruise"]
+    surge = ca.if_else(ca.logic_and(p["fin_share"] > 0, ca.logic_not(blocked)), ca.fmax(surge, steered), surge)
+    yaw_rate = _yaw_rate(error, water, p)
     # the reference follows the drift in a turn: no thruster acts against it, and a current is no drift
-    sway = drifted(s.x["sway"], s.nu[0], s.nu[3], p, s.dt)
+    sway = drifted(s.x["sway"], water, s.nu[3], p, s.dt)
 
     velocity = speed * course
     side = ca.if_else(clear, 0, ca.if_else(_sided(offset), ca.if_else(offset > 0, 1, -1), s.x["side"]))
@@ -111,14 +135,69 @@ def steered_law(s: Situation) -> Decision:
         velocity=velocity,
         avoiding=length(velocity - s.desired.velocity) > _CHANGED,
         degraded=blocked,
-        state={"side": side, "blocker": s.x["blocker"], "last_velocity": velocity, "crab": crab, "sway": sway},
+        state={"side": side, "blocker": s.x["blocker"], "last_velocity": velocity, "crab": crab, "sway": sway}
+        | {"surge": _propelled(s, surge), "away": away},
     )
 
 
-def _reachable(s: Situation, course: ca.SX, hull: ca.SX, steering: Steering) -> ca.SX:
-    """Return the course, or straight ahead if fins alone turn the craft and a point at rest is inside its circle.
+def _desired_speed(s: Situation) -> ca.SX:
+    """Return the desired speed [m/s]; at a point at rest, the craft keeps more speed than the current.
 
-    Such a craft would circle the point for ever; ahead of the point it gains the distance to turn back to it.
+    At the speed of a stop, a current from aside would need a hull across the course: the craft would turn beside the
+    point and not arrive. In a current from ahead, the thrust of so low a speed would only hold the craft in its place.
+    A craft with fins cannot turn at rest, and passes the point at its speed of steerage.
+    """
+    p = s.p
+    least = ca.fmin(ca.fmax(_against(s), FIN_STEERAGE * p["fin_share"] * p["cruise"]), p["cruise"])
+    speed = length(s.desired.velocity)
+    return ca.if_else(s.desired.arriving, ca.fmax(speed, least), speed)
+
+
+def _against(s: Situation) -> ca.SX:
+    """Return the least speed [m/s] with which a craft arrives in the current that its predicted motion leaves over."""
+    return ca.fmax(_OUTRUN * ca.fabs(s.nu[1] - s.x["sway"]), s.x["surge"] - s.nu[0])
+
+
+def _on_arc(s: Situation, ahead: ca.SX, across: ca.SX) -> ca.SX:
+    """Return the largest surge speed [m/s] at which the craft turns tightly enough to reach a point at rest.
+
+    The arc from the craft to a point at the distance d and the bearing β has the radius d/(2 sin β); `ahead` is cos β
+    and `across` sin β. A faster craft circles the point; with this bound it turns nearly at rest and comes nearer. The
+    speed that the current requires is allowed towards a point ahead.
+    """
+    distance = ca.sqrt(s.desired.x_e**2 + s.desired.y_e**2)
+    rate = planned_yaw_rate(s.p, SLOWEST * s.p["cruise"])
+    arc = _TIGHTER * rate * distance / ca.fmax(2 * ca.fabs(across), 1e-3)
+    return ca.fmax(arc, _against(s) * ahead)
+
+
+def _through_water(s: Situation) -> ca.SX:
+    """Return the surge speed through the water [m/s]: as the model predicts it if fins turn the craft, else measured.
+
+    The moment of fins follows from this speed, and a craft of `fin_share` 0 does not need it.
+    """
+    return s.nu[0] + s.p["fin_share"] * (s.x["surge"] - s.nu[0])
+
+
+def _propelled(s: Situation, surge: ca.SX) -> ca.SX:
+    """Return the surge speed through the water [m/s] after this step, by the thrust that `surge` causes and the drag.
+
+    The step is implicit in the drag, as in `drifted`. Fins do not share the propeller's thrust, so it is not reduced.
+    """
+    p, m, u = s.p, s.p["mass"], s.x["surge"]
+    reference = ca.vertcat(ca.fmin(surge, p["cap"]), s.x["sway"], 0, 0)
+    free, _ = steered_thrust(reference, s.nu, s.x["integral"], p, s.dt)
+    least, most = thrust_bounds(p)
+    thrust = ca.fmin(ca.fmax(free[0], least[0]), most[0]) + m[1] * s.x["sway"] * s.nu[3]
+    damping = (p["linear_drag"][0] + p["quadratic_drag"][0] * ca.fabs(u)) / m[0]
+    return (u + s.dt * thrust / m[0]) / (1 + s.dt * damping)
+
+
+def _leaves(s: Situation, hull: ca.SX, steering: Steering) -> ca.SX:
+    """Return whether the craft goes straight on, because fins alone turn it and a point at rest is inside its circle.
+
+    Such a craft would circle the point for ever. It goes straight on to the distance of `_RUN_IN` turning radii, so
+    that it has turned before it comes back, and passes the point on a straight course.
     """
     along, across = -s.desired.x_e, -s.desired.y_e
     tangent = s.desired.tangent
@@ -126,8 +205,9 @@ def _reachable(s: Situation, course: ca.SX, hull: ca.SX, steering: Steering) -> 
     ahead, left = ca.dot(hull, point), hull[0] * point[1] - hull[1] * point[0]
     aside = steering.radius - ca.fabs(left)
     inside = ahead * ahead + aside * aside < (_INSIDE * steering.radius) ** 2
-    held = ca.logic_and(ca.logic_and(s.desired.arriving, inside), s.p["fin_share"] > 0.5)
-    return ca.if_else(held, hull, course)
+    near = ca.dot(point, point) < (_RUN_IN * steering.radius) ** 2
+    leaves = ca.logic_or(inside, ca.logic_and(ca.logic_and(s.x["away"] > 0, near), ahead < 0))
+    return ca.logic_and(ca.logic_and(s.desired.arriving, leaves), s.p["fin_share"] > 0.5)
 
 
 def _yaw_rate(error: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
@@ -147,7 +227,9 @@ def _turned(unit: ca.SX, angle: ca.SX) -> ca.SX:
     return ca.vertcat(unit[0] * c - unit[1] * s, unit[0] * s + unit[1] * c)
 
 
-def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: Steering) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _chosen(
+    s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, water: ca.SX, steering: Steering
+) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the offset from the desired course [rad], the share of the desired speed, and the cost of both."""
     p = s.p
     stopping = p["cruise"] ** 2 / (2 * steering.deceleration) + p["cruise"] * p["reaction"]
@@ -155,7 +237,7 @@ def _chosen(s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, steering: St
     step = distance / (p["cruise"] * STEPS)
     aside = s.nu[1] - s.x["sway"]
     stream = ca.vertcat(-hull[1] * aside, hull[0] * aside)
-    start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.x["sway"], s.nu[3]), ca.SX(0))
+    start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.x["sway"], s.nu[3]), ca.SX(0), s.nu[0] - water)
     contacts = _contacts(s)
     side, to_end = s.x["side"], length(p["waypoints"][MAX_WAYPOINTS - 1, :].T - s.eta[:2])
     last = s.x["last_velocity"] / ca.fmax(length(s.x["last_velocity"]), 1e-6)
@@ -239,7 +321,8 @@ def _first_hit(
     def ahead(
         place: ca.SX, hull: ca.SX, nu: ca.SX, so_far: ca.SX, k: ca.SX, *_: ca.SX
     ) -> tuple[list[ca.SX], list[ca.SX]]:
-        now = moved(Moving(place, hull, nu, so_far), course, speed, p, step=step, gain=gain, stream=stream)
+        before = Moving(place, hull, nu, so_far, start.along)
+        now = moved(before, course, speed, p, step=step, gain=gain, stream=stream)
         time = step * (k + 1)
 
         def touches(met: ca.SX, row: ca.SX) -> ca.SX:
@@ -279,5 +362,6 @@ def steered_thrust(
     coriolis = ca.vertcat(-m[1] * v * nu[3], 0, 0, p["munk"] * nu[0] * v)
     driven = ca.vertcat(1, 0, limit[2] > 0, 1)
     free = driven * (drag + m * (gain * error + integral) + coriolis)
-    held = ca.fabs(free) > limit
+    least, most = thrust_bounds(p)
+    held = ca.logic_or(free > most, free < least)
     return free, ca.if_else(held, integral, integral + driven * dt * p["k_i"] * error)

@@ -28,6 +28,7 @@ from surctl.control.closing import yaw_limit
 from surctl.vehicle import Vehicle
 
 __all__ = [
+    "FIN_STEERAGE",
     "MUNK_SHARE",
     "SLOWEST",
     "Moving",
@@ -152,12 +153,14 @@ class Moving:
         hull: (2, 1) unit vector of the hull in {E}.
         nu: (3, 1) surge speed, sway speed [m/s] and yaw rate [rad/s].
         travelled: distance travelled [m].
+        along: part of the surge speed that a current carries [m/s]; the craft turns by the rest.
     """
 
     place: ca.SX
     hull: ca.SX
     nu: ca.SX
     travelled: ca.SX
+    along: ca.SX | float = 0.0
 
 
 def drifted(v: ca.SX, u: ca.SX, r: ca.SX, p: Mapping[str, ca.SX], step: ca.SX | float) -> ca.SX:
@@ -197,7 +200,8 @@ def moved(
     ahead = ca.dot(now.hull, course)
     aside = now.hull[0] * course[1] - now.hull[1] * course[0]
     error = ca.if_else(ahead > 0, aside, ca.if_else(aside < 0, -1, 1))
-    most, swing = planned_yaw_rate(p, u), step * 0.5 * yaw_moment(p, u) / p["mass"][3]
+    water = u - now.along
+    most, swing = planned_yaw_rate(p, water), step * 0.5 * yaw_moment(p, water) / p["mass"][3]
     turn = ca.fmin(ca.fmax(gain * error, -most), most)
     r = ca.fmin(ca.fmax(turn, r - swing), r + swing)
     change = step * p["brake"] * p["thrust_limit"][0] / p["mass"][0]
@@ -209,4 +213,4 @@ def moved(
     hull = ca.vertcat(c * now.hull[0] - s * now.hull[1], s * now.hull[0] + c * now.hull[1])
     shift = step * (ca.vertcat(u * hull[0] - v * hull[1], u * hull[1] + v * hull[0]) + stream)
     travelled = now.travelled + step * ca.sqrt(u * u + v * v)
-    return Moving(now.place + shift, hull, ca.vertcat(u, v, r), travelled)
+    return Moving(now.place + shift, hull, ca.vertcat(u, v, r), travelled, now.along)

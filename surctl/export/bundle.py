@@ -214,6 +214,7 @@ def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Env
         "surctl": __version__,
         "dt_s": float(law.dt),
         "real": real,
+        "operations_at_most": int(law.block.operations),  # of the law in one step, if every loop runs to its end
         **({} if is_robot_law(law) else {"commands": {port.name: port.unit for port in commands(law)}}),
         "ranges": {
             struct: {port.name: range_text(box[layout.slice(port.name)]) for port in layout if port.size}

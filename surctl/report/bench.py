@@ -65,7 +65,7 @@ class Bench:
     Attributes:
         vehicle: the simulated vehicle, which is also the model of the controller.
         scenario: the mission.
-        given: initial gains of the page.
+        initial: initial gains of the page.
         stated: the goals that a set of gains should meet.
         cruise: further cruise speeds [m/s] at which the page shows the loops, besides the speeds of the scenario and
             the goals.
@@ -75,7 +75,7 @@ class Bench:
 
     vehicle: Vehicle
     scenario: Scenario
-    given: Gains
+    initial: Gains
     stated: tuple[Goal, ...] = ()
     cruise: tuple[float, ...] = ()
     law: str = ""
@@ -85,7 +85,7 @@ class Bench:
     @cached_property
     def case(self) -> Case:
         """Return the simulated case, which consists of scenario, vehicle, law and initial gains."""
-        return Case(self.scenario, self.vehicle, self.given, law=self.law)
+        return Case(self.scenario, self.vehicle, self.initial, law=self.law)
 
     @cached_property
     def base(self) -> Gains:
@@ -230,12 +230,12 @@ class Bench:
         return RunView(rows, _panels(run), (plot_run(run).figure.figure, text))
 
     def _goal_rows(self, values: Mapping[str, float]) -> list[tuple[str, str, str, str]]:
-        found = self.judge(values)
-        if found is None:
+        evaluation = self.judge(values)
+        if evaluation is None:
             return []
         rows = []
-        for k, goal in enumerate(found.goals):
-            figure, share, speed = found.figure[0, k], found.normalised[0, k], found.speed[0, k]
+        for k, goal in enumerate(evaluation.goals):
+            figure, share, speed = evaluation.figure[0, k], evaluation.normalised[0, k], evaluation.speed[0, k]
             unit = "" if goal.unit == "1" else f" {goal.unit}"
             at = f", worst at {speed:g} m/s" if goal.cruise else ""
             text = f"{'met' if share <= 1 else 'missed'}: {figure:.4g}{unit}, {goal.sense} {goal.limit:g}{unit}{at}"

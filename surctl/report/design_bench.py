@@ -256,12 +256,12 @@ def _quantity(value: float, unit: str) -> str:
 
 
 def _entries(record: Record, *kinds: str) -> list[tuple[str, Array, str]]:
-    found = []
+    entries = []
     for name, port in record.ports(*kinds).items():
         alone = Layout((port,))
         labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
-        found += list(zip(labels, record.signals[name].T, entry_units(alone), strict=True))
-    return found
+        entries += list(zip(labels, record.signals[name].T, entry_units(alone), strict=True))
+    return entries
 
 
 def _signal_panels(runs: Mapping[str, Record]) -> list[Panel]:

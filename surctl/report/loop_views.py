@@ -21,6 +21,7 @@ Loops = Mapping[str, LinearLoop]
 _CIRCLE = np.linspace(0, 2 * np.pi, 97)
 _FACTORS = np.geomspace(0.05, 20, 61)  # on the loop gain, of the root locus
 _HERE = 30  # index of the factor 1
+_REST = 0.01  # of the range of a response: smaller changes are not shown
 _FAST = 12.0  # poles further left than this multiple of the median are outside of the picture
 
 
@@ -38,8 +39,8 @@ def loop_panels(
     each = [*((name, loop, k, False) for k, (name, loop) in enumerate(loops.items()))]
     each += [(f"{name}, B", loop, k, True) for k, (name, loop) in enumerate((compared or {}).items())]
     names = ("gain", "phase", "S", "T", "nyquist", "steps", "poles")
-    found: dict[str, list[Curve]] = {name: [] for name in names}
-    gain, phase, S, T, nyquist, steps, poles = (found[name] for name in names)
+    by_kind: dict[str, list[Curve]] = {name: [] for name in names}
+    gain, phase, S, T, nyquist, steps, poles = (by_kind[name] for name in names)
     for name, loop, k, faint in each:
         omega = frequencies(loop, [opening])
         L = response(loop.opened(opening), omega, loop.dt)[:, 0, 0]
@@ -65,7 +66,7 @@ def loop_panels(
               marks=[(-1.0, 0.0, "-1")], limits=((-3.0, 1.5), (-2.0, 2.0)), equal=True),
     ]  # fmt: skip
     if source and end:
-        span = None if not steps else (0.0, float(max(one.x[-1] for one in steps)))
+        span = _until_rest(steps)
         panels.append(Panel(f"Step from {source} to {end}", "time [s]", end, steps, limits=(span, None)))
     panels.append(_pole_panel("Poles of the closed loop", poles))
     name, loop = next(iter(loops.items()))
@@ -129,8 +130,8 @@ def _goal_panel(name: str, own: Sequence[Score], others: Sequence[Score]) -> Pan
             shades.append(Shade(view.x, _db(bound) if decibels else bound, side))  # type: ignore[arg-type]
     quantity = view.quantity.rpartition(" [")[0] + " [dB]" if decibels else view.quantity
     x = "frequency [rad/s]" if decibels else "time [s]"
-    limits = _about(shades, curves) if decibels else None
-    return Panel(title, x, quantity, curves, shades, log_x=decibels, limits=(None, limits), note=note, mark=mark)
+    limits = (None, _about(shades, curves)) if decibels else (_until_rest(curves, _edges(view)), None)
+    return Panel(title, x, quantity, curves, shades, log_x=decibels, limits=limits, note=note, mark=mark)
 
 
 def plot_loops(loops: Loops, opening: str, *, source: str = "", end: str = "") -> Figure:
@@ -191,6 +192,22 @@ def plot_loop_goals(scores: LoopScores) -> Figure:
         'peak of S (soft)'
     """
     return draw_panels(goal_panels(scores))
+
+
+def _until_rest(curves: Sequence[Curve], least: float = 0.0) -> tuple[float, float] | None:
+    # times up to which a response still moves, at least `least`; a slow mode may end much later
+    ends = [least]
+    for one in curves:
+        away = np.abs(one.y - one.y[-1]) > _REST * max(float(np.ptp(one.y)), 1e-300)
+        ends.append(1.4 * float(one.x[np.flatnonzero(away)[-1]]) if away.any() else 0.0)
+    return (0.0, max(ends)) if max(ends) > 0 else None
+
+
+def _edges(view: LoopView) -> float:
+    # time a little after a bound begins or ends
+    known = [np.isfinite(bound) for bound in (view.lower, view.upper) if bound is not None]
+    changes = [float(view.x[np.flatnonzero(np.diff(mask))[-1]]) for mask in known if np.diff(mask).any()]
+    return 1.3 * max(changes, default=0.0)
 
 
 def _about(shades: Sequence[Shade], curves: Sequence[Curve]) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from surctl.system import LinearLoop
 from surctl.tuning import judge_loops
 from surctl.verification.sampled_margins import quick_margins
 
-__all__ = ["answer", "page"]
+__all__ = ["page", "respond"]
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _LOCUS = 21  # values of a gain in its locus
@@ -79,7 +79,7 @@ def first_loop(bench: DesignBench) -> LinearLoop:
     return bench.loop({one.name: one.value for one in bench.sliders}, bench.points[0])
 
 
-def answer(bench: DesignBench, path: str, request: Request) -> dict[str, Any]:
+def respond(bench: DesignBench, path: str, request: Request) -> dict[str, Any]:
     """Return what the page asks for: `linear`, `goals`, `details`, `run`, `slow`, `save` or `load`.
 
     Raises:
@@ -101,11 +101,11 @@ def answer(bench: DesignBench, path: str, request: Request) -> dict[str, Any]:
 
 
 def _values(bench: DesignBench, values: Mapping[str, Any]) -> dict[str, float]:
-    found = {one.name: float(values[one.name]) for one in bench.sliders}
-    for name, value in found.items():
+    chosen = {one.name: float(values[one.name]) for one in bench.sliders}
+    for name, value in chosen.items():
         if not np.isfinite(value):
             raise InputError("is not finite", key=name, value=value, remedy="give a number")
-    return found
+    return chosen
 
 
 def _loops(bench: DesignBench, values: Mapping[str, float], points: Sequence[str]) -> dict[str, LinearLoop]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Literal
 
@@ -18,8 +18,8 @@ __all__ = ["Curve", "Panel", "Shade", "draw_panel", "draw_panels", "panel_svg"]
 
 Array = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 420.0, 262.0  # [px]
-_LEFT, _RIGHT, _TOP, _BOTTOM = 54.0, 10.0, 10.0, 40.0
+_WIDTH, _HEIGHT = 320.0, 222.0  # [px]
+_LEFT, _RIGHT, _TOP, _BOTTOM = 54.0, 8.0, 8.0, 38.0
 _DASHES = ("", "7 3", "9 3 2 3", "2 3", "9 3 2 3 2 3")  # as in `theme.curve`
 _MOST_POINTS = 320  # of a curve in SVG
 
@@ -161,17 +161,12 @@ def panel_svg(panel: Panel) -> str:
             d = _path(x, y)
             parts.append(f'<path class="miss" d="{d}L{x[-1]:.1f} {edge:.1f}L{x[0]:.1f} {edge:.1f}Z"/>')
             parts.append(f'<path class="bound" d="{d}"/>')
-    parts += [_curve(one, across, upwards) for one in panel.curves]
+    parts += [_curve(_cropped(one, panel.limits[0]), across, upwards) for one in panel.curves]
     for px, py, _ in panel.marks:
         cx, cy = float(across(np.array([px]))[0]), float(upwards(np.array([py]))[0])
         parts.append(f'<path class="mark" d="M{cx - 5:.1f} {cy:.1f}h10M{cx:.1f} {cy - 5:.1f}v10"/>')
     parts.append("</svg>")
-    legend = "".join(
-        f'<span class="key"><svg width="26" height="10" aria-hidden="true"><path class="c{one.k % len(CYCLE)}" '
-        f'd="M0 5h26" stroke-dasharray="{_dash(one)}"/></svg>{escape(one.label)}</span>'
-        for one in panel.curves
-        if one.label
-    )
+    legend = "".join(_key(one) for one in panel.curves if one.label)
     said = f"{panel.title}; {panel.y} over {panel.x}"
     note = f'<p class="note {panel.mark}">{escape(panel.note)}</p>' if panel.note else ""
     return (
@@ -181,6 +176,24 @@ def panel_svg(panel: Panel) -> str:
     )
 
 
+def _cropped(one: Curve, limits: tuple[float, float] | None) -> Curve:
+    # what is outside would take points from what is shown
+    if limits is None or one.kind not in ("line", "steps") or not np.all(np.diff(one.x) >= 0):
+        return one
+    first, last = np.searchsorted(one.x, limits)
+    shown = slice(max(int(first) - 1, 0), int(last) + 1)
+    return replace(one, x=one.x[shown], y=one.y[shown])
+
+
+def _key(one: Curve) -> str:
+    line = f'<path {_style(one)} d="M0 5h26" stroke-dasharray="{_dash(one)}"/>'
+    return f'<span class="key"><svg width="26" height="10" aria-hidden="true">{line}</svg>{escape(one.label)}</span>'
+
+
+def _style(one: Curve) -> str:
+    return f'class="c{one.k % len(CYCLE)}{" faint" if one.faint else ""}"'
+
+
 def _dash(one: Curve) -> str:
     return _DASHES[(one.k + one.k // len(CYCLE)) % len(_DASHES)]
 
@@ -188,7 +201,7 @@ def _dash(one: Curve) -> str:
 def _curve(one: Curve, across: object, upwards: object) -> str:
     assert callable(across) and callable(upwards)
     x, y = np.asarray(one.x, dtype=float), finite(one.y)
-    style = f'class="c{one.k % len(CYCLE)}{" faint" if one.faint else ""}"'
+    style = _style(one)
     if one.kind in ("poles", "dots"):
         px, py = across(x), upwards(y)
         size = 4 if one.kind == "poles" else 1
@@ -228,9 +241,9 @@ def _limits(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
     )
 
 
-def _span(given: tuple[float, float] | None, values: Array, *, margin: float, log: bool = False) -> tuple[float, float]:
-    if given is not None:
-        return given
+def _span(ends: tuple[float, float] | None, values: Array, *, margin: float, log: bool = False) -> tuple[float, float]:
+    if ends is not None:
+        return ends
     known = values[np.isfinite(values) & ((values > 0) | (not log))]
     if not known.size:
         return (0.1, 1.0) if log else (0.0, 1.0)
@@ -263,7 +276,7 @@ def _ticks(panel: Panel, x: tuple[float, float], y: tuple[float, float], wide: f
 
 
 def _decades(low: float, high: float) -> list[tuple[float, str]]:
-    step = max(1, round((high - low) / 6))
+    step = max(1, round((high - low) / 5))
     whole = range(int(np.ceil(low - 1e-9)), int(np.floor(high + 1e-9)) + 1, step)
     marks = [(float(k), f"{10.0**k:g}") for k in whole]
     return marks if len(marks) > 1 else [(at, f"{10**at:.3g}") for at in np.linspace(low, high, 4)[1:-1]]

@@ -15,7 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from surctl.errors import InputError
 from surctl.report.design_bench import DesignBench
-from surctl.report.page_parts import answer, page
+from surctl.report.page_parts import page, respond
 
 __all__ = ["serve"]
 
@@ -65,8 +65,8 @@ def _handler(bench: DesignBench, token: str) -> type[BaseHTTPRequestHandler]:
 
         def do_GET(self) -> None:
             parts = urlsplit(self.path)
-            given = parse_qs(parts.query).get("token", [""])[0]
-            if parts.path != "/" or not hmac.compare_digest(given, token):
+            secret = parse_qs(parts.query).get("token", [""])[0]
+            if parts.path != "/" or not hmac.compare_digest(secret, token):
                 self._send(403 if parts.path == "/" else 404, b"no access", "text/plain")
                 return
             with lock:
@@ -81,11 +81,11 @@ def _handler(bench: DesignBench, token: str) -> type[BaseHTTPRequestHandler]:
                 return
             try:
                 with lock:
-                    found: Any = answer(bench, self.path.strip("/"), json.loads(self.rfile.read(length)))
+                    reply: Any = respond(bench, self.path.strip("/"), json.loads(self.rfile.read(length)))
             except (InputError, ValueError) as error:
                 self._send(400, str(error).encode(), "text/plain")
                 return
-            self._send(200, json.dumps(found, allow_nan=False).encode(), "application/json")
+            self._send(200, json.dumps(reply, allow_nan=False).encode(), "application/json")
 
         def _send(self, status: int, body: bytes, kind: str) -> None:
             self.send_response(status)

@@ -63,8 +63,8 @@ def plot_record(record: Record, *, limits: Mapping[str, tuple[float, float]] = _
 
 def _draw_limits(ax: Axes, limits: tuple[float, float]) -> None:
     low, high = ax.get_ylim()
-    room = 0.08 * (limits[1] - limits[0])
-    low, high = min(low, limits[0] - room), max(high, limits[1] + room)
+    space = 0.08 * (limits[1] - limits[0])
+    low, high = min(low, limits[0] - space), max(high, limits[1] + space)
     for end, limit in ((low, limits[0]), (high, limits[1])):
         ax.axhspan(min(end, limit), max(end, limit), color=BAD, alpha=0.1, linewidth=0)
         ax.axhline(limit, color=BAD, linewidth=1.2)

@@ -11,7 +11,7 @@ from surctl.sensing.calibration.file import (
     sonar_fragment,
 )
 from surctl.sensing.calibration.table2 import RangeTest, table_ii
-from surctl.sensing.equipment import Equipment
+from surctl.sensing.equipment import SURFACE_MODELS, Equipment, SurfaceModel
 from surctl.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.sensing.localisation.delivery import Delivery, delayed, delayed_symbols
 from surctl.sensing.localisation.movers import Movers, MoverTracker, mover_step
@@ -70,6 +70,7 @@ __all__ = [
     "OUTLIER_RULE",
     "REFLECTORS",
     "SLOT",
+    "SURFACE_MODELS",
     "Arrival",
     "BaseStation",
     "Beam",
@@ -111,6 +112,7 @@ __all__ = [
     "SolidDisc",
     "SolidWalls",
     "SonarArray",
+    "SurfaceModel",
     "Surfaces",
     "Tracked",
     "beam_of",

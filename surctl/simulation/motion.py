@@ -14,7 +14,7 @@ from surctl.simulation.mission_fit import leg_speeds
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
-from surctl.vehicle.linearise import WITHIN_LAW
+from surctl.vehicle.linearise import WITHIN_LAW, ahead_limit
 
 __all__ = ["closest", "motion_findings"]
 
@@ -119,7 +119,7 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     d = scenario.disturbance
     current, weak = np.array(d.current_m_per_s), 1 - d.thrust_error - d.thrust_bias
     worst, figures = 0.0, (0.0, 0.0, 0.0, 0.0)
-    ahead_most, aside_most = (weak * vehicle.thrust_limit[:2]).tolist()
+    ahead_most, aside_most = weak * ahead_limit(vehicle), weak * float(vehicle.thrust_limit[1])
     for leg, cruise in zip(np.diff(scenario.path.waypoints, axis=0), leg_speeds(scenario).tolist(), strict=True):
         ahead = leg / np.linalg.norm(leg)
         through = cruise * ahead - current
@@ -150,6 +150,7 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     ahead, most = vehicle.thrust_range[1], vehicle.thrust_limit
     axes = {"surge": ("Xu", 0), "sway": ("Yv", 1)}
+    most[0] = ahead_limit(vehicle)
     held = {axis: _held(vehicle, drag, float(most[k])) for axis, (drag, k) in axes.items() if ahead[k] > 0}
     if scenario.cap <= min(held.values()):
         return []

@@ -67,7 +67,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
     past = (where - scenario.target) @ (leg / np.linalg.norm(leg))
     on_last = scenario.follower().legs(where) == len(scenario.path.waypoints) - 2
     near = on_last & (np.linalg.norm(where - scenario.target, axis=1) <= NEAR_TARGET)
-    limit = record.law_parameters[law.gains.slice("thrust_limit")]
+    limit = _limits(law, record)
     jumps = np.diff(thrust, axis=0)
     crab = _attitude(scenario, law, record, excluded)
     return Metrics(
@@ -82,7 +82,7 @@ def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least:
         max_deviation_m=float(np.max(away)),
         missed_corner_m=follower.missed,
         overshoot_m=float(np.max(past[near], initial=0.0)),
-        peak_thrust_share=float(np.max(np.abs(record.tau[:, limit > 0]) / limit[limit > 0])),
+        peak_thrust_share=float(np.max(np.abs(record.tau) / np.where(limit > 0, limit, np.inf))),
         saturated_share=float(np.mean(record.status % 2)),
         thrust_rate_n_per_s=float(np.sqrt(np.mean(np.sum(jumps**2, axis=1))) / law.dt) if len(jumps) else 0.0,
         crab_angle_deg=crab[0],
@@ -108,12 +108,21 @@ def _attitude(scenario: Scenario, law: Law, record: Record, excluded: NDArray[np
     return (float(crab.mean()), float(crab.max()), error) if crab.size else (nothing, nothing, error)
 
 
+def _limits(law: Law, record: Record) -> NDArray[np.float64]:
+    # (n, 4) of each thrust command in its direction; a law may have more thrust ahead than astern
+    limit = np.tile(record.law_parameters[law.gains.slice("thrust_limit")], (len(record.tau), 1))
+    if "ahead_limit" in law.gains:
+        most = record.law_parameters[law.gains.slice("ahead_limit")]
+        limit[:, 0] = np.where(record.tau[:, 0] > 0, np.maximum(limit[:, 0], most), limit[:, 0])
+    return limit
+
+
 def _activity(law: Law, record: Record, limit: NDArray[np.float64]) -> dict[str, float]:
     # total variation of each axis, sign changes, share at the limit, energy
     variation = np.abs(np.diff(record.tau, axis=0)).sum(axis=0) / (max(len(record.tau) - 1, 1) * law.dt)
     names = ("surge_n", "sway_n", "heave_n", "yaw_n_m")
     changes = []
-    for command, most in zip(record.tau.T, limit, strict=True):
+    for command, most in zip(record.tau.T, limit.T, strict=True):
         signs = np.sign(command[np.abs(command) > SIGN * most])
         changes.append(int(np.count_nonzero(np.diff(signs))))
     at_limit = np.mean(np.abs(record.tau) >= AT_LIMIT * np.where(limit > 0, limit, np.inf), axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.guidance import Path
-from surctl.sensing import BaseStation, Delivery, OwnState, SonarArray
+from surctl.sensing import BaseStation, Delivery, Equipment, OwnState, SonarArray
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import Sensors
 
@@ -83,6 +83,8 @@ def _equal(one: Path, other: Path) -> bool:
 def _sensors(sensors: Sensors) -> dict[str, Any]:
     equipment = sensors.equipment
     sonar = _array(equipment.array) | ({"echoes": sensors.echoes} if sensors.echoes else {})
+    if equipment.surface_model != Equipment().surface_model:
+        sonar["surface_model"] = equipment.surface_model
     sonar |= {
         "faults": [fault.model_dump(exclude_none=True) for fault in sensors.faults],
         "chances": sensors.chances.model_dump(),

@@ -22,6 +22,7 @@ from surctl.sensing import (
     OwnState,
     Reflector,
     SonarArray,
+    SurfaceModel,
     check_faults,
 )
 from surctl.simulation.reflectors import ECHOES
@@ -59,6 +60,7 @@ class SonarTable(Strict):
     pitch_deg: float | None = None
     incidence_limit_deg: Degrees | None = None
     echoes: Literal["ideal", "webots", "specular", "diffuse"] | None = None
+    surface_model: SurfaceModel = "diffuse"
     minimum_m: Positive | None = None
     blind_time_s: Positive | None = None
     maximum_m: Positive | None = None
@@ -216,7 +218,8 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
     for table, delivery in (("base_station", base_station.messages), ("own_state", measured.fixes)):
         for steps in (delivery.late, delivery.every):
             _in_table(table, partial(steps, _PERIOD))
-    equipment = Equipment(array=array, station=base_station, own=None if own.truth else measured)
+    own_state = None if own.truth else measured
+    equipment = Equipment(array=array, station=base_station, own=own_state, surface_model=sonar.surface_model)
     echoes = sonar.echoes if sonar.echoes is not None and not _simple(sonar.echoes)[0] else ""
     return Sensors(equipment, sonar.faults, sonar.chances, echoes)
 

@@ -16,6 +16,7 @@ from surctl.vehicle import Vehicle
 __all__ = ["steering_findings"]
 
 _REVERSAL = 2.4  # [rad] largest change of direction (137°) that counts as a corner; beyond it the path turns back
+_PASSES = 0.03  # of the turning radius: how near a craft with fins passes its target (study 31)
 
 
 def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
@@ -37,6 +38,7 @@ def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> lis
         Finding("info", "vehicle", text),
         *_corners(scenario, radius),
         *_turning_circle(scenario, vehicle, radius),
+        *_arrival(scenario, vehicle, radius),
         *_station(scenario, vehicle),
     ]
 
@@ -89,6 +91,18 @@ def _turning_circle(scenario: Scenario, vehicle: Vehicle, radius: float) -> list
         )
         results.append(Finding("info", "obstacles", text))
     return results
+
+
+def _arrival(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
+    needed = _PASSES * radius
+    if vehicle.fin_share(scenario.cruise) < 0.5 or scenario.arrival_radius >= needed:
+        return []
+    text = (
+        f"{vehicle.name} steers by rudders or fins and passes its target at speed, to within about {needed:.1g} m, "
+        f"{100 * _PASSES:g} % of its turning radius: in {scenario.arrival_radius:g} m it may turn round several times; "
+        f"set arrival_m = {needed:.1g}"
+    )
+    return [Finding("warning", "arrival_m", text)]
 
 
 def _station(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:

@@ -185,7 +185,7 @@ class _Rest:
         self.functions = _functions(system)
         self.reference = np.array(self.functions["reference"](numbers.reference[0])).reshape(-1)
         self.disturbance = np.array(self.functions["disturbance"](numbers.disturbance[0])).reshape(-1)
-        self.given = [numbers.gains[0], numbers.plant[0], self.reference, self.disturbance]
+        self.arguments = [numbers.gains[0], numbers.plant[0], self.reference, self.disturbance]
 
     @classmethod
     def of(cls, system: System, values: Mapping[str, ArrayLike] | None) -> _Rest:
@@ -196,17 +196,17 @@ class _Rest:
 
     def error(self, point: Array) -> tuple[Array, Array]:
         # residual at (x, z), and its derivative
-        error, slope, _, _ = self.functions["rest"].call([*self._split(point), *self.given])
+        error, slope, _, _ = self.functions["rest"].call([*self._split(point), *self.arguments])
         return np.array(error).reshape(-1), np.array(slope)
 
     def constant_commands(self, point: Array) -> list[str]:
         # labels of commands that do not change with the state about this point
-        slopes = np.array(self.functions["rest"].call([*self._split(point), *self.given])[3])
+        slopes = np.array(self.functions["rest"].call([*self._split(point), *self.arguments])[3])
         return [name for name, row in zip(entry_labels(self.system.commands), slopes, strict=True) if not row.any()]
 
     def operating(self, point: Array) -> Operating:
         x, z = self._split(point)
-        f = np.array(self.functions["rest"].call([x, z, *self.given])[2]).reshape(-1)
+        f = np.array(self.functions["rest"].call([x, z, *self.arguments])[2]).reshape(-1)
         return Operating(x, z, f, self.numbers)
 
     def law(self, point: Operating) -> tuple[Array, ...]:

@@ -29,7 +29,7 @@ from surctl.tuning.goals import LIBRARY, Goal, GoalTable, goals_at, goals_from_t
 from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
 from surctl.tuning.law_goals import case_loop
 from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
-from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable, load_loop_goals, loop_goal
+from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable, loop_goal
 from surctl.tuning.loop_goals import Judgement, LoopGoal, LoopView, Profile
 from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
 from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
@@ -45,6 +45,7 @@ from surctl.tuning.sensitivity import Sensitivity, sensitivity
 from surctl.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
 from surctl.tuning.start import lqr_start
 from surctl.tuning.sweep import TABLE, sweep
+from surctl.tuning.system_goals import load_loop_goals
 from surctl.tuning.systems import SystemTuning, tune_system
 from surctl.tuning.table import DELAY_FLOOR, DISK_FLOOR, SweepTable, SweptAxis, load_sweep
 

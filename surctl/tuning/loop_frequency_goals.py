@@ -147,7 +147,7 @@ class MaxGain(Between):
     def _judged(self, loop: LinearLoop) -> Judgement:
         omega, bound = _grid(loop, (), self.at_most)
         size = np.abs(response(loop.transferred([self.source], [self.end]), omega, loop.dt)[:, 0, 0])
-        return _below(omega, size, bound, f"|{self._path}| [{self.unit}]", self.unit)
+        return _below(omega, size, bound, f"|T| [{self.unit}]", self.unit)
 
 
 @dataclass(frozen=True, kw_only=True)

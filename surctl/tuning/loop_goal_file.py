@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from surctl.errors import InputError, nearest
-from surctl.files import Quantity, Strict, load_model
+from surctl.files import Quantity, Strict
 from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
 from surctl.tuning.loop_goals import Bound, LoopGoal, Profile
 from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
 
-__all__ = ["LOOP_GOAL_KEYS", "LoopGoalTable", "PointTable", "load_loop_goals", "loop_goal"]
+__all__ = ["LOOP_GOAL_KEYS", "LoopGoalTable", "PointTable", "check_points", "loop_goal"]
 
 Side = Literal["both", "above", "below"]
 
@@ -107,60 +106,6 @@ def loop_goal(table: LoopGoalTable) -> LoopGoal:
     except InputError as error:
         whole = error.key if error.key and error.key.startswith(key) else f"{key}.{error.key}"
         raise InputError(error.problem, key=whole, value=error.value, remedy=error.remedy) from None
-
-
-def load_loop_goals(path: Path | str) -> tuple[tuple[LoopGoal, ...], dict[str, dict[str, Any]]]:
-    """Load the goals about the loop from a goals file, and its operating points by name (values as in `run_numbers`).
-
-    Raises:
-        InputError: the file is unreadable, or a goal is wrong or about a metric of the robot's runs.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.tuning import load_loop_goals
-        >>> text = '''kind = "goals"
-        ... name = "tank"
-        ... [[points]]
-        ... name = "rain"
-        ... values = { "disturbance.rain" = 0.1 }
-        ... [[goals]]
-        ... name = "robust"
-        ... type = "sensitivity"
-        ... at = "flow"
-        ... at_most = { value = 1.6, unit = "1" }
-        ... '''
-        >>> _ = Path("tank.toml").write_text(text)
-        >>> goals, points = load_loop_goals("tank.toml")
-        >>> goals[0].name, points
-        ('robust', {'rain': {'disturbance.rain': 0.1}})
-    """
-    from surctl.tuning.goals import GoalsFile
-
-    path = Path(path)
-    content = load_model(path, GoalsFile)
-    try:
-        for table in content.goals:
-            if table.type is None:
-                problem, remedy = "is a metric of the robot", "write type = ..., see the guide `Tune the gains`"
-                raise InputError(problem, key=f"goals.{table.name}.metric", value=table.metric, remedy=remedy)
-        points = points_of(content.points)
-        goals = tuple(loop_goal(table.loop()) for table in content.goals)
-        check_points(goals, points)
-    except InputError as error:
-        raise error.inside(path) from None
-    return goals, points
-
-
-def points_of(tables: tuple[PointTable, ...]) -> dict[str, dict[str, Any]]:
-    """Return the values of each operating point by its name."""
-    points: dict[str, dict[str, Any]] = {}
-    for table in tables:
-        if table.name in points:
-            raise InputError("is the name of two points", key="points.name", value=table.name, remedy="rename one")
-        points[table.name] = {
-            name: [list(value)] if isinstance(value, tuple) else value for name, value in table.values.items()
-        }
-    return points
 
 
 def check_points(goals: tuple[LoopGoal, ...], points: Mapping[str, Any]) -> None:

@@ -20,7 +20,7 @@ _POINTS = 160
 _NEAR = np.geomspace(1e-2, 3.0, 7)  # distances from a pole's frequency, in distances of the pole from the unit circle
 _DECADES = 2.0  # below the slowest pole
 _LOWEST, _RANGE = 1e-5, 1e6  # [rad/s]; largest ratio of two frequencies
-_SETTLED = 1e-4  # share of the slowest mode that is left at the end of a step response
+_REMAINDER = 1e-4  # share of the slowest mode that is left at the end of a step response
 _SHORTEST, _LONGEST = 60, 1 << 14  # samples of a step response
 
 
@@ -82,7 +82,7 @@ def step_series(loop: LinearLoop, source: str, end: str) -> tuple[Array, Array, 
     """
     A, B, C, D = loop.transferred([source], [end])
     size = float(np.abs(loop.poles()).max(initial=0.0))
-    needed = np.log(_SETTLED) / np.log(size) if 0 < size < 1 else 0
+    needed = np.log(_REMAINDER) / np.log(size) if 0 < size < 1 else 0
     stride = max(1, int(np.ceil(needed / _LONGEST)))
     count = int(np.clip(np.ceil(needed / stride), _SHORTEST, _LONGEST)) + 1
     final = float((D + C @ np.linalg.solve(np.eye(len(A)) - A, B))[0, 0])

@@ -50,7 +50,7 @@ class Overshoot(Between):
             raise InputError("returns to 0 after a step", key="to", value=self._path, remedy="use step_rejection")
         share = value / final
         over = max(float(share.max()) - 1, 0.0)
-        view = LoopView("time", time, share, f"{self.end} [share of the step]", upper=_flat(time, 1 + self.at_most))
+        view = LoopView("time", time, share, "response / final value [1]", upper=_flat(time, 1 + self.at_most))
         at = f"at {time[int(share.argmax())]:.3g} s"
         return Judgement(over, "1", self.at_most, over / self.at_most, view, at)
 
@@ -83,10 +83,10 @@ class Settling(Between):
     def _judged(self, loop: LinearLoop) -> Judgement:
         time, value, final = step_series(loop, self.source, self.end)
         scale = float(np.abs(value).max()) if _returns(value, final) else abs(final)
-        settled, late = settled_at(time, value, final, scale), time >= self.at_most
+        duration, late = settling_time(time, value, final, scale), time >= self.at_most
         lower, upper = (np.where(late, final + sign * _BAND * scale, np.nan) for sign in (-1, 1))
         view = LoopView("time", time, value, self.end, lower, upper)
-        return Judgement(settled, "s", self.at_most, settled / self.at_most, view, "2 % band")
+        return Judgement(duration, "s", self.at_most, duration / self.at_most, view, "2 % band")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,11 +125,11 @@ class StepTracking(Between):
         if model.isdtime(strict=True):
             raise InputError("is in discrete time", key="model", remedy="give a model in continuous time")
         time, value, _ = step_series(loop, self.source, self.end)
-        wanted = held_step((model.A, model.B, model.C, model.D), time)
-        free = float(np.linalg.norm(1 - wanted))
-        gap = float(np.linalg.norm(value - wanted)) / free if free > 0 else np.inf
-        room = self.at_most * free / np.sqrt(len(time))  # a constant gap of this size is at the bound
-        view = LoopView("time", time, value, self.end, wanted - room, wanted + room)
+        reference = held_step((model.A, model.B, model.C, model.D), time)
+        free = float(np.linalg.norm(1 - reference))
+        gap = float(np.linalg.norm(value - reference)) / free if free > 0 else np.inf
+        allowance = self.at_most * free / np.sqrt(len(time))  # a constant gap of this size is at the bound
+        view = LoopView("time", time, value, self.end, reference - allowance, reference + allowance)
         return Judgement(gap, "1", self.at_most, gap / self.at_most, view, "relative gap to the model")
 
 
@@ -272,7 +272,7 @@ class Margins(Opened):
         return Judgement(value, unit, limit, share, None, text)
 
 
-def settled_at(time: Array, value: Array, final: float, scale: float) -> float:
+def settling_time(time: Array, value: Array, final: float, scale: float) -> float:
     """Return the time [s] from which a response stays within 2 % of `scale` about its final value."""
     outside = np.flatnonzero(np.abs(value - final) >= _BAND * scale)
     if not outside.size:

@@ -28,6 +28,7 @@ __all__ = [
     "THRUST_NAMES",
     "TILT_NAMES",
     "WITHIN_LAW",
+    "ahead_limit",
     "beyond_law",
     "can_hold",
     "check_cruise",
@@ -135,18 +136,35 @@ def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
         )
 
 
+def ahead_limit(vehicle: Vehicle) -> float:
+    """Return the largest surge thrust ahead [N] that a law commands.
+
+    Law `steered`, of craft without sway force, gives all the thrust ahead. All other laws limit the thrust on each axis
+    to the same value in both directions (`Vehicle.thrust_limit`).
+
+    Example:
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.vehicle.linearise import ahead_limit
+        >>> otter = load_vehicle("otter")
+        >>> round(ahead_limit(otter)), round(float(otter.thrust_limit[0]))
+        (239, 133)
+    """
+    return float((vehicle.thrust_limit if vehicle["Fv_max"] > 0 else vehicle.thrust_range[1])[0])
+
+
 def beyond_law(vehicle: Vehicle, cruise: float) -> str:
     """Return why a law cannot hold a cruise speed [m/s] that the thrusters could hold; empty if it can.
 
-    Laws limit the thrust on each axis to the same value in both directions (`Vehicle.thrust_limit`).
+    Laws limit the thrust on each axis to the same value in both directions (`Vehicle.thrust_limit`), except the law of
+    craft without sway force.
 
     Example:
         >>> from surctl.vehicle import load_vehicle
         >>> from surctl.vehicle.linearise import beyond_law
-        >>> beyond_law(load_vehicle("otter"), 2.0)
-        'needs 155 N ahead; the law gives at most 133 N, the smaller of ahead and astern'
+        >>> beyond_law(load_vehicle("otter"), 2.0)  # its law gives all of the 239 N ahead
+        ''
     """
-    needed, limit = float(trim_thrust(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))[0]), float(vehicle.thrust_limit[0])
+    needed, limit = float(trim_thrust(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))[0]), ahead_limit(vehicle)
     if needed < limit or vehicle["Fu_max"] <= limit:
         return ""
     return f"needs {needed:.3g} N ahead; the law gives at most {limit:.3g} N, the smaller of ahead and astern"

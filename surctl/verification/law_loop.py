@@ -157,6 +157,8 @@ def law_loop(
     p = law_numbers(law, model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
     nu, x = np.array([cruise, 0.0, 0.0, 0.0]), law.initial_state()
     x[law.state.slice("progress")] = _FAR  # arc length of the path's middle
+    if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
+        x[law.state.slice("surge")] = cruise
     return _loop(law, vehicle, OperatingPoint(x, law.inputs.pack({"eta": np.zeros(4), "nu": nu}), p, nu, 0.0, ""))
 
 

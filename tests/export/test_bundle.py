@@ -75,6 +75,7 @@ def test_files_and_manifest() -> None:
     assert all(f"`{file}`" in bundle.files["README.md"] for file in (*code, *gains))
     manifest = json.loads(bundle.files["manifest.json"])
     assert manifest["id"] == bundle.id and manifest["dt_s"] == 0.05
+    assert manifest["operations_at_most"] == stand_in().block.operations > 50
     for name, digest in manifest["sha256"].items():
         assert hashlib.sha256(bundle.files[name].encode()).hexdigest() == digest
     assert set(manifest["sha256"]) == set(bundle.files) - {"manifest.json"}

@@ -16,7 +16,7 @@ from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics
 from surctl.report.bench import Bench, save_gains
 from surctl.report.design_bench import SystemBench, activity
-from surctl.report.page_parts import answer, page
+from surctl.report.page_parts import page, respond
 from surctl.report.panel import Curve, Panel, Shade, draw_panel, panel_svg
 from surctl.report.theme import new_axes
 from surctl.simulation import load_scenario
@@ -170,21 +170,21 @@ def test_without_the_secret_there_is_no_page(served):
 
 
 def test_the_margins_and_goals_on_the_page_are_those_of_python():
-    found = answer(OWN, "details", request(OWN))
+    found = respond(OWN, "details", request(OWN))
     (margins,) = system_margins(OWN.loop({}, "light"), "force")
     cells = re.findall(r"<td>(.*?)</td>", found["margins"])[:7]
     assert cells[:2] == ["light", "force"] and float(cells[3]) == pytest.approx(margins.phase_margin_deg, rel=5e-3)
-    html = answer(OWN, "goals", request(OWN))["html"]
+    html = respond(OWN, "goals", request(OWN))["html"]
     worst = max(GOALS[0].judge(OWN.loop({}, point)).value for point in PLACES)
     assert f"{worst:.3g} s for 8" in html
-    run = answer(OWN, "run", request(OWN))
+    run = respond(OWN, "run", request(OWN))
     assert "force, light" in run["table"] and "sign changes per s" in run["table"]
     assert (
-        answer(OWN, "linear", request(OWN, values={"k_p": -9.0, "k_d": 1.0, "k_i": 1.0}))["html"].count("figure") > 10
+        respond(OWN, "linear", request(OWN, values={"k_p": -9.0, "k_d": 1.0, "k_i": 1.0}))["html"].count("figure") > 10
     )
     with pytest.raises(InputError, match="is not known"):
-        answer(OWN, "none", request(OWN))
-    assert "is no signal of the loop" in answer(OWN, "linear", request(OWN, opening="none"))["error"]
+        respond(OWN, "none", request(OWN))
+    assert "is no signal of the loop" in respond(OWN, "linear", request(OWN, opening="none"))["error"]
 
 
 def test_a_region_is_proved_and_drawn_on_request():
@@ -202,7 +202,7 @@ def test_a_region_is_proved_and_drawn_on_request():
 
     bench = SystemBench(system, "mine.py:build", 1.0, {"k": (0.5, 2.0)}, {"nominal": {}}, (), problem)
     assert bench.slow.startswith("Prove")
-    found = answer(bench, "slow", request(bench))
+    found = respond(bench, "slow", request(bench))
     assert (
         "proved" in found["html"] and "least level with a counterexample" in found["html"] and "<img" in found["html"]
     )
@@ -241,7 +241,7 @@ def test_a_law_of_ones_own_is_linear_about_its_run():
     slow, fast = (bench.loop({**start, "k_wall": k}, "its own run") for k in (0.2, 0.4))
     assert bench.version == 1  # of two gain sets, one is run; the other is linear about the same motion
     assert bench.goals[0].judge(slow).value > 1.5 * bench.goals[0].judge(fast).value
-    moved = answer(bench, "run", request(bench, values={**start, "k_wall": 0.4}, points=["its own run"]))
+    moved = respond(bench, "run", request(bench, values={**start, "k_wall": 0.4}, points=["its own run"]))
     assert moved["moved"] and bench.version == 2
     assert bench.slow == ""
 
@@ -260,6 +260,9 @@ def test_a_panel_is_the_same_in_both_forms():
     assert "a &amp; b" in html and html.count('class="miss"') == 1 and 'class="c1"' in html
     path = re.search(r'<path class="c1" stroke-dasharray="[^"]*" d="([^"]*)"/></svg>', html)[1]
     assert path.count("M") == 2 and "nan" not in html  # the line is interrupted
+    time = np.arange(5000) * 0.01
+    cut = panel_svg(Panel("step", "time [s]", "y", [Curve(time, np.sin(time), "", 0)], limits=((0.0, 2.0), None)))
+    assert re.search(r'<path class="c0"[^>]* d="([^"]*)"', cut)[1].count("L") > 150  # of 200 shown points
     ax = draw_panel(panel, new_axes(4, 3))
     assert ax.get_xscale() == "log" and ax.get_title("left") == "a & b" and len(ax.collections) == 1
 

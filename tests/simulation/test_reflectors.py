@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surctl.cli.sensor_options import sensor_data
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import read_toml
@@ -35,7 +36,8 @@ POOL = read_toml(LIBRARY / "pool-static.toml")
 def pool(*, sonar: dict | None = None, site: dict | None = None, obstacle: str | None = None, **tables) -> Scenario:
     table = {**POOL, "site": POOL["site"] | (site or {}), "sonar": sonar or {}, **tables}
     if obstacle:
-        table["obstacles"] = [table["obstacles"][0] | {"reflector": obstacle}, *table["obstacles"][1:]]
+        first, *others = POOL["obstacles"]
+        table["obstacles"] = [first | {"reflector": obstacle}, *others]
     return scenario_from_table(table, source="pool.toml")
 
 
@@ -55,6 +57,11 @@ def test_a_reflector_of_its_own_outranks_the_echo_model() -> None:
     assert surfaces.walls == tuple(REFLECTORS[n] for n in ("diffuse", "specular", "diffuse", "diffuse"))
     assert (surfaces.surface, surfaces.floor) == (REFLECTORS["silent"], REFLECTORS["diffuse"])
     assert scenario_from_table(scenario_table(mixed), source="").surfaces == surfaces
+    recorded = sensor_data(mixed)
+    assert recorded["echoes"] == "diffuse" and recorded["pitch_deg"] == pytest.approx(-10.0)
+    assert recorded["reflectors"]["obstacles"] == {"Obstacle1": "cloth"} and sensor_data(plain)["reflectors"] == {}
+    assert recorded["reflectors"]["site"] == {"walls": {"x1": "specular"}, "surface": "silent"}
+    assert recorded["reflectors"]["reflectors"]["cloth"]["incidence_limit_deg"] == 30.0
     ideal = replace(mixed, sensors=mixed.sensors.hearing("ideal"))
     assert ideal.surfaces is not None and ideal.surfaces.floor == REFLECTORS["silent"]
     assert ideal.surfaces.obstacles == (surfaces.obstacles[0], *(REFLECTORS["ideal"],) * 3)
@@ -99,16 +106,13 @@ def test_lint_says_what_is_unhearable() -> None:
     assert "Obstacle1 2.5 m" in one[-1] and "Obstacle2" not in one[-1]
 
 
-def case_of(echoes: str, seconds: float) -> Case:
-    scenario = load_scenario("pool-static")
-    scenario = replace(scenario, sensors=scenario.sensors.hearing(echoes), time_limit=seconds)
-    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
-
-
 def test_both_loops_hear_the_same_for_any_threads_and_order() -> None:
     need_compiler()
-    case = case_of("specular", 8.0)
-    run = simulate(case.scenario, case.vehicle, gains=case.gains, sensing="sonar", seed=5)
+    cloth = {"cloth": {"cylinder_range_m": 0.15}}  # some firings detect it
+    sonar = {"order": [1, 0, 3, 2]}  # the sonar ahead fires between two control steps
+    scenario = replace(pool(sonar=sonar, obstacle="cloth", reflectors=cloth), time_limit=7.0)
+    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
+    run = simulate(scenario, case.vehicle, gains=case.gains, sensing="sonar", seed=5)
     seeds = np.array([5, 6, 7])
     table = simulate_batch(case, seeds=seeds).table
     np.testing.assert_allclose(table[0], run.metrics.row(), rtol=0, atol=1e-9)

@@ -11,7 +11,7 @@ import pytest
 from surctl.cli.gains_choice import choose_gains
 from surctl.control import GAINS, load_gains, write_gains
 from surctl.errors import InputError
-from surctl.simulation import findings
+from surctl.simulation import Case, findings, simulate, simulate_batch
 from surctl.tuning import DERIVED_MARGIN, default_cruise, derive_gains, derived_gains, gains_for, shared_gains
 from surctl.tuning.vehicle_rule import inner_start, munk_rate, rule
 from surctl.vehicle import Vehicle, load_vehicle
@@ -127,23 +127,35 @@ def test_mistakes_are_one_line() -> None:
     assert default_cruise(WU) == 0.48
 
 
-def test_a_cruise_beyond_the_symmetric_limit_of_the_law_is_told_before_any_margin() -> None:
-    otter = load_vehicle("otter")  # 239 N ahead, 133 N astern
-    with pytest.raises(InputError, match="needs 155 N ahead; the law gives at most 133 N, the smaller of") as raised:
-        derive_gains(otter, cruise=2.0)
-    assert raised.value.key == "cruise" and "raise Fu_reverse" in (raised.value.remedy or "")
-    assert choose_gains("default", otter, cruise=2.0).lines == [
-        "  warning: at 2 m/s otter needs 155 N ahead; the law gives at most 133 N, the smaller of ahead and astern; "
-        "lower the cruise speed or raise Fu_reverse"
-    ]
-    assert choose_gains("default", otter, cruise=1.7).lines == []
+def test_a_craft_without_sway_force_cruises_beyond_its_limit_astern() -> None:
+    otter = load_vehicle("otter")  # 239 N ahead, 133 N astern; 2 m/s need 155 N
+    gains = derive_gains(otter, cruise=2.0).gains
+    assert choose_gains("default", otter, cruise=2.0).lines == []
     scenario = replace(
         mission([[30.0, 30.0], [60.0, 30.0]], "otter", size=(120.0, 120.0), time=90.0), cruise=2.0, cap=2.2
     )
-    (finding,) = [one for one in findings(scenario, otter) if one.key == "cruise_m_per_s"]
-    assert finding.level == "error" and "otter needs 155 N ahead; the law gives at most 133 N" in finding.text
-    with pytest.raises(InputError, match=r"needs 155 N ahead.*by otter; lower it or raise Fu_reverse"):
-        check_held((2.0,), otter, cap=3.0, key="--cruise")
+    assert not [one for one in findings(scenario, otter) if one.level == "error"]
+    check_held((2.0,), otter, cap=3.0, key="--cruise")
+    run = simulate(scenario, otter, gains=gains)
+    assert run.metrics.reached and run.record.nu[:, 0].max() > 1.95
+    assert 133.5 < run.record.tau[:, 0].max() < 239.4 and run.record.tau[:, 0].min() > -133.5
+    batch = simulate_batch(Case(scenario, otter, gains))
+    assert batch.column("peak_thrust_share")[0] == pytest.approx(run.metrics.peak_thrust_share, abs=1e-6)
+    assert batch.column("time_s")[0] == run.metrics.time_s and run.metrics.peak_thrust_share <= 1.0 + 1e-9
+    with pytest.raises(InputError, match=r"needs thrust \[248"):
+        derive_gains(otter, cruise=3.2)
+
+
+def test_a_cruise_beyond_the_symmetric_limit_of_the_law_is_told_before_any_margin() -> None:
+    scow = load_vehicle("otter")
+    scow = replace(scow, parameters={**scow.parameters, "Fv_max": replace(scow.parameters["Fv_max"], value=50.0)})
+    with pytest.raises(InputError, match="needs 155 N ahead; the law gives at most 133 N, the smaller of") as raised:
+        derive_gains(scow, cruise=2.0)
+    assert raised.value.key == "cruise" and "raise Fu_reverse" in (raised.value.remedy or "")
+    assert choose_gains("default", scow, cruise=2.0).lines == [
+        "  warning: at 2 m/s otter needs 155 N ahead; the law gives at most 133 N, the smaller of ahead and astern; "
+        "lower the cruise speed or raise Fu_reverse"
+    ]
 
 
 def test_the_speed_that_a_rudder_craft_bears_does_not_hang_on_the_speed_asked_for() -> None:

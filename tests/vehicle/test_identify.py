@@ -213,10 +213,13 @@ def test_a_sphere_that_cannot_be(change: dict[str, float], fragment: str) -> Non
         sphere("no", **{**given, **change})
 
 
-def test_a_log_without_thrust_and_one_with_absurd_motion_are_refused_without_a_warning() -> None:
+def test_a_log_without_thrust_or_motion_and_one_with_absurd_motion_are_refused_without_a_warning() -> None:
     log = made_log(TRUE, seed=1, rows=60)
     with pytest.raises(InputError, match="the log has no thrust"):
         identify(replace(log, thrust=np.zeros_like(log.thrust)), START, name="fitted")
+    still = replace(log, motion=np.where(np.arange(8) == 2, -1.0, 0.0) * np.ones_like(log.motion))
+    with pytest.raises(InputError, match="the log has no motion"):
+        identify(still, START, name="fitted")
     absurd = log.motion * np.where(np.arange(8) == 4, 1e200, 1.0)
     with warnings.catch_warnings(), pytest.raises(InputError, match="no simulated motion fits"):
         warnings.simplefilter("error")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from surctl.control.closing import thrust_bounds
 from surctl.guidance import PASSED
 from surctl.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, TUBE
 
@@ -63,12 +64,14 @@ def counted(
     first = old["step"] < 0.5
     thrust, step = tau[:2], place - old["last_place"]
     change = ca.if_else(first, 0, ca.fabs(tau - old["last_thrust"]))
-    signs = ca.if_else(ca.fabs(tau) > SIGN * w["thrust_limit"], ca.if_else(tau > 0, 1, -1), old["last_signs"])
+    least, largest = thrust_bounds(w)
+    limit = ca.if_else(tau > 0, largest, -least)
+    signs = ca.if_else(ca.fabs(tau) > SIGN * limit, ca.if_else(tau > 0, 1, -1), old["last_signs"])
     past = ca.if_else(ca.logic_and(on_last, gap <= NEAR_TARGET), ca.dot(to_target, w["leg"]), 0)
     force = ca.fabs(tau[:3])
     # an axis without a limit of its own has no share: its force is 0, or that of a rudder that turns the craft
-    limited = w["thrust_limit"] > 0
-    share = ca.if_else(limited, ca.fabs(tau) / ca.if_else(limited, w["thrust_limit"], 1), 0)
+    limited = limit > 0
+    share = ca.if_else(limited, ca.fabs(tau) / ca.if_else(limited, limit, 1), 0)
     return {
         "away": excluded,
         "last_thrust": tau,

@@ -179,6 +179,8 @@ class _Filler:
                     column = column * self._grown(model)
                 out[:, layout.slice(vector).start + k] = column
         out[:, layout.slice("hull").start] = self.believed("radius")
+        if "ahead_limit" in layout:
+            out[:, layout.slice("ahead_limit").start] = self.believed("Fu_max")  # as in Vehicle.ahead_limit
 
     def _grown(self, vehicle: Vehicle) -> Columns:
         # yaw moment at the cruise speed over that of the vehicle file, as in Vehicle.at_speed

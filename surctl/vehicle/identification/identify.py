@@ -29,7 +29,7 @@ from surctl.vehicle.identification.outliers import outliers, without_outliers
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.identification.solve import beginning, minimise, simulable
 from surctl.vehicle.identification.trim import Trial, drift_trial
-from surctl.vehicle.motion_log import LOG_THRUST, LOG_TILT, MotionLog
+from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog
 from surctl.vehicle.parameters import Parameter, Vehicle
 from surctl.vehicle.specs import TERMS, parameter_spec
 
@@ -100,6 +100,13 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
             file=log.source,
             key=", ".join(LOG_THRUST),
             remedy="give a log in which the vehicle is driven",
+        )
+    if not any(np.unique(column[np.isfinite(column)]).size > 1 for column in log.motion.T):
+        raise InputError(
+            "the log has no motion: no column changes, so it shows no parameter",
+            file=log.source,
+            key=", ".join(LOG_MOTION),
+            remedy="give a log in which the vehicle moves",
         )
     if start.form.tilts:
         _check_tilt(log, start)
