@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import inf, sqrt
 
 import numpy as np
@@ -222,7 +223,7 @@ class Bound:
         if self.barrier == "inertia":
             own = brakes_of(self.vehicle, share=self.gains["brake"])
             return range_needed(own, Watch(self.watch.period), speed, obstacle=obstacle)
-        weakest, heaviest = float(min(self.vehicle.thrust_limit[:2])), float(max(self.vehicle.mass[:2]))
+        weakest, (_, heaviest) = self._weakest, self._masses
         closing, reaction = speed + obstacle, self.gains["reaction"]
         return closing**2 * heaviest / (2 * self.gains["brake"] * weakest) + (closing + obstacle) * reaction
 
@@ -234,4 +235,13 @@ class Bound:
         """
         v, pairs = max(speed, 0.0), (("Xu", "Xuu"), ("Yv", "Yvv"))
         drag = max(self.vehicle[a] * v + self.vehicle[b] * v**2 for a, b in pairs)
-        return (self.brakes.least + drag) / (self.gains["k_v"] * (1 + BRAKE) * float(min(self.vehicle.mass[:2])))
+        return (self.brakes.least + drag) / (self.gains["k_v"] * (1 + BRAKE) * self._masses[0])
+
+    @cached_property
+    def _weakest(self) -> float:  # the smaller thrust limit of surge and sway [N]; every speed of `margins` asks for it
+        return float(min(self.vehicle.thrust_limit[:2]))
+
+    @cached_property
+    def _masses(self) -> tuple[float, float]:  # the smaller and the larger mass of surge and sway [kg]
+        mass = self.vehicle.mass[:2]
+        return float(min(mass)), float(max(mass))
